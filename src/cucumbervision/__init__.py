@@ -1,0 +1,1 @@
+"""Measures greenhouse cucumbers without touching them."""

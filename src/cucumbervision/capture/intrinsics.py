@@ -1,0 +1,251 @@
+"""Camera intrinsics, and the guard against the wrong ones.
+
+Pixel convention throughout the project: the centre of the top-left pixel is (0, 0), as in the
+RealSense SDK; a box's edges lie half a pixel outside its outermost pixel centres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import IntrinsicsError
+from cucumbervision.geometry.camera import Distortion, scale_error, undistort
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Distortion", "Intrinsics", "Stream", "check_intrinsics"]
+
+
+class Stream(StrEnum):
+    """The stream that a set of intrinsics was calibrated for."""
+
+    COLOR = "color"
+    DEPTH = "depth"
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera with optional lens distortion.
+
+    Parameters
+    ----------
+    width, height : int
+        Size in pixels that the calibration is for.
+    fx_px, fy_px : float
+        Focal lengths in pixels.
+    cx_px, cy_px : float
+        Principal point in pixels; the centre of the top-left pixel is (0, 0).
+    stream : Stream
+        The stream that the calibration belongs to. Depth aligned to colour is deprojected by
+        the colour stream's.
+    distortion : Distortion
+        The lens model of `coefficients`.
+    coefficients : tuple of float
+        k1, k2, p1, p2, k3, as the RealSense SDK orders them.
+
+    Raises
+    ------
+    IntrinsicsError
+        If a size or focal length is not positive and finite.
+
+    Examples
+    --------
+    >>> Intrinsics(1280, 720, 910.2, 910.4, 642.8, 358.5).matrix.round(1)
+    array([[910.2,   0. , 642.8],
+           [  0. , 910.4, 358.5],
+           [  0. ,   0. ,   1. ]])
+    """
+
+    width: int
+    height: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    stream: Stream = Stream.COLOR
+    distortion: Distortion = Distortion.NONE
+    coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.coefficients)
+        if not np.isfinite(numbers).all() or min(self.fx_px, self.fy_px) <= 0:
+            raise IntrinsicsError(
+                f"focal length {self.fx_px}, {self.fy_px} px and centre {self.cx_px}, "
+                f"{self.cy_px} px are no camera",
+                remedy="give fx, fy, cx, cy in pixels, all finite, the focal lengths positive",
+            )
+        if min(self.width, self.height) <= 0:
+            raise IntrinsicsError(
+                f"size {self.width}x{self.height} is no picture",
+                remedy="give the width and height in pixels that the calibration is for",
+            )
+
+    @classmethod
+    def from_matrix(
+        cls,
+        matrix: ArrayLike,
+        width: int,
+        height: int,
+        stream: Stream = Stream.COLOR,
+    ) -> Intrinsics:
+        """Make intrinsics from a 3x3 camera matrix in pixels, without distortion.
+
+        Raises
+        ------
+        IntrinsicsError
+            If `matrix` is not 3x3 with last row 0, 0, 1 and without skew.
+        """
+        k = np.asarray(matrix, dtype=float)
+        if k.size == 9:
+            k = k.reshape(3, 3)
+        if k.shape != (3, 3) or not np.allclose(k[2], (0, 0, 1)) or k[0, 1] != 0 or k[1, 0] != 0:
+            raise IntrinsicsError(
+                "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
+                remedy="give the 3x3 matrix row by row, in pixels, without skew",
+            )
+        return cls(
+            width,
+            height,
+            float(k[0, 0]),
+            float(k[1, 1]),
+            float(k[0, 2]),
+            float(k[1, 2]),
+            stream,
+        )
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The 3x3 camera matrix, float64, pixels."""
+        return np.array(
+            [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.width, self.height
+
+    def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Give the ray (x/z, y/z) of each pixel, with the lens distortion undone.
+
+        Parameters
+        ----------
+        u_px, v_px : array_like
+            Pixel coordinates, any shape, broadcast against each other.
+
+        Returns
+        -------
+        x, y : ndarray
+            Normalised image coordinates, float32 for float32 input and float64 otherwise.
+
+        Notes
+        -----
+        The RealSense SDK's `rs2_deproject_pixel_to_point`, vectorised.
+
+        Examples
+        --------
+        >>> x, y = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0).rays(380.0, 240.0)
+        >>> float(x), float(y)
+        (0.1, 0.0)
+        """
+        u, v = np.asarray(u_px), np.asarray(v_px)
+        dtype = np.float32 if u.dtype == v.dtype == np.float32 else np.float64
+        x = ((u - self.cx_px) / self.fx_px).astype(dtype)
+        y = ((v - self.cy_px) / self.fy_px).astype(dtype)
+        if self.distortion is Distortion.NONE or not any(self.coefficients):
+            return x, y
+        return undistort(x, y, self.distortion, self.coefficients)
+
+    def with_stream(self, stream: Stream) -> Intrinsics:
+        """Give the same camera as another stream's calibration."""
+        return replace(self, stream=stream)
+
+
+def check_intrinsics(
+    given: Intrinsics,
+    width: int,
+    height: int,
+    *,
+    known: Intrinsics | None = None,
+    source: object = None,
+) -> Intrinsics:
+    """Refuse intrinsics that do not belong to a colour picture of this size.
+
+    Depth aligned to colour is seen through the colour camera. Another stream's or another
+    size's matrix scales every length; the error names by how much, for a fruit across the view:
+    f_right / f_wrong - 1. The verdict goes by provenance (stream and size), never by how large
+    the focal length is.
+
+    Parameters
+    ----------
+    given : Intrinsics
+        What a user or a file says.
+    width, height : int
+        Size of the colour picture, to which depth is aligned, in pixels.
+    known : Intrinsics, optional
+        The capture's own colour intrinsics, when it carries them.
+    source : object, optional
+        The file at fault, for the error's line.
+
+    Returns
+    -------
+    Intrinsics
+        `given`, unchanged.
+
+    Raises
+    ------
+    IntrinsicsError
+        With the scale error that these intrinsics would have caused.
+
+    Examples
+    --------
+    >>> colour = Intrinsics(1280, 720, 927.2, 927.4, 651.3, 349.6)
+    >>> depth = Intrinsics(1280, 720, 640.0, 640.0, 640.0, 360.0, stream=Stream.DEPTH)
+    >>> check_intrinsics(depth, 1280, 720, known=colour)
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.IntrinsicsError: these are the depth stream's ... +45 % wrong ...
+    """
+    right = known if known is not None and known.size == (width, height) else None
+    if given.stream is not Stream.COLOR:
+        raise IntrinsicsError(
+            f"these are the {given.stream} stream's intrinsics (fx {given.fx_px:.1f} px), but the "
+            f"depth is aligned to colour{_wrong_by(given, right)}",
+            source=source,
+            remedy="give the colour stream's intrinsics",
+        )
+    if given.size != (width, height):
+        estimate = right or _rescaled(given, width, height)
+        about = "" if right else "about "
+        raise IntrinsicsError(
+            f"the intrinsics are for {given.width}x{given.height}, the picture is "
+            f"{width}x{height}{_wrong_by(given, estimate, about)}",
+            source=source,
+            remedy=f"give the colour stream's intrinsics at {width}x{height}",
+        )
+    return given
+
+
+def _rescaled(given: Intrinsics, width: int, height: int) -> Intrinsics:
+    # RealSense colour modes keep the full height and crop the sides, so when the aspect differs
+    # the height tells the scale (640x480 with f 616 becomes 1280x720 with f 924).
+    k = height / given.height
+    return replace(given, width=width, height=height, fx_px=given.fx_px * k, fy_px=given.fy_px * k)
+
+
+def _wrong_by(given: Intrinsics, right: Intrinsics | None, about: str = "") -> str:
+    if right is None:
+        return (
+            "; by how much lengths would be wrong cannot be said without the colour calibration "
+            "(f_right/f_wrong - 1; about +42 % on a typical D435 at 1280x720)"
+        )
+    percent = 100 * scale_error(right.fx_px, given.fx_px)
+    return (
+        f" (fx {right.fx_px:.1f} px): lengths would come out {about}{percent:+.0f} % wrong "
+        "(f_right/f_wrong - 1)"
+    )

@@ -1,0 +1,1 @@
+"""One reader per source, each found by what a path holds."""

@@ -1,0 +1,98 @@
+"""Every error that a user can cause, each with one line: the file, the fault and the remedy.
+
+All of them derive from `CucumberVisionError`, so that a batch can catch one class, note the
+failure and go on with the rest.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "CameraError",
+    "CaptureError",
+    "CucumberVisionError",
+    "DepthError",
+    "InstancesError",
+    "IntrinsicsError",
+    "MissingExtraError",
+    "ModelError",
+    "ModelHashError",
+    "UnknownModelError",
+]
+
+
+class CucumberVisionError(Exception):
+    """Base of all named errors.
+
+    Parameters
+    ----------
+    message : str
+        The fault, in plain words.
+    source : str, optional
+        The file, folder or device at fault; put first in the line.
+    remedy : str, optional
+        What the user can do about it; put last in the line.
+
+    Examples
+    --------
+    >>> print(CucumberVisionError("the file is empty", source="a.png", remedy="copy it again"))
+    a.png: the file is empty; copy it again
+    """
+
+    def __init__(self, message: str, *, source: object = None, remedy: str = "") -> None:
+        self.message = message
+        self.source = "" if source is None else str(source)
+        self.remedy = remedy
+        line = f"{self.source}: {message}" if self.source else message
+        super().__init__(" ".join((f"{line}; {remedy}" if remedy else line).split()))
+
+    @property
+    def code(self) -> str:
+        """Stable name of the error's class, as `failures.csv` gives it."""
+        return type(self).__name__
+
+
+class CaptureError(CucumberVisionError):
+    """A capture cannot be read: missing, truncated, or its parts disagree."""
+
+
+class DepthError(CaptureError):
+    """A depth picture cannot be what it is declared to be (unit, bit depth, no readings)."""
+
+
+class IntrinsicsError(CaptureError):
+    """Intrinsics that would deproject wrongly: another stream's, another size's, or malformed."""
+
+
+class InstancesError(CucumberVisionError):
+    """A file of boxes or masks cannot be read, or does not fit its pictures."""
+
+
+class ModelError(CucumberVisionError):
+    """A network cannot be loaded, or does not have the outputs that its task needs."""
+
+
+class UnknownModelError(ModelError):
+    """No model of that name is in the registry."""
+
+
+class ModelHashError(ModelError):
+    """A model file's SHA-256 is not the registry's."""
+
+
+class CameraError(CucumberVisionError):
+    """No camera, a camera in use, or a stream that stopped."""
+
+
+class MissingExtraError(CucumberVisionError):
+    """A feature needs an optional extra that is not installed.
+
+    Examples
+    --------
+    >>> print(MissingExtraError("pyrealsense2", "camera"))
+    pyrealsense2 is not installed; pip install 'cucumbervision[camera]'
+    """
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(
+            f"{package} is not installed", remedy=f"pip install 'cucumbervision[{extra}]'"
+        )

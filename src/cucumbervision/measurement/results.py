@@ -1,0 +1,105 @@
+"""What a method says of one fruit: a length, or the named reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+
+__all__ = ["Fruit", "LengthKind", "Measurement", "Method", "Reason"]
+
+
+class Method(StrEnum):
+    """The six measuring methods."""
+
+    M1 = "M1"
+    M2 = "M2"
+    M3 = "M3"
+    M4 = "M4"
+    M5 = "M5"
+    M6 = "M6"
+
+
+class LengthKind(StrEnum):
+    """What a method's raw length is the length of."""
+
+    BOX_CHORD = "box-chord"
+    SURFACE_CHORD = "surface-chord"
+    KEYPOINT_POLYLINE = "keypoint-polyline"
+    SURFACE_ARC = "surface-arc"
+
+
+class Reason(StrEnum):
+    """Why a method gives no length; stable codes for tables."""
+
+    OK = "ok"
+    NO_MASK = "no-mask"
+    NO_KEYPOINTS = "no-keypoints"
+    NO_DEPTH = "no-depth"
+    TOO_FEW_POINTS = "too-few-points"
+    TOO_FEW_BINS = "too-few-bins"
+    TOO_FEW_SAMPLES = "too-few-samples"
+    ENDPOINT_MISSING = "endpoint-missing"
+    OUT_OF_RANGE = "out-of-range"
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """One method on one fruit.
+
+    Parameters
+    ----------
+    method : Method
+        The method that was asked.
+    length_m : float, optional
+        Its length in metres; None when it gave none.
+    kind : LengthKind, optional
+        What that is the length of.
+    reason : Reason
+        'ok', or why there is no length.
+    fallback : tuple of str
+        What was tried before, as 'M3:too-few-points'; empty when the method itself measured.
+    path_m : ndarray of float64, shape (K, 3), optional
+        The line that was measured, camera coordinates in metres, end to end.
+    """
+
+    method: Method
+    length_m: float | None = None
+    kind: LengthKind | None = None
+    reason: Reason = Reason.OK
+    fallback: tuple[str, ...] = ()
+    path_m: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Fruit:
+    """One fruit, measured.
+
+    Parameters
+    ----------
+    instance : Instance
+        Where it is in the picture.
+    measurements : mapping of Method to Measurement
+        Every method that was run.
+    selected : Measurement
+        The one that the selector took; its `length_m` is None when nothing could be measured.
+    reason : str
+        Why that one: a stable code such as 'mask-ge-100' or 'no-mask-elongated'.
+    fallback : tuple of str
+        The path of fallbacks that led there.
+    flags : tuple of str
+        What else to know: 'cut-by-frame', 'mask-refused', …
+    """
+
+    instance: Instance
+    measurements: dict[Method, Measurement]
+    selected: Measurement
+    reason: str
+    fallback: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()

@@ -1,0 +1,1 @@
+"""Many captures in one go: rows, overlays and exports."""

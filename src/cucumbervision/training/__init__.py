@@ -1,0 +1,1 @@
+"""What needs torch and Ultralytics: exports of networks (extra `train`)."""

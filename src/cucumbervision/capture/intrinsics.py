@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -130,7 +130,7 @@ class Intrinsics:
         """(width, height) in pixels."""
         return self.width, self.height
 
-    def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[NDArray, NDArray]:
+    def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
         """Give the ray (x/z, y/z) of each pixel, with the lens distortion undone.
 
         Parameters

@@ -8,7 +8,7 @@ k1, k2, p1, p2, k3.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,8 +32,8 @@ class Distortion(StrEnum):
 
 
 def _brown(
-    x: NDArray, y: NDArray, c: Sequence[float], *, scaled_tangential: bool = False
-) -> tuple[NDArray, NDArray]:
+    x: NDArray[Any], y: NDArray[Any], c: Sequence[float], *, scaled_tangential: bool = False
+) -> tuple[NDArray[Any], NDArray[Any]]:
     k1, k2, p1, p2, k3 = c
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -46,8 +46,8 @@ def _brown(
 
 
 def distort(
-    x: NDArray, y: NDArray, model: Distortion, coefficients: Sequence[float]
-) -> tuple[NDArray, NDArray]:
+    x: NDArray[Any], y: NDArray[Any], model: Distortion, coefficients: Sequence[float]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Give where the lens puts the ray (x, y): the forward model, used to project.
 
     Parameters
@@ -77,8 +77,8 @@ def distort(
 
 
 def undistort(
-    x: NDArray, y: NDArray, model: Distortion, coefficients: Sequence[float]
-) -> tuple[NDArray, NDArray]:
+    x: NDArray[Any], y: NDArray[Any], model: Distortion, coefficients: Sequence[float]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Give the ray that the lens put at (x, y): the inverse of `distort`, by fixed point.
 
     Parameters

@@ -67,6 +67,8 @@ class Measurement:
         What was tried before, as 'M3:too-few-points'; empty when the method itself measured.
     path_m : ndarray of float64, shape (K, 3), optional
         The line that was measured, camera coordinates in metres, end to end.
+    measured_by : Method, optional
+        The method that stood in, where this one fell back on another.
     """
 
     method: Method
@@ -75,6 +77,12 @@ class Measurement:
     reason: Reason = Reason.OK
     fallback: tuple[str, ...] = ()
     path_m: NDArray[np.float64] | None = None
+    measured_by: Method | None = None
+
+    @property
+    def own(self) -> bool:
+        """Whether the method itself measured, without falling back on another."""
+        return self.length_m is not None and self.measured_by is None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,125 @@
+"""The principal axis of a point cloud, and what lies along it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["bin_centroids", "depth_gate", "principal_axis", "project"]
+
+
+def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
+    """Keep the points whose depth is within `half_width_m` of the median depth.
+
+    Parameters
+    ----------
+    points_m : ndarray of float, shape (N, 3)
+        Camera coordinates in metres, z forward.
+    half_width_m : float
+        Half the gate's width in metres.
+
+    Returns
+    -------
+    ndarray of float, shape (M, 3)
+        The points kept, in their order; empty for an empty cloud.
+
+    Examples
+    --------
+    >>> points = np.array([[0.0, 0.0, 0.50], [0.0, 0.0, 0.51], [0.0, 0.0, 0.90]])
+    >>> depth_gate(points, 0.035)[:, 2].tolist()
+    [0.5, 0.51]
+    """
+    if not len(points_m):
+        return points_m
+    z = points_m[:, 2]
+    near: NDArray[np.bool_] = np.abs(z - np.median(z)) <= half_width_m
+    return points_m[near]
+
+
+def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give the centroid and the direction of largest spread.
+
+    The first right singular vector of the centred cloud (the paper's Eq. 2), found as the first
+    eigenvector of its 3x3 scatter matrix: the same vector, without an SVD of N rows.
+
+    Parameters
+    ----------
+    points_m : ndarray of float, shape (N, 3)
+        At least two points.
+
+    Returns
+    -------
+    centroid_m, axis : ndarray of float64, shape (3,)
+        `axis` has length 1; its largest component is positive.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two points.
+
+    Examples
+    --------
+    >>> centroid, axis = principal_axis(np.array([[0.0, 0, 1], [2.0, 0, 1], [4.0, 0, 1]]))
+    >>> centroid.tolist(), axis.round(6).tolist()
+    ([2.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    """
+    if len(points_m) < 2:
+        raise ValueError(f"{len(points_m)} points have no axis")
+    centroid = points_m.mean(axis=0, dtype=np.float64)
+    centred = points_m - centroid
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
+    return centroid, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
+
+
+def project(
+    points_m: NDArray[Any], centroid_m: NDArray[Any], axis: NDArray[Any]
+) -> NDArray[np.float64]:
+    """Give each point's position along an axis, in metres from the centroid.
+
+    Examples
+    --------
+    >>> project(np.array([[3.0, 5.0, 1.0]]), np.zeros(3), np.array([1.0, 0.0, 0.0])).tolist()
+    [3.0]
+    """
+    return np.asarray(points_m @ axis - centroid_m @ axis, dtype=np.float64)
+
+
+def bin_centroids(
+    points_m: NDArray[Any], along_m: NDArray[Any], bins: int, at_least: int
+) -> NDArray[np.float64]:
+    """Cut a cloud into equal bins along an axis and give the centroids of the filled ones.
+
+    Parameters
+    ----------
+    points_m : ndarray of float, shape (N, 3)
+        The cloud.
+    along_m : ndarray of float, shape (N,)
+        Each point's position along the axis, as `project` gives it.
+    bins : int
+        Number of bins from the smallest to the largest position.
+    at_least : int
+        Bins with fewer points are skipped.
+
+    Returns
+    -------
+    ndarray of float64, shape (B, 3)
+        B <= `bins` centroids, in order along the axis.
+
+    Examples
+    --------
+    >>> points = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0], [10.0, 2.0, 0]])
+    >>> bin_centroids(points, points[:, 0], bins=2, at_least=2).tolist()
+    [[0.5, 0.0, 0.0], [9.5, 1.0, 0.0]]
+    """
+    low, high = float(along_m.min()), float(along_m.max())
+    if high <= low:
+        return np.empty((0, 3))
+    index = np.minimum(((along_m - low) * (bins / (high - low))).astype(np.intp), bins - 1)
+    count = np.bincount(index, minlength=bins)
+    sums = [np.bincount(index, points_m[:, k], minlength=bins) for k in range(3)]
+    filled = count >= at_least
+    return np.stack([s[filled] / count[filled] for s in sums], axis=1)

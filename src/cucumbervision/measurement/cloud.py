@@ -1,0 +1,128 @@
+"""From a region of the depth picture to a point cloud, the methods' common ground."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+__all__ = ["box_pixels", "box_points", "masked_points"]
+
+
+def masked_points(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> NDArray[np.float64]:
+    """Deproject every pixel of a mask that has a valid reading.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    mask : ndarray of bool, shape (H, W)
+        The fruit's pixels.
+    intrinsics : Intrinsics
+        The colour stream's.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 3)
+        Camera coordinates in metres (x right, y down, z forward), the paper's Eq. 4; in the
+        pixels' order, row by row.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> depth = np.zeros((48, 64), np.float32)
+    >>> depth[24, 38] = 0.5
+    >>> camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    >>> masked_points(depth, np.ones((48, 64), bool), camera).tolist()
+    [[0.05, 0.0, 0.5]]
+    """
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not len(rows):
+        return np.empty((0, 3))
+    top, bottom = int(rows[0]), int(rows[-1]) + 1
+    columns = np.flatnonzero(mask[top:bottom].any(axis=0))
+    left, right = int(columns[0]), int(columns[-1]) + 1
+    region = depth_m[top:bottom, left:right]
+    v, u = np.nonzero(mask[top:bottom, left:right] & valid_depth(region))
+    return _deproject(u + left, v + top, region[v, u], intrinsics)
+
+
+def box_points(
+    depth_m: NDArray[np.float32], box: NDArray[Any], intrinsics: Intrinsics, stride: int = 2
+) -> NDArray[np.float64]:
+    """Deproject the pixels of a box that have a valid reading.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    box : ndarray of float, shape (4,)
+        Edges x1, y1, x2, y2 in pixels; what lies outside the picture is left out.
+    intrinsics : Intrinsics
+        The colour stream's.
+    stride : int
+        Every how many pixels, both ways.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 3)
+        Camera coordinates in metres.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> depth = np.full((48, 64), 0.5, np.float32)
+    >>> camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    >>> box_points(depth, np.array([9.5, 9.5, 19.5, 13.5]), camera).shape
+    (10, 3)
+    """
+    left, top, right, bottom = box_pixels(box, depth_m.shape)
+    region = depth_m[top:bottom:stride, left:right:stride]
+    v, u = np.nonzero(valid_depth(region))
+    return _deproject(u * stride + left, v * stride + top, region[v, u], intrinsics)
+
+
+def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """Give the half-open pixel range left, top, right, bottom whose centres lie in a box.
+
+    Parameters
+    ----------
+    box : ndarray of float, shape (4,)
+        Edges x1, y1, x2, y2 in pixels.
+    shape : tuple of int
+        (H, W) of the picture; the range is cut to it.
+
+    Examples
+    --------
+    >>> box_pixels(np.array([-3.0, 1.5, 4.5, 99.0]), (10, 20))
+    (0, 2, 5, 10)
+    """
+    height, width = shape
+    left, top = (int(np.ceil(x)) for x in box[:2])
+    right, bottom = (int(np.floor(x)) + 1 for x in box[2:])
+    return (
+        min(max(left, 0), width),
+        min(max(top, 0), height),
+        min(max(right, 0), width),
+        min(max(bottom, 0), height),
+    )
+
+
+def _deproject(
+    u_px: NDArray[Any], v_px: NDArray[Any], z_m: NDArray[Any], intrinsics: Intrinsics
+) -> NDArray[np.float64]:
+    x, y = intrinsics.rays(u_px, v_px)
+    points = np.empty((len(z_m), 3))
+    points[:, 2] = z_m
+    np.multiply(x, points[:, 2], out=points[:, 0])
+    np.multiply(y, points[:, 2], out=points[:, 1])
+    return points

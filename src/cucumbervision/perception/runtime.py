@@ -1,0 +1,371 @@
+"""One small interface over ONNX Runtime and OpenVINO: open a network, feed it, take its outputs.
+
+Both runtimes report home by default: `import openvino` sends an event through the package
+openvino_telemetry, and ONNX Runtime 1.29 and later keeps a device id and a store of events under
+the user's cache folder and uploads them. `import_onnxruntime` and `import_openvino` switch that
+off before anything is loaded; nothing else in the project imports the two.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from cucumbervision.errors import MissingExtraError, ModelError
+
+__all__ = [
+    "RUNTIMES",
+    "Network",
+    "TensorInfo",
+    "import_onnxruntime",
+    "import_openvino",
+    "open_network",
+]
+
+RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
+
+Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]
+
+_log = logging.getLogger("cucumbervision")
+
+_PROVIDERS = {
+    "onnxruntime": ("CPUExecutionProvider",),
+    "cuda": ("CUDAExecutionProvider", "CPUExecutionProvider"),
+    "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
+}
+_GPU_REMEDY = "install onnxruntime-gpu in place of onnxruntime, or choose the runtime auto"
+_ONNX_DTYPES = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+    "tensor(int8)": np.int8,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+    "tensor(bool)": np.bool_,
+}
+
+
+@dataclass(frozen=True)
+class TensorInfo:
+    """Name, shape and dtype of one input or output.
+
+    Parameters
+    ----------
+    name : str
+        The name in the file.
+    shape : tuple of int or None
+        None where the size is free.
+    dtype : numpy.dtype
+        Element type.
+    """
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: np.dtype[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A loaded network; `open_network` makes it.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of TensorInfo
+        In the file's order.
+    metadata : mapping of str to str
+        The file's custom metadata (Ultralytics stores names, imgsz, task, stride, kpt_shape).
+    runtime : str
+        What runs it, with the precision or the provider, and why where 'auto' had to step down.
+    source : str
+        The file, for errors.
+    compute : callable
+        The runtime's own call, from arrays by name to arrays in the order of `outputs`.
+    """
+
+    inputs: tuple[TensorInfo, ...]
+    outputs: tuple[TensorInfo, ...]
+    metadata: Mapping[str, str]
+    runtime: str
+    source: str
+    compute: Callable[[dict[str, Array]], list[Array]]
+
+    def run(self, feeds: Mapping[str, Array]) -> dict[str, Array]:
+        """Run the network once.
+
+        Parameters
+        ----------
+        feeds : mapping of str to ndarray
+            Every input by name; values are converted to the input's dtype.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Every output by name; half-precision outputs are widened to float32.
+
+        Raises
+        ------
+        ModelError
+            If an input is missing or unknown, or the network cannot take the shapes.
+        """
+        if set(feeds) != {i.name for i in self.inputs}:
+            raise ModelError(
+                f"the network takes {', '.join(i.name for i in self.inputs)}, "
+                f"not {', '.join(feeds) or 'nothing'}",
+                source=self.source,
+                remedy="name a network of the right kind",
+            )
+        arrays = {i.name: np.ascontiguousarray(feeds[i.name], i.dtype) for i in self.inputs}
+        try:
+            outputs = self.compute(arrays)
+        # The two runtimes raise their own classes and plain RuntimeError alike.
+        except Exception as error:
+            sizes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+            raise ModelError(
+                f"the network fails on {sizes}: {_first_line(error)}",
+                source=self.source,
+                remedy="give pictures of the size that it was exported for",
+            ) from error
+        return {
+            info.name: array.astype(np.float32) if array.dtype == np.float16 else array
+            for info, array in zip(self.outputs, outputs, strict=True)
+        }
+
+
+def open_network(
+    path: Path | str | bytes,
+    runtime: str = "auto",
+    *,
+    full_precision: bool = False,
+    threads: int | None = None,
+    name: str = "",
+) -> Network:
+    """Load an ONNX file.
+
+    Parameters
+    ----------
+    path : Path, str or bytes
+        The file, or its content.
+    runtime : str
+        'onnxruntime', 'openvino', 'cuda' or 'tensorrt' (ONNX Runtime's providers), or 'auto':
+        OpenVINO where it is installed and can load the file, as the faster one on a CPU, else
+        ONNX Runtime.
+    full_precision : bool
+        Compute in float32 where results must reproduce; without it OpenVINO takes bfloat16 on
+        CPUs that have it, and CUDA takes TF32.
+    threads : int, optional
+        Most threads to use; the runtime's own choice if not given.
+    name : str
+        What errors call a network given as bytes.
+
+    Returns
+    -------
+    Network
+
+    Raises
+    ------
+    ModelError
+        If the file is missing or no network, the runtime unknown, or its provider not available.
+    MissingExtraError
+        If 'openvino' is asked for and not installed.
+    """
+    source = (name or "network in memory") if isinstance(path, bytes) else str(path)
+    if runtime not in RUNTIMES:
+        raise ModelError(
+            f"no runtime is called {runtime!r}", remedy=f"choose one of {', '.join(RUNTIMES)}"
+        )
+    if not isinstance(path, bytes):
+        path = Path(path)
+        if not path.is_file():
+            raise ModelError("there is no such file", source=source, remedy="check the path")
+    _check_kind(path, source)
+    if runtime == "openvino":
+        return _open_openvino(path, source, full_precision, threads)
+    if runtime != "auto":
+        return _open_onnxruntime(path, source, runtime, full_precision, threads)
+    if importlib.util.find_spec("openvino") is None:
+        return _open_onnxruntime(path, source, "onnxruntime", full_precision, threads)
+    try:
+        return _open_openvino(path, source, full_precision, threads)
+    except ModelError as error:
+        why = f"; {error.message}"
+    network = _open_onnxruntime(path, source, "onnxruntime", full_precision, threads, why)
+    _log.info("%s: %s", source, network.runtime)
+    return network
+
+
+def import_onnxruntime() -> Any:
+    """Import ONNX Runtime with its telemetry off.
+
+    The variable must be set before the library initialises (ONNX Runtime, `docs/Privacy.md`);
+    early builds read the other name.
+    """
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+    os.environ["ORT_TELEMETRY_DISABLED"] = "1"
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    onnxruntime.set_default_logger_severity(4)
+    return onnxruntime
+
+
+def import_openvino() -> Any:
+    """Import OpenVINO with its telemetry off.
+
+    OpenVINO falls back on a stub of its own where the package openvino_telemetry cannot be
+    imported, so it is hidden while OpenVINO loads.
+
+    Raises
+    ------
+    MissingExtraError
+        If OpenVINO is not installed.
+    """
+    modules: dict[str, Any] = sys.modules
+    before = modules.get("openvino_telemetry")
+    modules["openvino_telemetry"] = None
+    try:
+        import openvino
+    except ImportError as error:
+        raise MissingExtraError("openvino", "openvino") from error
+    finally:
+        del modules["openvino_telemetry"]
+        if before is not None:
+            modules["openvino_telemetry"] = before
+    return openvino
+
+
+def _check_kind(path: Path | bytes, source: str) -> None:
+    """Refuse what is plainly no ONNX file, on which OpenVINO tries all its other readers."""
+    if isinstance(path, bytes):
+        head = path[:2]
+    else:
+        with path.open("rb") as file:
+            head = file.read(2)
+    if head == b"PK":
+        raise ModelError(
+            "this is a PyTorch checkpoint", source=source, remedy="export it to ONNX first"
+        )
+    # Protobuf writes fields in order: ONNX's first is ir_version, field 1, a varint.
+    if head[:1] != b"\x08":
+        raise ModelError("this is no ONNX file", source=source, remedy="give an ONNX file")
+
+
+def _first_line(error: Exception) -> str:
+    """Give what a runtime says, without its source lines and in at most 200 characters."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    told = [line for line in lines if line and not line.startswith("Exception from ")]
+    return (" ".join(told) or type(error).__name__)[:200].rstrip(".")
+
+
+def _unreadable(source: str, runtime: str, error: Exception) -> ModelError:
+    return ModelError(
+        f"{runtime} cannot load it ({_first_line(error)})",
+        source=source,
+        remedy="give a complete ONNX file",
+    )
+
+
+def _open_onnxruntime(
+    path: Path | bytes,
+    source: str,
+    runtime: str,
+    full_precision: bool,
+    threads: int | None,
+    why: str = "",
+) -> Network:
+    ort = import_onnxruntime()
+    wanted = _PROVIDERS[runtime]
+    if wanted[0] not in ort.get_available_providers():
+        raise ModelError(f"ONNX Runtime has no {wanted[0]} here", remedy=_GPU_REMEDY)
+    options = ort.SessionOptions()
+    options.log_severity_level = 4
+    if threads is not None:
+        options.intra_op_num_threads = threads
+    settings = {"CUDAExecutionProvider": {"use_tf32": "0"}} if full_precision else {}
+    providers = [(p, settings.get(p, {})) for p in wanted if p in ort.get_available_providers()]
+    try:
+        session = ort.InferenceSession(
+            path if isinstance(path, bytes) else str(path), options, providers=providers
+        )
+    # Its classes derive from Exception alone.
+    except Exception as error:
+        raise _unreadable(source, "ONNX Runtime", error) from error
+    if wanted[0] not in session.get_providers():
+        raise ModelError(f"{wanted[0]} does not start", source=source, remedy=_GPU_REMEDY)
+    outputs = tuple(_onnx_info(o) for o in session.get_outputs())
+    names = [o.name for o in outputs]
+    provider = wanted[0].removesuffix("ExecutionProvider").lower()
+    return Network(
+        inputs=tuple(_onnx_info(i) for i in session.get_inputs()),
+        outputs=outputs,
+        metadata=MappingProxyType(dict(session.get_modelmeta().custom_metadata_map)),
+        runtime=f"onnxruntime ({provider}{why})",
+        source=source,
+        compute=lambda feeds: session.run(names, feeds),
+    )
+
+
+def _onnx_info(arg: Any) -> TensorInfo:
+    shape = tuple(n if isinstance(n, int) else None for n in arg.shape)
+    return TensorInfo(arg.name, shape, np.dtype(_ONNX_DTYPES.get(arg.type, np.object_)))
+
+
+@lru_cache(maxsize=1)
+def _openvino_core() -> Any:
+    return import_openvino().Core()
+
+
+def _open_openvino(
+    path: Path | bytes, source: str, full_precision: bool, threads: int | None
+) -> Network:
+    core = _openvino_core()
+    settings: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
+    if full_precision:
+        settings["INFERENCE_PRECISION_HINT"] = "f32"
+    if threads is not None:
+        settings["INFERENCE_NUM_THREADS"] = threads
+    try:
+        model = core.read_model(path if isinstance(path, bytes) else str(path))
+        metadata = _openvino_metadata(model)
+        compiled = core.compile_model(model, "CPU", settings)
+        precision = compiled.get_property("INFERENCE_PRECISION_HINT").to_string()
+    except Exception as error:
+        raise _unreadable(source, "OpenVINO", error) from error
+    request = compiled.create_infer_request()
+    outputs = tuple(_openvino_info(o) for o in compiled.outputs)
+
+    def compute(feeds: dict[str, Array]) -> list[Array]:
+        request.infer(feeds, share_inputs=True)
+        # Copied: the request's own buffers are written again by the next run.
+        return [request.get_output_tensor(i).data.copy() for i in range(len(outputs))]
+
+    return Network(
+        inputs=tuple(_openvino_info(i) for i in compiled.inputs),
+        outputs=outputs,
+        metadata=MappingProxyType(metadata),
+        runtime=f"openvino ({precision})",
+        source=source,
+        compute=compute,
+    )
+
+
+def _openvino_info(port: Any) -> TensorInfo:
+    shape = tuple(d.get_length() if d.is_static else None for d in port.get_partial_shape())
+    return TensorInfo(port.get_any_name(), shape, np.dtype(port.get_element_type().to_dtype()))
+
+
+def _openvino_metadata(model: Any) -> dict[str, str]:
+    """Give the ONNX file's custom metadata, which OpenVINO keeps as the model's 'framework'."""
+    if not model.has_rt_info("framework"):
+        return {}
+    return {key: str(value) for key, value in model.get_rt_info("framework").value.items()}

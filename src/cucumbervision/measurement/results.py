@@ -95,10 +95,10 @@ class Fruit:
         Where it is in the picture.
     measurements : mapping of Method to Measurement
         Every method that was run.
-    selected : Measurement
-        The one that the selector took; its `length_m` is None when nothing could be measured.
+    selected : Measurement, optional
+        The one that the selector took; None when nothing could be measured.
     reason : str
-        Why that one: a stable code such as 'mask-ge-100' or 'no-mask-elongated'.
+        Why that one, or why none: a code of `measurement.selector.Choice`.
     fallback : tuple of str
         The path of fallbacks that led there.
     flags : tuple of str
@@ -107,7 +107,7 @@ class Fruit:
 
     instance: Instance
     measurements: dict[Method, Measurement]
-    selected: Measurement
+    selected: Measurement | None
     reason: str
     fallback: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()

@@ -1,0 +1,200 @@
+"""Choose one measurement for each fruit, and say why."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.measurement.cloud import box_pixels
+from cucumbervision.measurement.m4 import endpoints_visible
+from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
+from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
+from cucumbervision.measurement.results import Fruit, Measurement, Method
+from cucumbervision.perception.instances import MaskSource
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.perception.instances import Instance
+
+__all__ = ["Choice", "Selector", "choose", "measure_fruit"]
+
+ELONGATED = 1.8
+EDGE_PX = 1.0
+
+
+class Selector(StrEnum):
+    """How one measurement is chosen.
+
+    `PAPER` follows the paper's decisions and counts only SAM's or the data set's own masks;
+    `BEST` lets the detector's mask stand in, and takes M6 first where it was run.
+    """
+
+    BEST = "best"
+    PAPER = "paper"
+
+
+class Choice(StrEnum):
+    """Which decision was taken; stable codes for tables."""
+
+    DENSE_MASK = "mask-points-ge-100"
+    SPARSE_MASK = "mask-points-lt-100"
+    ELONGATED_BOX = "no-mask-box-elongated"
+    COMPACT_BOX = "no-mask-box-compact"
+    NO_DEPTH = "no-depth"
+    NOTHING = "not-measured"
+
+
+def choose(
+    measurements: Mapping[Method, Measurement],
+    mask_points: int | None,
+    box: NDArray[np.float64],
+) -> tuple[Measurement | None, Choice, tuple[str, ...]]:
+    """Walk the paper's decision tree over measurements already taken.
+
+    A mask with at least 100 valid points (counted before the gate): M5, then M4 if it measured
+    by itself, then M3. A mask with fewer: M3. No mask, or all of these failed: M1 then M2 for a
+    box at least 1.8 times as long as wide (lying or hanging), M2 then M1 otherwise. Where M6 was
+    run and measured, it comes first.
+
+    Parameters
+    ----------
+    measurements : mapping of Method to Measurement
+        What was run; a method that was not is passed over.
+    mask_points : int, optional
+        Valid depth readings in the mask; None without a mask.
+    box : ndarray of float, shape (4,)
+        Edges x1, y1, x2, y2 in pixels.
+
+    Returns
+    -------
+    measurement : Measurement or None
+        The one chosen; None when nothing measured.
+    choice : Choice
+        The decision that set the order.
+    fallback : tuple of str
+        Each method that was tried before and why it gave nothing, in order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cucumbervision.measurement.results import Reason
+    >>> m5 = Measurement(Method.M5, reason=Reason.TOO_FEW_BINS)
+    >>> m3 = Measurement(Method.M3, 0.21)
+    >>> best, choice, path = choose({Method.M5: m5, Method.M3: m3}, 400, np.array([0, 0, 9, 40.0]))
+    >>> str(best.method), str(choice), path
+    ('M3', 'mask-points-ge-100', ('M5:too-few-bins',))
+    """
+    choice, order = _order(mask_points, box)
+    tried: list[str] = []
+    for method in order:
+        result = measurements.get(method)
+        # M4 that fell back is M3 by another name, and M3 has its own turn.
+        if result is None or (method is Method.M4 and result.measured_by is not None):
+            continue
+        if result.length_m is not None:
+            return result, choice, (*tried, *result.fallback)
+        tried.extend(result.fallback or [f"{method}:{result.reason}"])
+    return None, choice, tuple(tried)
+
+
+def _order(mask_points: int | None, box: NDArray[np.float64]) -> tuple[Choice, list[Method]]:
+    width, height = float(box[2] - box[0]), float(box[3] - box[1])
+    elongated = max(width, height) >= ELONGATED * min(width, height)
+    by_box = [Method.M1, Method.M2] if elongated else [Method.M2, Method.M1]
+    if mask_points is None:
+        return (Choice.ELONGATED_BOX if elongated else Choice.COMPACT_BOX), by_box
+    if mask_points >= SPLINE_POINTS:
+        return Choice.DENSE_MASK, [Method.M6, Method.M5, Method.M4, Method.M3, *by_box]
+    return Choice.SPARSE_MASK, [Method.M3, *by_box]
+
+
+def measure_fruit(
+    capture: Capture,
+    instance: Instance,
+    methods: Iterable[Method] = AVAILABLE,
+    selector: Selector = Selector.BEST,
+) -> Fruit:
+    """Measure one detected fruit and choose among the methods.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    instance : Instance
+        Where the fruit is in it.
+    methods : iterable of Method
+        Which to run; the selector chooses among these.
+    selector : Selector
+        How to choose.
+
+    Returns
+    -------
+    Fruit
+        Always: a fruit that no method measured says why in `reason` and `fallback`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision.perception.instances import Instance
+    >>> capture = Capture(
+    ...     np.zeros((480, 640, 3), np.uint8),
+    ...     np.full((480, 640), 0.6, np.float32),
+    ...     Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0),
+    ...     name="a",
+    ... )
+    >>> fruit = measure_fruit(capture, Instance(np.array([219.5, 229.5, 419.5, 249.5])))
+    >>> str(fruit.selected.method), round(fruit.selected.length_m, 3), str(fruit.reason)
+    ('M1', 0.2, 'no-mask-box-elongated')
+    """
+    mask, flags = _mask_to_measure(instance, selector)
+    region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
+    measurements = run_methods(region, methods)
+    points = None if region.mask_points_m is None else len(region.mask_points_m)
+    chosen, choice, fallback = choose(measurements, points, instance.box)
+    if _cut_by_frame(instance.box, mask, capture.width, capture.height):
+        flags.append("cut-by-frame")
+    if Method.M4 in measurements and endpoints_visible(instance.keypoints):
+        flags.append("keypoints-logged")
+    if chosen is None:
+        choice = _why_nothing(capture, instance.box)
+    return Fruit(instance, measurements, chosen, str(choice), fallback, tuple(flags))
+
+
+def _mask_to_measure(
+    instance: Instance, selector: Selector
+) -> tuple[NDArray[np.bool_] | None, list[str]]:
+    flags = [f"sam-{instance.mask_failure}"] if instance.mask_failure else []
+    if instance.mask is not None and instance.mask_source is not MaskSource.DETECTOR:
+        return instance.mask, flags
+    own = instance.detector_mask if instance.mask is None else instance.mask
+    if selector is Selector.BEST and own is not None and own.any():
+        return own, [*flags, "detector-mask"]
+    return None, flags
+
+
+def _cut_by_frame(
+    box: NDArray[np.float64], mask: NDArray[np.bool_] | None, width: int, height: int
+) -> bool:
+    if mask is not None:
+        edges = (mask[0], mask[-1], mask[:, 0], mask[:, -1])
+        return any(bool(edge.any()) for edge in edges)
+    # The picture's own edges lie at -0.5 and size - 0.5; a box within a pixel of one is cut.
+    return bool(
+        min(box[0], box[1]) < EDGE_PX - 0.5
+        or box[2] > width - 0.5 - EDGE_PX
+        or box[3] > height - 0.5 - EDGE_PX
+    )
+
+
+def _why_nothing(capture: Capture, box: NDArray[np.float64]) -> Choice:
+    left, top, right, bottom = box_pixels(box, capture.depth_m.shape)
+    readings = valid_depth(capture.depth_m[top:bottom, left:right])
+    return Choice.NOTHING if readings.any() else Choice.NO_DEPTH

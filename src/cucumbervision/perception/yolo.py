@@ -1,0 +1,186 @@
+"""Find fruit with a YOLO network: any Ultralytics ONNX export for detect, segment or pose."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.perception.instances import Instance, box_iou
+from cucumbervision.perception.letterbox import Letterbox, fit
+from cucumbervision.perception.runtime import open_network
+from cucumbervision.perception.yolo_decode import choose_raw, choose_rows
+from cucumbervision.perception.yolo_layout import read_layout
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["DEFAULT_CONFIDENCE", "YoloDetector", "with_keypoints"]
+
+DEFAULT_CONFIDENCE = 0.30
+_KEYPOINTS = 5
+
+_log = logging.getLogger("cucumbervision")
+
+
+class YoloDetector:
+    """A YOLO network with everything around it: letterbox, decoding, masks at full resolution.
+
+    Parameters
+    ----------
+    path : Path, str or bytes
+        An ONNX file.
+    runtime : str
+        As for `open_network`.
+    confidence : float
+        A detection's score must exceed it, 0 to 1.
+    full_precision : bool
+        As for `open_network`.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be loaded, or is no YOLO network for one picture at a time.
+    """
+
+    def __init__(
+        self,
+        path: Path | str | bytes,
+        runtime: str = "auto",
+        confidence: float = DEFAULT_CONFIDENCE,
+        full_precision: bool = False,
+    ) -> None:
+        self._network = open_network(path, runtime, full_precision=full_precision)
+        self._layout = read_layout(self._network)
+        self._confidence = confidence
+        if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
+            _log.warning(
+                "%s: it gives %d keypoints, a fruit has %d; only its boxes are used",
+                self._layout.source,
+                self._layout.keypoints[0],
+                _KEYPOINTS,
+            )
+
+    @property
+    def names(self) -> Mapping[int, str]:
+        """The class names, by the class's number."""
+        return self._layout.names
+
+    @property
+    def task(self) -> str:
+        """Either 'detect', 'segment' or 'pose'."""
+        return self._layout.task
+
+    @property
+    def runtime(self) -> str:
+        """What runs it, as `Network.runtime`."""
+        return self._network.runtime
+
+    def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+        """Find fruit in one picture.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture.
+
+        Returns
+        -------
+        tuple of Instance
+            Best first: boxes clipped to the picture, `detector_mask` from a segmenting network
+            (None where it is empty), `keypoints` from a pose network. Detections that lie
+            outside the picture are left out.
+
+        Raises
+        ------
+        ModelError
+            If the network fails, or its output has no known layout.
+        """
+        layout = self._layout
+        height, width = color_rgb.shape[:2]
+        box = fit(height, width, layout.size_px, minimal=layout.free_size, stride=layout.stride_px)
+        # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
+        picture = np.ascontiguousarray(box.apply(color_rgb).transpose(2, 0, 1)[None])
+        outputs = self._network.run({layout.input_name: picture.astype(np.float32) / 255})
+        output = outputs[layout.rows_name][0]
+        classes = layout.raw_classes(output.shape)
+        rows = (
+            choose_rows(output, self._confidence)
+            if classes is None
+            else choose_raw(output, classes, self._confidence, one_to_one=layout.one_to_one)
+        )
+        prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
+        return self._instances(rows, prototypes, box)
+
+    def _instances(
+        self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox
+    ) -> tuple[Instance, ...]:
+        boxes = box.boxes_back(rows[:, :4])
+        found = []
+        for row, edges in zip(rows, boxes, strict=True):
+            if edges[2] <= edges[0] or edges[3] <= edges[1]:
+                continue
+            label = int(row[5])
+            instance = Instance(
+                box=edges, score=float(row[4]), label=self.names.get(label, str(label))
+            )
+            if prototypes is not None:
+                logits = np.tensordot(row[6:], prototypes, axes=1)
+                mask = box.mask_back(logits, edges)
+                instance = replace(instance, detector_mask=mask if mask.any() else None)
+            elif self._layout.keypoints[0] == _KEYPOINTS:
+                instance = replace(instance, keypoints=self._keypoints(row[6:], box))
+            found.append(instance)
+        return tuple(found)
+
+    def _keypoints(self, values: NDArray[np.float32], box: Letterbox) -> NDArray[np.float64]:
+        points = values.reshape(self._layout.keypoints)
+        visibility = points[:, 2:3] if points.shape[1] > 2 else np.ones((_KEYPOINTS, 1))
+        return np.column_stack([box.points_back(points[:, :2]), visibility])
+
+
+def with_keypoints(
+    instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float = 0.5
+) -> tuple[Instance, ...]:
+    """Give a pose network's keypoints to the instances that they belong to.
+
+    Boxes are matched one to one, so that the sum of their overlaps is largest.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        From a segmenting network, or from anywhere.
+    poses : sequence of Instance
+        With keypoints.
+    min_iou : float
+        Least overlap of the two boxes.
+
+    Returns
+    -------
+    tuple of Instance
+        The instances in their order; those without a match keep what they had.
+
+    Examples
+    --------
+    >>> fruit = Instance(np.array([0.0, 0, 10, 40]))
+    >>> pose = Instance(np.array([0.0, 0, 10, 38]), keypoints=np.zeros((5, 3)))
+    >>> with_keypoints([fruit], [pose])[0].keypoints.shape
+    (5, 3)
+    """
+    if not instances or not poses:
+        return tuple(instances)
+    from scipy.optimize import linear_sum_assignment
+
+    overlaps = np.array([[box_iou(a.box, b.box) for b in poses] for a in instances])
+    # Pairs below the threshold count nothing, so that they push no good pair aside.
+    overlaps[overlaps < min_iou] = 0.0
+    out = list(instances)
+    for i, j in zip(*linear_sum_assignment(overlaps, maximize=True), strict=True):
+        if overlaps[i, j] > 0 and poses[j].keypoints is not None:
+            out[i] = replace(instances[i], keypoints=poses[j].keypoints)
+    return tuple(out)

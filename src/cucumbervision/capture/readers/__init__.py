@@ -1,1 +1,75 @@
-"""One reader per source, each found by what a path holds."""
+"""One reader a source, found by what the path holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
+from cucumbervision.errors import CaptureError
+
+__all__ = ["CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
+
+_RECORDINGS = frozenset({".bag", ".db3"})
+
+
+def open_source(path: Path | str, options: ReadOptions | None = None) -> CaptureSource:
+    """Open whatever holds captures.
+
+    Parameters
+    ----------
+    path : Path or str
+        A native capture folder (`capture.json`) or a folder of them, a BOP scene
+        (`scene_camera.json`) or a folder of scenes, RealSense Viewer's exports
+        (`*_Depth.raw`), a folder of colour and depth pictures with matching names, one colour
+        picture with `options.depth`, an `.npz` with colour and depth, or a `.bag` or `.db3`
+        recording.
+    options : ReadOptions, optional
+        What the user says beyond the path.
+
+    Returns
+    -------
+    CaptureSource
+        The captures, not read yet.
+
+    Raises
+    ------
+    CaptureError
+        If the path is missing, holds nothing that a reader knows, or nothing of it can be read.
+    """
+    path = Path(path)
+    options = options or ReadOptions()
+    if not path.exists():
+        raise CaptureError("does not exist", source=path, remedy="check the path")
+    if path.is_file() and path.suffix.lower() in _RECORDINGS:
+        from cucumbervision.capture.readers.recording import open_recording
+
+        return open_recording(path, options)
+    if path.is_file():
+        if path.name == "capture.json":
+            return open_source(path.parent, options)
+        from cucumbervision.capture.readers.pair import open_pair_file
+
+        return open_pair_file(path, options)
+    return _open_folder(path, options)
+
+
+def _open_folder(path: Path, options: ReadOptions) -> CaptureSource:
+    from cucumbervision.capture.readers.bop import find_scenes, open_bop
+    from cucumbervision.capture.readers.native import find_captures, open_native
+    from cucumbervision.capture.readers.pair import find_pairs, open_pairs
+    from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
+
+    if folders := find_captures(path):
+        return open_native(path, folders, options)
+    if scenes := find_scenes(path):
+        return open_bop(path, scenes, options)
+    if snapshots := find_snapshots(path):
+        return open_viewer(path, snapshots, options)
+    if pairs := find_pairs(path):
+        return open_pairs(path, pairs, options)
+    raise CaptureError(
+        "holds no captures that can be recognised",
+        source=path,
+        remedy="name a capture folder (capture.json), a BOP scene (scene_camera.json), colour and "
+        "depth pictures with matching names, or a .bag or .db3 recording",
+    )

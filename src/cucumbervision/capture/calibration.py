@@ -1,0 +1,219 @@
+"""Intrinsics files: what people write, what BOP ships, and who each belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cucumbervision.capture.files import parse_model, read_json
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.errors import IntrinsicsError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["Calibration", "CameraModel", "Extrinsics", "read_calibration"]
+
+_BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
+_SAY_STREAM = (
+    'add "stream": "color" if they are the colour camera\'s at that size (depth-stream '
+    "intrinsics scale every length)"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Extrinsics:
+    """Where the depth camera's points lie for the colour camera: x_color = R x_depth + t.
+
+    Parameters
+    ----------
+    rotation : ndarray of float64, shape (3, 3)
+        R, rows first as in mathematics.
+    translation_m : ndarray of float64, shape (3,)
+        t, metres.
+    """
+
+    rotation: NDArray[np.float64]
+    translation_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What an intrinsics file says.
+
+    Parameters
+    ----------
+    intrinsics : Intrinsics
+        Of the stream that the file names.
+    path : Path
+        The file, for errors.
+    depth : Intrinsics, optional
+        The depth camera's, for depth that is not aligned to colour.
+    depth_to_color : Extrinsics, optional
+        From the depth camera to the colour camera.
+    depth_unit_m : float, optional
+        Metres of one depth step.
+    """
+
+    intrinsics: Intrinsics
+    path: Path
+    depth: Intrinsics | None = None
+    depth_to_color: Extrinsics | None = None
+    depth_unit_m: float | None = None
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Lens(_Strict):
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    fx: float = Field(gt=0)
+    fy: float = Field(gt=0)
+    cx: float
+    cy: float
+    distortion: Distortion = Distortion.NONE
+    coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def as_intrinsics(self, stream: Stream) -> Intrinsics:
+        return Intrinsics(
+            self.width,
+            self.height,
+            self.fx,
+            self.fy,
+            self.cx,
+            self.cy,
+            stream,
+            self.distortion,
+            self.coefficients,
+        )
+
+
+class CameraModel(_Lens):
+    """The camera block of a native capture: a lens and the stream that it belongs to."""
+
+    stream: Stream
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The block as `Intrinsics`."""
+        return self.as_intrinsics(self.stream)
+
+    @classmethod
+    def of(cls, intrinsics: Intrinsics) -> CameraModel:
+        """Give the block that says `intrinsics`."""
+        i = intrinsics
+        return cls(
+            stream=i.stream,
+            width=i.width,
+            height=i.height,
+            fx=i.fx_px,
+            fy=i.fy_px,
+            cx=i.cx_px,
+            cy=i.cy_px,
+            distortion=i.distortion,
+            coefficients=i.coefficients,
+        )
+
+
+class _DepthLens(_Lens):
+    stream: Literal["depth"] = "depth"
+
+
+class _ExtrinsicsModel(_Strict):
+    # Nine numbers are the SDK's rs2_extrinsics, column by column; three rows are a matrix.
+    rotation: list[float] | list[list[float]]
+    translation_m: tuple[float, float, float]
+
+
+class _FileModel(CameraModel):
+    depth: _DepthLens | None = None
+    depth_to_color: _ExtrinsicsModel | None = None
+    depth_unit_m: float | None = Field(default=None, gt=0)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read an intrinsics file.
+
+    Parameters
+    ----------
+    path : Path
+        JSON: ours (`stream, width, height, fx, fy, cx, cy`, optionally `distortion,
+        coefficients, depth, depth_to_color, depth_unit_m`), the same with a 3x3 `matrix` for
+        fx, fy, cx, cy, or a BOP data set's `camera.json`, which belongs to the colour picture
+        by definition.
+
+    Returns
+    -------
+    Calibration
+        What it says; whether that fits a picture is for `check_intrinsics`.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing or no JSON.
+    IntrinsicsError
+        If a key is missing, unknown or senseless, or the file does not say its stream.
+    """
+    data = read_json(path)
+    if not isinstance(data, dict):
+        raise IntrinsicsError(
+            "holds no intrinsics", source=path, remedy="give one JSON object with stream, fx, …"
+        )
+    data = dict(data)
+    if frozenset(data) == _BOP_KEYS:
+        # BOP: depth_scale times the stored number is millimetres.
+        scale = data.pop("depth_scale")
+        unit = scale * 0.001 if isinstance(scale, int | float) else scale
+        data |= {"stream": "color", "depth_unit_m": unit}
+    if "stream" not in data:
+        raise IntrinsicsError(
+            "does not say which stream these intrinsics belong to", source=path, remedy=_SAY_STREAM
+        )
+    if "matrix" in data:
+        data |= _from_matrix(data.pop("matrix"), path)
+    model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
+    return Calibration(
+        model.intrinsics,
+        path,
+        model.depth.as_intrinsics(Stream.DEPTH) if model.depth else None,
+        _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
+        model.depth_unit_m,
+    )
+
+
+def _from_matrix(matrix: Any, path: Path) -> dict[str, float]:
+    try:
+        k = Intrinsics.from_matrix(matrix, 1, 1)
+    except (ValueError, TypeError):
+        raise IntrinsicsError(
+            "'matrix' holds no numbers", source=path, remedy="give it as three rows of three"
+        ) from None
+    except IntrinsicsError as error:
+        raise IntrinsicsError(error.message, source=path, remedy=error.remedy) from None
+    return {"fx": k.fx_px, "fy": k.fy_px, "cx": k.cx_px, "cy": k.cy_px}
+
+
+def _extrinsics(model: _ExtrinsicsModel, path: Path) -> Extrinsics:
+    try:
+        rotation = np.array(model.rotation, dtype=float)
+    except ValueError:
+        rotation = np.zeros(0)
+    if rotation.shape == (9,):
+        rotation = rotation.reshape(3, 3).T
+    proper = rotation.shape == (3, 3) and (
+        np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    )
+    if not proper:
+        raise IntrinsicsError(
+            "'depth_to_color.rotation' is no rotation",
+            source=path,
+            remedy="give the SDK's nine numbers (column by column) or a matrix of three rows",
+        )
+    return Extrinsics(cast("NDArray[np.float64]", rotation), np.array(model.translation_m))

@@ -1,0 +1,143 @@
+"""Depth pictures to metres, and the guard against the wrong unit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.frames import DEPTH_MAX_M, DEPTH_MIN_M, valid_depth
+from cucumbervision.errors import DepthError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["default_unit_m", "depth_to_metres", "require_readings"]
+
+_FEW, _MOST = 0.01, 0.5
+_UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
+
+
+def default_unit_m(raw: NDArray[Any]) -> float:
+    """Give the unit of depth that says none: millimetres for whole numbers, metres for floats.
+
+    Examples
+    --------
+    >>> default_unit_m(np.zeros(1, np.uint16)), default_unit_m(np.zeros(1, np.float32))
+    (0.001, 1.0)
+    """
+    return 1.0 if raw.dtype.kind == "f" else 0.001
+
+
+def depth_to_metres(
+    raw: NDArray[Any], unit_m: float | None = None, *, source: object = None
+) -> NDArray[np.float32]:
+    """Turn a depth picture's numbers into metres.
+
+    Parameters
+    ----------
+    raw : ndarray, shape (H, W) or (H, W, 1)
+        Whole numbers of at least 16 bits, or floats. NaN, infinity and negative numbers are no
+        readings.
+    unit_m : float, optional
+        Metres of one step; by default `default_unit_m(raw)`.
+    source : object, optional
+        The file, for errors.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+        Metres, 0 where there is no reading. Readings out of 0.1 to 5 m stay as they are:
+        `valid_depth` tells them.
+
+    Raises
+    ------
+    DepthError
+        If the picture has colours or 8 bits, or hardly any reading is possible in that unit
+        while most are in metres or millimetres.
+
+    Examples
+    --------
+    >>> depth_to_metres(np.array([[0, 454]], np.uint16))
+    array([[0.   , 0.454]], dtype=float32)
+    >>> depth_to_metres(np.array([[np.nan, 0.454]]), source="a.npy", unit_m=0.001)
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.DepthError: a.npy: depth is declared in millimetres, ...
+    """
+    if raw.ndim == 3 and raw.shape[2] == 1:
+        raw = raw[:, :, 0]
+    _check_kind(raw, source)
+    unit = default_unit_m(raw) if unit_m is None else unit_m
+    readings = raw[raw > 0]
+    readings = readings[np.isfinite(readings)] if raw.dtype.kind == "f" else readings
+    _check_unit(readings, unit, source)
+    # In double precision first: 454 * 0.001 then is the float32 nearest to 0.454.
+    depth_m: NDArray[np.float32] = np.multiply(raw, unit, dtype=np.float64).astype(np.float32)
+    if raw.dtype.kind != "u":
+        depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
+    return depth_m
+
+
+def require_readings(depth_m: NDArray[np.float32], *, source: object = None) -> None:
+    """Refuse depth without a single valid reading.
+
+    Raises
+    ------
+    DepthError
+        If no pixel lies between 0.1 and 5 m.
+    """
+    if valid_depth(depth_m).any():
+        return
+    found = depth_m[depth_m > 0]
+    what = (
+        f"readings run from {found.min():.4g} to {found.max():.4g} m"
+        if found.size
+        else "every pixel is 0"
+    )
+    raise DepthError(
+        f"depth has no reading between {DEPTH_MIN_M} and {DEPTH_MAX_M:.0f} m: {what}",
+        source=source,
+        remedy="check the depth stream and its unit, and capture again",
+    )
+
+
+def _check_kind(raw: NDArray[Any], source: object) -> None:
+    if raw.ndim != 2 or not raw.size:
+        raise DepthError(
+            f"depth is {raw.dtype} {raw.shape}, not one value a pixel; "
+            "a colourised picture of depth has no distances",
+            source=source,
+            remedy="give the 16-bit depth itself",
+        )
+    if raw.dtype.itemsize < 2 or raw.dtype.kind not in "uif":
+        bits = 8 * raw.dtype.itemsize
+        raise DepthError(
+            f"depth has {bits} bits ({raw.dtype}), a picture to look at and no distances",
+            source=source,
+            remedy="give the 16-bit depth itself",
+        )
+
+
+def _check_unit(readings: NDArray[Any], unit_m: float, source: object) -> None:
+    inside = _share_inside(readings, unit_m)
+    if inside > _FEW:
+        return
+    for other in _UNIT_NAMES:
+        share = _share_inside(readings, other)
+        if share > _MOST:
+            declared = _UNIT_NAMES.get(unit_m, f"steps of {unit_m:g} m")
+            raise DepthError(
+                f"depth is declared in {declared}, but {100 * (1 - inside):.0f} % of its readings "
+                f"then lie outside {DEPTH_MIN_M} to {DEPTH_MAX_M:.0f} m; in {_UNIT_NAMES[other]} "
+                f"{100 * share:.0f} % lie inside",
+                source=source,
+                remedy=f"declare the depth unit {other:g} m",
+            )
+
+
+def _share_inside(readings: NDArray[Any], unit_m: float) -> float:
+    if not readings.size:
+        return 0.0
+    near, far = DEPTH_MIN_M / unit_m, DEPTH_MAX_M / unit_m
+    return float(((readings >= near) & (readings <= far)).mean())

@@ -1,0 +1,265 @@
+"""Pictures and JSON on disk: read whole or refused, with the file's name in the error."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
+
+from cucumbervision.errors import CaptureError, DepthError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+    from pydantic import BaseModel
+
+__all__ = [
+    "COLOR_SUFFIXES",
+    "DEPTH_SUFFIXES",
+    "parse_model",
+    "read_arrays",
+    "read_bytes",
+    "read_color",
+    "read_depth",
+    "read_json",
+    "read_mask",
+    "write_png",
+]
+
+COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
+DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".npz"})
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+
+ModelT = TypeVar("ModelT", bound="BaseModel")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file, or say in one line why not."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CaptureError(
+            "the file is missing", source=path, remedy="copy the capture again"
+        ) from None
+    except OSError as error:
+        raise CaptureError(
+            f"cannot be read ({error.strerror})", source=path, remedy="check the path"
+        ) from None
+    if not data:
+        raise CaptureError("the file is empty", source=path, remedy="copy the capture again")
+    return data
+
+
+def read_color(path: Path) -> NDArray[np.uint8]:
+    """Read a colour picture.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated or no picture.
+    """
+    import cv2
+
+    # A picture's EXIF orientation must not turn it: depth would not turn with it.
+    image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return cast("NDArray[np.uint8]", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+
+
+def read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Read a mask picture: every pixel that is not 0 belongs to the fruit.
+
+    Parameters
+    ----------
+    path : Path
+        A picture of one channel.
+    shape : tuple of int
+        (H, W) that the mask must have.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated, no picture or of another size.
+    """
+    import cv2
+
+    image = _decode(path, cv2.IMREAD_GRAYSCALE)
+    if image.shape != shape[:2]:
+        raise CaptureError(
+            f"the mask is {image.shape[1]}x{image.shape[0]}, the picture {shape[1]}x{shape[0]}",
+            source=path,
+            remedy="give a mask of the picture's size",
+        )
+    return image > 0
+
+
+def read_depth(path: Path) -> NDArray[Any]:
+    """Read a depth picture's numbers as they are: PNG or TIFF, `.npy`, or `.npz` key 'depth'.
+
+    Returns
+    -------
+    ndarray
+        As stored, of whatever shape and dtype; `depth_to_metres` judges it.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated, or of no known kind.
+    DepthError
+        If it holds no array, or Python objects, which are never loaded.
+    """
+    suffix = path.suffix.lower()
+    if suffix in {".npy", ".npz"}:
+        return read_arrays(path)["depth"]
+    if suffix not in DEPTH_SUFFIXES:
+        raise CaptureError(
+            f"'{suffix}' is no depth picture",
+            source=path,
+            remedy="give a 16-bit PNG, a TIFF, .npy or .npz",
+        )
+    import cv2
+
+    return _decode(path, cv2.IMREAD_UNCHANGED)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read an `.npz`'s arrays, or an `.npy` as {'depth': array}; never Python objects.
+
+    Raises
+    ------
+    DepthError
+        If it holds Python objects (pickle), is no NumPy file, or has no 'depth'.
+    """
+    import io
+    from zipfile import BadZipFile
+
+    data = read_bytes(path)
+    try:
+        loaded = np.load(io.BytesIO(data), allow_pickle=False)
+        # An .npz reads its members only here.
+        arrays = {"depth": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+    except (ValueError, OSError, EOFError, KeyError, SyntaxError, zlib.error, BadZipFile) as error:
+        # NumPy calls every file that it does not know a pickle; a real one begins with 0x80.
+        pickled = "Object arrays" in str(error) or data.startswith(b"\x80")
+        raise DepthError(
+            "holds Python objects (pickle), which are never loaded"
+            if pickled
+            else "is truncated or no NumPy file",
+            source=path,
+            remedy="save the array as uint16 or float32 with numpy.save",
+        ) from None
+    if "depth" not in arrays:
+        raise DepthError(
+            f"has no array 'depth', only {', '.join(sorted(arrays)) or 'nothing'}",
+            source=path,
+            remedy="save it with numpy.savez(file, depth=...)",
+        )
+    return arrays
+
+
+def _decode(path: Path, flags: int) -> NDArray[Any]:
+    import cv2
+
+    data = read_bytes(path)
+    # OpenCV gives a truncated picture with its missing part grey, as if nothing were wrong.
+    truncated = (data.startswith(_PNG) and not _whole_png(data)) or (
+        data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:]
+    )
+    image = None
+    if not truncated:
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error:
+            image = None
+    if image is None:
+        raise CaptureError(
+            "is truncated or damaged" if truncated else "is no picture that can be read",
+            source=path,
+            remedy="copy or export it again",
+        )
+    return cast("NDArray[Any]", image)
+
+
+def _whole_png(data: bytes) -> bool:
+    """Walk the PNG's chunks (ISO/IEC 15948, 5.3): each whole, its checksum right, IEND last."""
+    at = len(_PNG)
+    while at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        body, end = at + 4, at + 8 + length
+        if data[end : end + 4] != zlib.crc32(data[body:end]).to_bytes(4, "big"):
+            return False
+        if data[body : body + 4] == b"IEND":
+            return True
+        at = end + 4
+    return False
+
+
+def write_png(path: Path, image: NDArray[Any]) -> None:
+    """Write an RGB, grey or 16-bit picture.
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be written.
+    """
+    import cv2
+
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, data = cv2.imencode(".png", image)
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise CaptureError(
+            f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"
+        ) from None
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises
+    ------
+    CaptureError
+        If it is missing, no text or no JSON; the line and column are named.
+    """
+    data = read_bytes(path)
+    try:
+        return json.loads(data)
+    except json.JSONDecodeError as error:
+        fault = f"is no JSON (line {error.lineno}, column {error.colno}: {error.msg})"
+    except (UnicodeDecodeError, RecursionError):
+        fault = "is no JSON text"
+    raise CaptureError(fault, source=path, remedy="correct or export it again")
+
+
+def parse_model(
+    model: type[ModelT], data: Any, *, source: object, error: type[CaptureError] = CaptureError
+) -> ModelT:
+    """Check what people or programs wrote against a pydantic model.
+
+    Raises
+    ------
+    CaptureError
+        Of the class `error`, naming the first field at fault and what is wrong with it.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return model.model_validate(data)
+    except ValidationError as invalid:
+        faults = invalid.errors(include_url=False, include_context=False, include_input=False)
+    first = faults[0]
+    where = ".".join(str(part) for part in first["loc"]) or "the whole"
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    what = first["msg"][0].lower() + first["msg"][1:]
+    raise error(f"'{where}': {what}{more}", source=source, remedy="correct the file")

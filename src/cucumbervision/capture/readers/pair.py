@@ -1,0 +1,228 @@
+"""A colour and a depth picture with given intrinsics."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.depth import depth_to_metres, require_readings
+from cucumbervision.capture.files import (
+    COLOR_SUFFIXES,
+    DEPTH_SUFFIXES,
+    read_arrays,
+    read_color,
+    read_depth,
+)
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.readers.common import (
+    aligned_depth,
+    choose_intrinsics,
+    given_calibration,
+    no_intrinsics,
+)
+from cucumbervision.capture.source import (
+    CaptureRef,
+    CaptureSource,
+    ReadOptions,
+    safe_name,
+    unique_names,
+)
+from cucumbervision.errors import CaptureError, IntrinsicsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cucumbervision.capture.calibration import Calibration
+
+__all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs"]
+
+_COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
+_DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Files of one frame; a part that is missing is None."""
+
+    color: Path | None
+    depth: Path | None
+
+
+def find_pairs(path: Path) -> list[Pair]:
+    """Pair the pictures of a folder, and of the folders in it, by their names.
+
+    Names match when they are equal but for the words 'color', 'colour', 'rgb' and 'depth':
+    `rgb_7.png` and `depth_7.png`, or `color/7.jpg` and `depth/7.npy`. A picture left alone is a
+    pair with one part missing, so that it is not lost silently; an 8-bit 'depth' picture left
+    alone is only there to be looked at. Without any whole pair there are none.
+    """
+    colors: dict[str, Path] = {}
+    depths: dict[str, Path] = {}
+    for file in sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern)):
+        name, suffix = file.relative_to(path).with_suffix("").as_posix(), file.suffix.lower()
+        if _DEPTH_WORD.search(name) and suffix in DEPTH_SUFFIXES:
+            depths.setdefault(_key(name, _DEPTH_WORD), file)
+        elif _COLOR_WORD.search(name) and suffix in COLOR_SUFFIXES:
+            colors.setdefault(_key(name, _COLOR_WORD), file)
+    if not colors.keys() & depths.keys():
+        return []
+    alone = {k for k in depths.keys() - colors.keys() if _is_8_bit_png(depths[k])}
+    return [
+        Pair(colors.get(key), depths.get(key))
+        for key in sorted((colors.keys() | depths.keys()) - alone)
+    ]
+
+
+def _key(name: str, word: re.Pattern[str]) -> str:
+    return re.sub(r"[^a-z0-9]+", " ", word.sub(" ", name).lower()).strip()
+
+
+def _is_8_bit_png(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(25)
+    return head.startswith(b"\x89PNG") and head[-1] == 8
+
+
+def open_pairs(path: Path, pairs: Sequence[Pair], options: ReadOptions) -> CaptureSource:
+    """Open a folder of colour and depth pictures with matching names.
+
+    Parameters
+    ----------
+    path : Path
+        The folder; its `intrinsics.json` is taken if `options` names none.
+    pairs : sequence of Pair
+        From `find_pairs`.
+    options : ReadOptions
+        Intrinsics and depth unit.
+
+    Raises
+    ------
+    IntrinsicsError
+        If there are no intrinsics, or their file is malformed.
+    """
+    beside = path / "intrinsics.json"
+    if options.intrinsics is None and beside.is_file():
+        options = ReadOptions(beside, options.depth, options.depth_unit_m, options.burst)
+    given = given_calibration(options)
+    if given is None:
+        raise no_intrinsics(path)
+    names = unique_names(safe_name((p.color or p.depth or path).stem) for p in pairs)
+    refs = [
+        CaptureRef(name, i, partial(_load_pair, pair, name, i, given, options.depth_unit_m))
+        for i, (name, pair) in enumerate(zip(names, pairs, strict=True))
+    ]
+    return CaptureSource(path, "pair", lambda: iter(refs), len(refs))
+
+
+def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
+    """Open one colour picture with `options.depth`, or an `.npz` that holds both.
+
+    Parameters
+    ----------
+    path : Path
+        The colour picture, or an `.npz` with `color` uint8 (H, W, 3) RGB, `depth` (H, W) aligned
+        to it and, unless `options` names intrinsics, `matrix`: the colour camera's 3x3 matrix in
+        pixels. An array `stream` may say 'color'.
+    options : ReadOptions
+        The depth picture, intrinsics and depth unit.
+
+    Raises
+    ------
+    CaptureError
+        If the file is neither.
+    IntrinsicsError
+        If a pair comes without intrinsics, or their file is malformed.
+    """
+    suffix, given = path.suffix.lower(), given_calibration(options)
+    name = safe_name(path.stem)
+    if suffix == ".npz" and options.depth is None:
+        load = partial(_load_npz, path, name, given, options.depth_unit_m)
+    elif suffix in COLOR_SUFFIXES and options.depth is not None:
+        if given is None:
+            raise no_intrinsics(path)
+        load = partial(_load_pair, Pair(path, options.depth), name, 0, given, options.depth_unit_m)
+    else:
+        raise CaptureError(
+            "a colour picture alone has no distances"
+            if suffix in COLOR_SUFFIXES
+            else f"'{suffix}' files are no captures",
+            source=path,
+            remedy="name a colour picture with its depth picture, or a capture folder",
+        )
+    ref = CaptureRef(name, 0, load)
+    return CaptureSource(path, "pair", lambda: iter([ref]), 1)
+
+
+def _load_pair(
+    pair: Pair, name: str, frame: int, given: Calibration, unit_m: float | None
+) -> Capture:
+    if pair.color is None or pair.depth is None:
+        raise CaptureError(
+            f"has no {'colour' if pair.color is None else 'depth'} picture of a matching name",
+            source=pair.color or pair.depth,
+            remedy="put it beside this one",
+        )
+    color = read_color(pair.color)
+    intrinsics = choose_intrinsics(None, given, color.shape[1], color.shape[0], source=pair.color)
+    raw = read_depth(pair.depth)
+    depth_m = depth_to_metres(raw, unit_m or given.depth_unit_m, source=pair.depth)
+    depth_m = aligned_depth(depth_m, color, intrinsics, given, source=pair.depth)
+    require_readings(depth_m, source=pair.depth)
+    provenance = {"reader": "pair", "depth": str(pair.depth), "intrinsics": str(given.path)}
+    return Capture(
+        color,
+        depth_m,
+        intrinsics,
+        name,
+        frame=frame,
+        source=str(pair.color),
+        provenance=provenance,
+    )
+
+
+def _load_npz(path: Path, name: str, given: Calibration | None, unit_m: float | None) -> Capture:
+    arrays = read_arrays(path)
+    if "color" not in arrays:
+        raise CaptureError(
+            f"has no array 'color', only {', '.join(sorted(arrays))}",
+            source=path,
+            remedy="save it with numpy.savez(file, color=..., depth=..., matrix=...)",
+        )
+    color = arrays["color"]
+    if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
+        raise CaptureError(
+            f"'color' is {color.dtype} {color.shape}, not uint8 (H, W, 3)",
+            source=path,
+            remedy="save an 8-bit RGB picture",
+        )
+    height, width = color.shape[:2]
+    own = _npz_intrinsics(arrays, width, height, path) if "matrix" in arrays else None
+    intrinsics = choose_intrinsics(own, given, width, height, source=path)
+    unit_m = unit_m or (given.depth_unit_m if given else None)
+    depth_m = depth_to_metres(arrays["depth"], unit_m, source=path)
+    depth_m = aligned_depth(depth_m, color, intrinsics, given, source=path)
+    require_readings(depth_m, source=path)
+    provenance = {"reader": "pair"}
+    return Capture(color, depth_m, intrinsics, name, source=str(path), provenance=provenance)
+
+
+def _npz_intrinsics(
+    arrays: dict[str, np.ndarray], width: int, height: int, path: Path
+) -> Intrinsics:
+    try:
+        stream = Stream(str(arrays.get("stream", Stream.COLOR)))
+        return Intrinsics.from_matrix(arrays["matrix"], width, height, stream)
+    except IntrinsicsError as error:
+        raise IntrinsicsError(error.message, source=path, remedy=error.remedy) from None
+    except (ValueError, TypeError):
+        raise IntrinsicsError(
+            "'matrix' is no 3x3 camera matrix, or 'stream' is neither 'color' nor 'depth'",
+            source=path,
+            remedy="save the colour camera's matrix in pixels",
+        ) from None

@@ -1,0 +1,138 @@
+"""What every reader gives: captures by name, each loaded on demand."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from cucumbervision.capture.frames import Capture
+
+__all__ = ["CaptureRef", "CaptureSource", "ReadOptions", "safe_name", "unique_names"]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a user says about a source beyond its path.
+
+    Parameters
+    ----------
+    intrinsics : Path, optional
+        An intrinsics file, used in place of the source's own calibration once the guard has let
+        it pass; needed where the source has none.
+    depth : Path, optional
+        The depth picture, for a pair given as two files.
+    depth_unit_m : float, optional
+        Metres of one depth step; by default what the source says, else 0.001 for whole numbers
+        and 1 for floats.
+    burst : int
+        Frames fused to one capture, for recordings.
+
+    Examples
+    --------
+    >>> ReadOptions(burst=0)
+    Traceback (most recent call last):
+    ...
+    ValueError: burst is 0 and depth_unit_m is None; both must be positive
+    """
+
+    intrinsics: Path | None = None
+    depth: Path | None = None
+    depth_unit_m: float | None = None
+    burst: int = 5
+
+    def __post_init__(self) -> None:
+        if self.burst < 1 or (self.depth_unit_m is not None and not self.depth_unit_m > 0):
+            raise ValueError(
+                f"burst is {self.burst} and depth_unit_m is {self.depth_unit_m}; "
+                "both must be positive"
+            )
+
+
+@dataclass(frozen=True)
+class CaptureRef:
+    """One capture of a source, not read yet.
+
+    Parameters
+    ----------
+    name : str
+        Unique within the source and fit for file names.
+    frame : int
+        The source's own number: BOP image id, recording frame.
+    load : callable
+        Reads the capture; raises a `CucumberVisionError` if this one is broken, which says
+        nothing about the others.
+    """
+
+    name: str
+    frame: int
+    load: Callable[[], Capture]
+
+
+@dataclass(frozen=True)
+class CaptureSource:
+    """A path that holds captures.
+
+    Parameters
+    ----------
+    path : Path
+        What the user named.
+    kind : str
+        The reader: 'native', 'bop', 'pair', 'viewer' or 'recording'.
+    refs : callable
+        Starts an iterator over the captures.
+    total : int, optional
+        How many there are, for a progress bar; None where only reading would tell.
+
+    Examples
+    --------
+    >>> source = CaptureSource("here", "native", lambda: iter(()), total=0)
+    >>> list(source), source.total
+    ([], 0)
+    """
+
+    path: Path
+    kind: str
+    refs: Callable[[], Iterator[CaptureRef]]
+    total: int | None = None
+
+    def __iter__(self) -> Iterator[CaptureRef]:
+        """Iterate over the captures, in the source's order."""
+        return self.refs()
+
+
+def safe_name(text: str) -> str:
+    """Make a name that is fit for a file name on every system.
+
+    Examples
+    --------
+    >>> safe_name("row 3/left:2")
+    'row_3_left_2'
+    """
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("._") or "capture"
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Add a number to each name that was there before.
+
+    Letter case makes no difference: some systems have none in file names.
+
+    Examples
+    --------
+    >>> unique_names(["a", "b", "A", "a"])
+    ['a', 'b', 'A-2', 'a-3']
+    """
+    taken: set[str] = set()
+    unique = []
+    for name in names:
+        candidate, n = name, 1
+        while candidate.lower() in taken:
+            n += 1
+            candidate = f"{name}-{n}"
+        taken.add(candidate.lower())
+        unique.append(candidate)
+    return unique

@@ -180,7 +180,8 @@ def with_keypoints(
     # Pairs below the threshold count nothing, so that they push no good pair aside.
     overlaps[overlaps < min_iou] = 0.0
     out = list(instances)
-    for i, j in zip(*linear_sum_assignment(overlaps, maximize=True), strict=True):
+    rows, columns = linear_sum_assignment(overlaps, maximize=True)
+    for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
         if overlaps[i, j] > 0 and poses[j].keypoints is not None:
             out[i] = replace(instances[i], keypoints=poses[j].keypoints)
     return tuple(out)

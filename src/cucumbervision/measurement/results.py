@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision.perception.instances import Instance, MaskSource
 
-__all__ = ["Fruit", "LengthKind", "Measurement", "Method", "Reason"]
+__all__ = ["Fruit", "Length", "LengthKind", "Measurement", "Method", "Reason", "TubeLengths"]
 
 
 class Method(StrEnum):
@@ -35,6 +35,14 @@ class LengthKind(StrEnum):
     SURFACE_ARC = "surface-arc"
 
 
+class Length(StrEnum):
+    """The three lengths that people mean, which only a fitted tube yields."""
+
+    THREAD = "thread"
+    CENTRELINE = "centreline"
+    CHORD = "chord"
+
+
 class Reason(StrEnum):
     """Why a method gives no length; stable codes for tables."""
 
@@ -47,6 +55,15 @@ class Reason(StrEnum):
     TOO_FEW_SAMPLES = "too-few-samples"
     ENDPOINT_MISSING = "endpoint-missing"
     OUT_OF_RANGE = "out-of-range"
+
+
+@dataclass(frozen=True)
+class TubeLengths:
+    """The lengths of a fitted tube, metres: along its axis, over its outer side, end to end."""
+
+    centreline_m: float
+    thread_m: float
+    chord_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +86,8 @@ class Measurement:
         The line that was measured, camera coordinates in metres, end to end.
     measured_by : Method, optional
         The method that stood in, where this one fell back on another.
+    tube : TubeLengths, optional
+        The three lengths, where a tube was fitted.
     """
 
     method: Method
@@ -78,6 +97,7 @@ class Measurement:
     fallback: tuple[str, ...] = ()
     path_m: NDArray[np.float64] | None = None
     measured_by: Method | None = None
+    tube: TubeLengths | None = None
 
     @property
     def own(self) -> bool:
@@ -102,7 +122,11 @@ class Fruit:
     fallback : tuple of str
         The path of fallbacks that led there.
     flags : tuple of str
-        What else to know: 'cut-by-frame', 'mask-refused', …
+        What else to know: 'cut-by-frame', 'detector-mask', 'sam-mask-small', …
+    mask : ndarray of bool, shape (H, W), optional
+        The mask that was measured.
+    mask_source : MaskSource, optional
+        Who drew it.
     """
 
     instance: Instance
@@ -111,3 +135,5 @@ class Fruit:
     reason: str
     fallback: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
+    mask: NDArray[np.bool_] | None = None
+    mask_source: MaskSource | None = None

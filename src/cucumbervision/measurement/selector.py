@@ -154,7 +154,7 @@ def measure_fruit(
     >>> str(fruit.selected.method), round(fruit.selected.length_m, 3), str(fruit.reason)
     ('M1', 0.2, 'no-mask-box-elongated')
     """
-    mask, flags = _mask_to_measure(instance, selector)
+    mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
     measurements = run_methods(region, methods)
     points = None if region.mask_points_m is None else len(region.mask_points_m)
@@ -165,19 +165,19 @@ def measure_fruit(
         flags.append("keypoints-logged")
     if chosen is None:
         choice = _why_nothing(capture, instance.box)
-    return Fruit(instance, measurements, chosen, str(choice), fallback, tuple(flags))
+    return Fruit(instance, measurements, chosen, str(choice), fallback, tuple(flags), mask, source)
 
 
 def _mask_to_measure(
     instance: Instance, selector: Selector
-) -> tuple[NDArray[np.bool_] | None, list[str]]:
+) -> tuple[NDArray[np.bool_] | None, MaskSource | None, list[str]]:
     flags = [f"sam-{instance.mask_failure}"] if instance.mask_failure else []
-    if instance.mask is not None and instance.mask_source is not MaskSource.DETECTOR:
-        return instance.mask, flags
-    own = instance.detector_mask if instance.mask is None else instance.mask
+    if instance.mask is not None:
+        return instance.mask, instance.mask_source, flags
+    own = instance.detector_mask
     if selector is Selector.BEST and own is not None and own.any():
-        return own, [*flags, "detector-mask"]
-    return None, flags
+        return own, MaskSource.DETECTOR, [*flags, "detector-mask"]
+    return None, None, flags
 
 
 def _cut_by_frame(

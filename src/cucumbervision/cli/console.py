@@ -1,0 +1,124 @@
+"""What a run looks like on screen: a progress bar, a table, and the failures."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from cucumbervision.session.run import count_captures, measure_inputs
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.session.run import RunResult
+
+__all__ = ["results_table", "run_and_show"]
+
+MOST_ROWS = 40
+SIMULATED = "simulated captures are among them: drawn, not taken"
+
+
+def run_and_show(
+    inputs: Sequence[Path], out: Path, options: MeasureOptions, *, quiet: bool, as_json: bool
+) -> int:
+    """Measure, show progress and results, and give the exit code (0 or 1).
+
+    Progress, notes and failures go to the standard error, results to the standard output.
+    """
+    errors = Console(stderr=True, quiet=quiet, highlight=False)
+    with _progress(errors) as bar:
+        task = bar.add_task("measuring", total=count_captures(inputs, options))
+        result = measure_inputs(inputs, out, options, lambda *_: bar.advance(task))
+    if as_json:
+        Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
+    elif not quiet:
+        # A file or a pipe has no width of its own; 80 columns would cut the table.
+        width = None if Console().is_terminal else 120
+        console = Console(highlight=False, width=width)
+        console.print(results_table(result))
+        console.print(f"{closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
+    _show_failures(Console(stderr=True, highlight=False), result)
+    return 1 if result.failures else 0
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(show_speed=True),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=console.quiet or not console.is_terminal,
+        transient=True,
+    )
+
+
+def results_table(result: RunResult) -> Table:
+    """Lay out the rows as a table; the methods that ran get a column each."""
+    ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in result.rows)]
+    table = Table(title="Measured fruit, lengths in cm", title_justify="left")
+    for head in ("capture", "fruit"):
+        table.add_column(head, overflow="fold")
+    table.add_column("length", justify="right", style="bold")
+    for head in ("by", "kind"):
+        table.add_column(head)
+    for method in ran:
+        table.add_column(method.upper(), justify="right")
+    table.add_column("remarks", overflow="fold")
+    for row in result.rows[:MOST_ROWS]:
+        table.add_row(*_cells(row, ran))
+    if len(result.rows) > MOST_ROWS:
+        table.caption = f"and {len(result.rows) - MOST_ROWS} more in measurements.csv"
+    return table
+
+
+def _cells(row: Mapping[str, Any], ran: Sequence[str]) -> list[str]:
+    remarks = [row["flags"], row["fallback"]]
+    if row["length_cm"] is None:
+        remarks.insert(0, f"not measured: {row['reason']}")
+    return [
+        row["capture"],
+        str(row["fruit"]),
+        _number(row["length_cm"]),
+        row["method"] or "",
+        row["length_kind"] or "",
+        *(_number(row[f"{method}_cm"]) for method in ran),
+        "; ".join(part for part in remarks if part),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
+
+
+def closing_line(result: RunResult) -> str:
+    """Say how much was measured, and whether drawn captures are among it."""
+    measured = sum(row["length_cm"] is not None for row in result.rows)
+    line = f"{measured} of {len(result.rows)} fruit measured in {result.captures} captures"
+    drawn = any(row["simulated"] for row in result.rows)
+    return f"{line}; {SIMULATED}." if drawn else f"{line}."
+
+
+def _show_failures(console: Console, result: RunResult) -> None:
+    if not result.failures:
+        return
+    console.print(f"{len(result.failures)} could not be read, also in {result.out}/failures.csv:")
+    for failure in result.failures:
+        console.print(f"  {failure.message}", soft_wrap=True, markup=False)

@@ -1,0 +1,29 @@
+"""`cucumbervision demo`: measure the captures that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["demo"]
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for tables and pictures.")
+    ] = Path("cucumbervision-demo"),
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
+    ] = False,
+) -> None:
+    """Measure the bundled simulated captures: masks by MobileSAM, lengths by M1 to M5."""
+    from cucumbervision.cli.console import run_and_show
+    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.synthesis.demo import bundled_captures
+
+    options = MeasureOptions(instances="dataset", segmenter="mobile-sam")
+    code = run_and_show([bundled_captures()], out, options, quiet=quiet, as_json=as_json)
+    raise typer.Exit(code)

@@ -1,0 +1,103 @@
+"""`cucumbervision measure`: RGB-D captures in, lengths out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cucumbervision.cli.choices import (
+    LengthChoice,
+    PromptChoice,
+    RuntimeChoice,
+    SegmenterChoice,
+    SelectorChoice,
+)
+
+__all__ = ["EPILOG", "measure"]
+
+EPILOG = (
+    "Exit codes: 0 every input was read, even if a fruit could not be measured; 1 some input could "
+    "not be read (see failures.csv), the others were measured; 2 nothing could be done."
+)
+
+
+def measure(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="INPUT...",
+            help="Capture folders, BOP scenes, colour + depth pairs, Viewer exports, .bag or .db3.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables and pictures.")],
+    instances: Annotated[
+        str,
+        typer.Option(
+            help="Where fruit come from: models, dataset (its own masks), or a FILE: COCO JSON, "
+            "YOLO txt, YOLO .onnx. auto takes the data set's masks where there are some."
+        ),
+    ] = "auto",
+    pose: Annotated[
+        Path | None, typer.Option(help="YOLO pose .onnx for the five keypoints of M4.")
+    ] = None,
+    methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5.")] = "all",
+    selector: Annotated[
+        SelectorChoice, typer.Option(help="How one method is chosen.")
+    ] = SelectorChoice.best,
+    length: Annotated[
+        LengthChoice, typer.Option(help="Which length, where a tube could be fitted.")
+    ] = LengthChoice.thread,
+    segmenter: Annotated[
+        SegmenterChoice | None,
+        typer.Option(help="Who draws the masks; given, it also redraws a data set's own."),
+    ] = None,
+    prompt: Annotated[PromptChoice, typer.Option(help="What SAM is shown.")] = PromptChoice.both,
+    confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
+    ] = 0.30,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")
+    ] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
+    ] = None,
+    depth_unit: Annotated[
+        float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
+    ] = None,
+    burst: Annotated[
+        int, typer.Option(min=1, max=99, help="Frames of a recording fused to one capture.")
+    ] = 5,
+    runtime: Annotated[
+        RuntimeChoice, typer.Option(help="What runs the networks.")
+    ] = RuntimeChoice.auto,
+    full_precision: Annotated[
+        bool, typer.Option("--full-precision", help="Networks in float32, to reproduce results.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
+    ] = False,
+) -> None:
+    """Measure every fruit of every capture, by M1 to M5, and choose the best for each."""
+    from cucumbervision.capture.source import ReadOptions
+    from cucumbervision.cli.console import run_and_show
+    from cucumbervision.measurement.results import Length
+    from cucumbervision.measurement.selector import Selector
+    from cucumbervision.session.options import MeasureOptions, parse_methods
+
+    options = MeasureOptions(
+        instances=instances,
+        pose=pose,
+        segmenter=None if segmenter is None else segmenter.value,
+        prompt=prompt.value,
+        methods=parse_methods(methods),
+        selector=Selector(selector.value),
+        length=Length(length.value),
+        confidence=confidence,
+        runtime=runtime.value,
+        full_precision=full_precision,
+        reading=ReadOptions(intrinsics, depth, depth_unit, burst),
+    )
+    raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet, as_json=as_json))

@@ -1,0 +1,198 @@
+"""Where the fruit of a capture come from: the data set, a file, or the networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from cucumbervision.errors import InstancesError, ModelError
+from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.session.options import MeasureOptions
+
+__all__ = ["Finder", "dataset_instances", "make_finder"]
+
+Find: TypeAlias = Callable[["Capture"], tuple[Instance, ...]]
+_NO_DETECTOR = ModelError(
+    "this version comes without a cucumber detector",
+    source="--instances models",
+    remedy="name a YOLO ONNX export, COCO JSON or YOLO txt boxes with --instances FILE",
+)
+
+
+@dataclass(frozen=True)
+class Finder:
+    """What finds the fruit, and which networks take part.
+
+    Parameters
+    ----------
+    find : callable
+        Gives a capture's instances, each with the mask to measure.
+    models : list of dict
+        Name, SHA-256 and runtime of each network, for the provenance.
+    """
+
+    find: Find
+    models: list[dict[str, Any]]
+
+
+def make_finder(options: MeasureOptions) -> Finder:
+    """Load what a run needs to find fruit.
+
+    Parameters
+    ----------
+    options : MeasureOptions
+        The run's choices.
+
+    Returns
+    -------
+    Finder
+        Networks are loaded once, SAM only when the first capture needs it.
+
+    Raises
+    ------
+    ModelError
+        If a network is missing or cannot be loaded.
+    InstancesError
+        If the file of instances cannot be read.
+    """
+    models: list[dict[str, Any]] = []
+    boxes = _box_finder(options, models)
+    segmenter = _LazySegmenter(options, models)
+
+    def find(capture: Capture) -> tuple[Instance, ...]:
+        instances = boxes(capture)
+        name = options.segmenter or "mobile-sam"
+        # Masks that were given are used as they are unless a segmenter was asked for.
+        drawn = [k for k, i in enumerate(instances) if options.segmenter or i.mask is None]
+        if name == "none" or not drawn:
+            return instances
+        prompts = [replace(instances[k], mask=None, mask_source=None) for k in drawn]
+        masked = segmenter.get(name).segment(capture.color, prompts)
+        found = dict(zip(drawn, masked, strict=True))
+        return tuple(found.get(k, instance) for k, instance in enumerate(instances))
+
+    return Finder(find, models)
+
+
+def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
+    """Give a data set's own masks as instances.
+
+    An empty mask is left out: there is no fruit to measure.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> mask = np.zeros((48, 64), bool)
+    >>> mask[10:20, 5:9] = True
+    >>> capture = Capture(
+    ...     np.zeros((48, 64, 3), np.uint8),
+    ...     np.zeros((48, 64), np.float32),
+    ...     Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0),
+    ...     name="a",
+    ...     masks=(mask,),
+    ... )
+    >>> dataset_instances(capture)[0].box.tolist()
+    [4.5, 9.5, 8.5, 19.5]
+    """
+    return tuple(
+        Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
+        for mask in capture.masks
+        if mask.any()
+    )
+
+
+def _box_finder(options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
+    choice = options.instances
+    if choice == "models":
+        raise _NO_DETECTOR
+    if choice == "dataset":
+        return _dataset_or_error
+    if choice == "auto":
+        return _dataset_or_models
+    path = Path(choice)
+    if not path.exists():
+        raise InstancesError(
+            "no such file", source=path, remedy="give auto, models, dataset or a file"
+        )
+    if path.suffix.lower() == ".onnx":
+        return _network_finder(path, options, models)
+    from cucumbervision.perception.instance_files import read_instances
+
+    return read_instances(path).for_capture
+
+
+def _dataset_or_error(capture: Capture) -> tuple[Instance, ...]:
+    if not capture.masks:
+        raise InstancesError(
+            "the data set has no masks for this capture",
+            source=capture.source or capture.name,
+            remedy="put them into mask_visib/, or choose other --instances",
+        )
+    return dataset_instances(capture)
+
+
+def _dataset_or_models(capture: Capture) -> tuple[Instance, ...]:
+    if not capture.masks:
+        raise _NO_DETECTOR
+    return dataset_instances(capture)
+
+
+def _network_finder(path: Path, options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
+    from cucumbervision.perception.yolo import YoloDetector, with_keypoints
+
+    def load(file: Path) -> YoloDetector:
+        detector = YoloDetector(
+            file, options.runtime, options.confidence, full_precision=options.full_precision
+        )
+        models.append({"name": file.name, "sha256": file_sha256(file), "runtime": detector.runtime})
+        return detector
+
+    detector = load(path)
+    pose = load(options.pose) if options.pose else None
+
+    def find(capture: Capture) -> tuple[Instance, ...]:
+        found = detector.detect(capture.color)
+        return with_keypoints(found, pose.detect(capture.color)) if pose and found else found
+
+    return find
+
+
+class _LazySegmenter:
+    """SAM, loaded when first asked for: captures with masks of their own never need it."""
+
+    def __init__(self, options: MeasureOptions, models: list[dict[str, Any]]) -> None:
+        self._options, self._models = options, models
+        self._loaded: dict[str, Segmenter] = {}
+
+    def get(self, name: str) -> Segmenter:
+        if name not in self._loaded:
+            from cucumbervision.perception.registry import load_registry
+            from cucumbervision.perception.sam import Segmenter
+
+            files = load_registry().resolve(name)
+            segmenter = Segmenter(
+                name,
+                self._options.runtime,
+                self._options.prompt,
+                full_precision=self._options.full_precision,
+            )
+            hashes = {part: file_sha256(file) for part, file in files.items()}
+            self._models.append({"name": name, "sha256": hashes, "runtime": segmenter.runtime})
+            self._loaded[name] = segmenter
+        return self._loaded[name]
+
+
+def file_sha256(path: Path) -> str:
+    """Give a file's SHA-256 in hexadecimal."""
+    import hashlib
+
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

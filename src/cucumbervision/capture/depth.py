@@ -12,7 +12,7 @@ from cucumbervision.errors import DepthError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["default_unit_m", "depth_to_metres", "require_readings"]
+__all__ = ["default_unit_m", "depth_to_metres", "require_readings", "scale_depth"]
 
 _FEW, _MOST = 0.01, 0.5
 _UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
@@ -72,8 +72,19 @@ def depth_to_metres(
     readings = raw[raw > 0]
     readings = readings[np.isfinite(readings)] if raw.dtype.kind == "f" else readings
     _check_unit(readings, unit, source)
+    return scale_depth(raw, unit)
+
+
+def scale_depth(raw: NDArray[Any], unit_m: float) -> NDArray[np.float32]:
+    """Scale depth to metres without judging it; what is no reading becomes 0.
+
+    Examples
+    --------
+    >>> scale_depth(np.array([[-1.0, 454.0, np.nan]]), 0.001)
+    array([[0.   , 0.454, 0.   ]], dtype=float32)
+    """
     # In double precision first: 454 * 0.001 then is the float32 nearest to 0.454.
-    depth_m: NDArray[np.float32] = np.multiply(raw, unit, dtype=np.float64).astype(np.float32)
+    depth_m: NDArray[np.float32] = np.multiply(raw, unit_m, dtype=np.float64).astype(np.float32)
     if raw.dtype.kind != "u":
         depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
     return depth_m

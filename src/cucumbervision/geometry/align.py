@@ -56,17 +56,19 @@ def align_depth_to_color(
 
     Notes
     -----
-    The rule of the RealSense SDK's `rs2::align` (`align.cpp`, `align_images`): a depth pixel's
+    The rule of the RealSense SDK's `rs2::align` (`align.cpp`, `sse-align.cpp`): a depth pixel's
     footprint runs from the projection of its corner at -0.5, -0.5 px to that of its corner at
-    +0.5, +0.5 px; every colour pixel in it takes the depth; of several the nearest stays; a
-    footprint that leaves the picture is dropped.
+    +0.5, +0.5 px; every colour pixel from the one that holds the first to the one that holds the
+    second takes the depth; of several depths the nearest stays. One difference: the SDK's fast
+    path leaves out the colour camera's lens unless it is `modified_brown_conrady`; here every
+    lens model is applied (a D435's colour stream has no distortion).
 
     Examples
     --------
     >>> depth = np.zeros((3, 3), np.float32)
     >>> depth[1, 1] = 0.5
-    >>> k, smaller = np.diag([10.0, 10, 1]), np.diag([8.0, 8, 1])
-    >>> moved = align_depth_to_color(depth, k, smaller, (4, 3), np.eye(3), [0.05, 0, 0])
+    >>> k, k_color = [[10, 0, 1], [0, 10, 1], [0, 0, 1]], [[6, 0, 1.3], [0, 6, 1.1], [0, 0, 1]]
+    >>> moved = align_depth_to_color(depth, k, k_color, (4, 3), np.eye(3), [0.05, 0, 0])
     >>> np.argwhere(moved > 0).tolist()
     [[1, 2]]
     """
@@ -76,13 +78,12 @@ def align_depth_to_color(
     project = (depth_matrix, color_matrix, rotation, translation_m, depth_lens, color_lens)
     x0, y0 = _corner(u - 0.5, v - 0.5, z, *project)
     x1, y1 = _corner(u + 0.5, v + 0.5, z, *project)
-    inside = (x0 >= 0) & (y0 >= 0) & (x1 < width) & (y1 < height) & (x1 >= x0) & (y1 >= y0)
-    x0, y0, x1, y1, z = x0[inside], y0[inside], x1[inside], y1[inside], z[inside]
     aligned = np.full(height * width, np.inf, np.float32)
     for dy in range(int((y1 - y0).max(initial=-1)) + 1):
         for dx in range(int((x1 - x0).max(initial=-1)) + 1):
-            part = (x0 + dx <= x1) & (y0 + dy <= y1)
-            np.minimum.at(aligned, (y0[part] + dy) * width + x0[part] + dx, z[part])
+            x, y = x0 + dx, y0 + dy
+            part = (x <= x1) & (y <= y1) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+            np.minimum.at(aligned, y[part] * width + x[part], z[part])
     aligned[np.isinf(aligned)] = 0.0
     return aligned.reshape(height, width)
 
@@ -106,6 +107,6 @@ def _corner(
     ahead = np.where(moved[2] > 0, moved[2], np.nan)
     x, y = distort(moved[0] / ahead, moved[1] / ahead, *color_lens)
     pixels = np.stack([x * kc[0, 0] + kc[0, 2], y * kc[1, 1] + kc[1, 2]]) + 0.5
-    # As the SDK's cast to int: towards zero.
-    px, py = np.nan_to_num(np.trunc(pixels), nan=-1.0).astype(np.int64)
+    # The pixel that holds the point: its centre is a whole number.
+    px, py = np.nan_to_num(np.floor(pixels), nan=-1.0).astype(np.int64)
     return px, py

@@ -1,0 +1,304 @@
+"""The one way to the RealSense SDK: a pipeline of aligned frames, live or played back."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from cucumbervision.capture.depth import scale_depth
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.errors import CameraError, CaptureError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+__all__ = ["AlignedFrame", "AlignedStream", "import_realsense", "play_file"]
+
+_STEP_MS = 200
+
+
+def import_realsense() -> Any:
+    """Import pyrealsense2, or say in one line what is missing.
+
+    Raises
+    ------
+    MissingExtraError
+        If the package is not installed.
+    CameraError
+        If it is, but the system lacks libusb.
+    """
+    try:
+        import pyrealsense2
+    except ModuleNotFoundError:
+        raise MissingExtraError("pyrealsense2", "camera") from None
+    except ImportError as error:
+        raise CameraError(
+            f"pyrealsense2 cannot be loaded ({error})",
+            remedy="install the system package libusb-1.0-0 (libusb1 on Fedora)",
+        ) from None
+    return pyrealsense2
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedFrame:
+    """One colour picture with the depth aligned to it.
+
+    Parameters
+    ----------
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, 0 where there is no reading.
+    number : int
+        The colour stream's own frame number.
+    timestamp_s : float, optional
+        Seconds since the epoch; None where the camera counts from its own start.
+    """
+
+    color: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+    number: int
+    timestamp_s: float | None
+
+
+class AlignedStream:
+    """A started pipeline; a context manager that stops it on every way out.
+
+    Parameters
+    ----------
+    configure : callable
+        Given the SDK module and its `config`, says what to stream.
+    source : object
+        The file or camera, for errors.
+    playback : bool
+        True for a recording: it is read as fast as it is taken, no frame is dropped.
+    timeout_s : float
+        How long to wait for a frame.
+    """
+
+    def __init__(
+        self,
+        configure: Callable[[Any, Any], None],
+        *,
+        source: object,
+        playback: bool,
+        timeout_s: float,
+    ) -> None:
+        self._configure = configure
+        self._source = source
+        self._playback = playback
+        self._timeout_ms = int(1000 * timeout_s)
+        self._pipeline: Any = None
+        self._profile: Any = None
+        self._align: Any = None
+        self.intrinsics: Intrinsics
+        self.device: dict[str, str] = {}
+
+    def __enter__(self) -> Self:
+        self._rs = rs = import_realsense()
+        config, pipeline = rs.config(), rs.pipeline()
+        try:
+            self._configure(rs, config)
+            # Resolved before it starts, so that playback drops no frame at its beginning.
+            device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
+            if self._playback:
+                device.as_playback().set_real_time(False)
+            profile = pipeline.start(config)
+        except RuntimeError as error:
+            raise self._fault(error) from None
+        self._pipeline, self._profile = pipeline, profile
+        try:
+            self._read_profile(profile)
+        except RuntimeError as error:
+            self.close()
+            raise self._fault(error) from None
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the pipeline and let its threads end; harmless when it is not running."""
+        if self._pipeline is not None:
+            # A camera that was unplugged cannot be stopped, only let go.
+            with contextlib.suppress(RuntimeError):
+                self._pipeline.stop()
+        self._pipeline = self._profile = self._align = None
+
+    def read(self) -> AlignedFrame | None:
+        """Give the next frame that has both pictures; None at a recording's end.
+
+        Raises
+        ------
+        CameraError
+            If a camera sends nothing in time, or is gone.
+        CaptureError
+            If a recording breaks off.
+        """
+        waited_ms = 0
+        while waited_ms < self._timeout_ms:
+            try:
+                arrived, frames = self._pipeline.try_wait_for_frames(_STEP_MS)
+                # The first sets may hold one picture only.
+                if arrived and frames.get_color_frame() and frames.get_depth_frame():
+                    return self._convert(frames)
+                if not arrived and self._is_over():
+                    return None
+            except RuntimeError as error:
+                raise self._fault(error) from None
+            waited_ms += 0 if arrived else _STEP_MS
+        if self._playback:
+            raise CaptureError("the recording stalls", source=self._source, remedy="copy it again")
+        raise CameraError(
+            f"no frame for {self._timeout_ms / 1000:g} s",
+            source=self._source,
+            remedy="plug the camera in again, at a USB 3 port",
+        )
+
+    def _is_over(self) -> bool:
+        if not self._playback:
+            return False
+        status = self._profile.get_device().as_playback().current_status()
+        return bool(status == self._rs.playback_status.stopped)
+
+    def _read_profile(self, profile: Any) -> None:
+        rs = self._rs
+        kinds = {s.stream_type() for s in profile.get_streams()}
+        for kind, name in ((rs.stream.color, "colour"), (rs.stream.depth, "depth")):
+            if kind not in kinds:
+                raise CaptureError(
+                    f"has no {name} stream",
+                    source=self._source,
+                    remedy="record colour and depth together",
+                )
+        lens = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+        k1, k2, p1, p2, k3 = (float(c) for c in lens.coeffs)
+        self.intrinsics = Intrinsics(
+            lens.width,
+            lens.height,
+            lens.fx,
+            lens.fy,
+            lens.ppx,
+            lens.ppy,
+            Stream.COLOR,
+            self._lens_model(lens),
+            (k1, k2, p1, p2, k3),
+        )
+        device = profile.get_device()
+        # The SDK holds it in single precision: 0.0010000000475 is 0.001.
+        scale = device.first_depth_sensor().get_depth_scale()
+        self._unit_m = float(f"{scale:.6g}")
+        self.device = {
+            name: device.get_info(info)
+            for name, info in (
+                ("camera", rs.camera_info.name),
+                ("serial", rs.camera_info.serial_number),
+                ("firmware", rs.camera_info.firmware_version),
+            )
+            if device.supports(info)
+        }
+        self._align = rs.align(rs.stream.color)
+
+    def _lens_model(self, lens: Any) -> Distortion:
+        name = str(lens.model).removeprefix("distortion.")
+        if not any(lens.coeffs):
+            return Distortion.NONE
+        try:
+            return Distortion(name)
+        except ValueError:
+            raise CaptureError(
+                f"the colour stream has the lens model {name}, which no D4xx has",
+                source=self._source,
+                remedy="use a D4xx camera",
+            ) from None
+
+    def _convert(self, frames: Any) -> AlignedFrame:
+        aligned = self._align.process(frames)
+        color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
+        raw = np.asanyarray(depth.get_data())
+        # Hardware clocks count from the camera's start.
+        epoch = color.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock
+        return AlignedFrame(
+            self._rgb(color),
+            scale_depth(raw, self._unit_m),
+            int(color.get_frame_number()),
+            color.get_timestamp() / 1000 if epoch else None,
+        )
+
+    def _rgb(self, frame: Any) -> NDArray[np.uint8]:
+        import cv2
+
+        name = str(frame.get_profile().format()).removeprefix("format.")
+        data = np.asanyarray(frame.get_data())
+        codes = {
+            "bgr8": cv2.COLOR_BGR2RGB,
+            "rgba8": cv2.COLOR_RGBA2RGB,
+            "bgra8": cv2.COLOR_BGRA2RGB,
+            "yuyv": cv2.COLOR_YUV2RGB_YUYV,
+            "uyvy": cv2.COLOR_YUV2RGB_UYVY,
+        }
+        if name == "rgb8":
+            # The SDK takes its buffer back.
+            return np.array(data, dtype=np.uint8)
+        if name not in codes:
+            raise CaptureError(
+                f"colour is {name}, which is not read", source=self._source, remedy="record RGB8"
+            )
+        if data.dtype == np.uint16:
+            data = data.view(np.uint8).reshape(*data.shape, 2)
+        return np.asarray(cv2.cvtColor(data, codes[name]), dtype=np.uint8)
+
+    def _fault(self, error: RuntimeError) -> CaptureError | CameraError:
+        if not self._playback:
+            return _camera_fault(error, self._source)
+        return CaptureError(
+            f"is no recording that can be played ({str(error).rpartition('Reason: ')[2]})",
+            source=self._source,
+            remedy="copy it again, or record it with RealSense Viewer",
+        )
+
+
+def _camera_fault(error: RuntimeError, source: object) -> CameraError:
+    """Name what the SDK says of a camera."""
+    text = str(error)
+    if "No device" in text:
+        return CameraError(
+            "no RealSense camera is connected",
+            source=source,
+            remedy="plug a D4xx into a USB 3 port, or name a recording",
+        )
+    if "resolve" in text:
+        return CameraError(
+            "no connected camera streams that size and rate",
+            source=source,
+            remedy="choose a size and rate of the camera, and check that it is at a USB 3 port",
+        )
+    if "busy" in text.lower():
+        return CameraError(
+            "the camera is in use", source=source, remedy="close the other program that uses it"
+        )
+    return CameraError(f"the camera failed ({text})", source=source, remedy="plug it in again")
+
+
+def play_file(path: Path) -> Callable[[Any, Any], None]:
+    """Give the configuration that plays a recording once."""
+
+    def configure(_rs: Any, config: Any) -> None:
+        config.enable_device_from_file(str(path), repeat_playback=False)
+
+    return configure

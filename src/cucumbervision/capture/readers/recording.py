@@ -1,0 +1,129 @@
+"""Recordings of a RealSense camera (`.bag`, `.db3`), played back through the SDK itself."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from cucumbervision.capture._realsense import (
+    AlignedFrame,
+    AlignedStream,
+    import_realsense,
+    play_file,
+)
+from cucumbervision.capture.burst import fuse_burst
+from cucumbervision.capture.depth import require_readings
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, safe_name
+from cucumbervision.errors import CaptureError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+__all__ = ["open_recording"]
+
+_TIMEOUT_S = 5.0
+
+
+def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
+    """Open a recording, cut into consecutive bursts of `options.burst` frames.
+
+    Parameters
+    ----------
+    path : Path
+        `.bag` or `.db3`.
+    options : ReadOptions
+        Burst length, and intrinsics that replace the recording's own if the guard lets them
+        pass. The depth unit is the recording's.
+
+    Returns
+    -------
+    CaptureSource
+        Of unknown length. Each iteration plays the file once, from its beginning; it is
+        released when the iteration ends or is dropped. The last burst may be shorter.
+
+    Raises
+    ------
+    MissingExtraError
+        If pyrealsense2 is not installed.
+    CaptureError
+        If the file is no recording with colour and depth.
+    """
+    import_realsense()
+    given = given_calibration(options)
+    with _stream(path) as stream:
+        own = stream.intrinsics
+    intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)
+    return CaptureSource(path, "recording", lambda: _refs(path, options.burst, intrinsics))
+
+
+def _stream(path: Path) -> AlignedStream:
+    return AlignedStream(play_file(path), source=path, playback=True, timeout_s=_TIMEOUT_S)
+
+
+def _refs(path: Path, burst: int, intrinsics: Intrinsics) -> Iterator[CaptureRef]:
+    any_frame, fault = False, None
+    with _stream(path) as stream:
+        while fault is None:
+            frames, fault = _next_burst(stream, burst)
+            if not frames:
+                break
+            any_frame = True
+            yield _ref(path, frames, intrinsics, stream.device)
+    if fault is None and not any_frame:
+        fault = CaptureError(
+            "has no frame with both colour and depth",
+            source=path,
+            remedy="record both streams at one rate",
+        )
+    if fault is not None:
+        # What came before a break is whole; the break itself is a capture that fails.
+        yield CaptureRef(f"{safe_name(path.stem)}_end", -1, partial(_fail, fault))
+
+
+def _next_burst(
+    stream: AlignedStream, burst: int
+) -> tuple[list[AlignedFrame], CaptureError | None]:
+    frames: list[AlignedFrame] = []
+    while len(frames) < burst:
+        try:
+            frame = stream.read()
+        except CaptureError as fault:
+            return frames, fault
+        if frame is None:
+            break
+        frames.append(frame)
+    return frames, None
+
+
+def _fail(fault: CaptureError) -> Capture:
+    raise fault
+
+
+def _ref(
+    path: Path, frames: list[AlignedFrame], intrinsics: Intrinsics, device: dict[str, str]
+) -> CaptureRef:
+    number = frames[0].number
+    name = f"{safe_name(path.stem)}_{number:06d}"
+
+    def load() -> Capture:
+        color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
+        require_readings(depth_m, source=f"{path} frame {number}")
+        return Capture(
+            color,
+            depth_m,
+            intrinsics,
+            name,
+            frame=number,
+            burst_frame=kept,
+            burst_size=len(frames),
+            timestamp_s=frames[kept].timestamp_s,
+            source=str(path),
+            provenance={"reader": "recording", **device},
+        )
+
+    return CaptureRef(name, number, load)

@@ -198,9 +198,10 @@ def open_network(
     try:
         return _open_openvino(path, source, full_precision, threads)
     except ModelError as error:
-        why = f"; {error.message}"
+        fault = error.message
+    why = "; OpenVINO cannot load it"
     network = _open_onnxruntime(path, source, "onnxruntime", full_precision, threads, why)
-    _log.info("%s: %s", source, network.runtime)
+    _log.info("%s: %s, so ONNX Runtime runs it", source, fault)
     return network
 
 
@@ -271,7 +272,8 @@ def _unreadable(source: str, runtime: str, error: Exception) -> ModelError:
     return ModelError(
         f"{runtime} cannot load it ({_first_line(error)})",
         source=source,
-        remedy="give a complete ONNX file",
+        remedy="give a complete ONNX file"
+        + (", or choose the runtime auto" if runtime == "OpenVINO" else ""),
     )
 
 

@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.runtime import Network, open_network
+
+onnx = pytest.importorskip("onnx")
+
+RUNTIMES = ("onnxruntime", "openvino")
+
+
+def need(runtime: str) -> None:
+    if runtime == "openvino":
+        pytest.importorskip("openvino")
+
+
+def scaled_sum(half: bool = False, free: bool = True) -> bytes:
+    """Give a network y = 2.5 a + b, its factor stored in half precision where asked."""
+    helper, kind = onnx.helper, onnx.TensorProto
+    columns = "n" if free else 3
+    io = [helper.make_tensor_value_info(n, kind.FLOAT, [1, columns]) for n in ("a", "b", "y")]
+    factor = np.array([2.5], np.float16 if half else np.float32)
+    nodes = [
+        helper.make_node("Cast", ["k"], ["kf"], to=kind.FLOAT),
+        helper.make_node("Mul", ["a", "kf"], ["ka"]),
+        helper.make_node("Add", ["ka", "b"], ["y"]),
+    ]
+    constant = onnx.numpy_helper.from_array(factor, "k")
+    graph = helper.make_graph(nodes, "g", io[:2], io[2:], [constant])
+    opset = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    helper.set_model_props(model, {"names": "{0: 'cucumber'}", "stride": "32"})
+    return bytes(model.SerializeToString())
+
+
+def float16_relu() -> bytes:
+    """Give a network whose input and output are float16."""
+    helper, kind = onnx.helper, onnx.TensorProto
+    x, y = (helper.make_tensor_value_info(n, kind.FLOAT16, [4]) for n in "xy")
+    graph = helper.make_graph([helper.make_node("Relu", ["x"], ["y"])], "g", [x], [y])
+    opset = [helper.make_opsetid("", 17)]
+    return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+
+
+def determinant() -> bytes:
+    """Give a network that ONNX Runtime loads and OpenVINO has no rule for."""
+    helper, kind = onnx.helper, onnx.TensorProto
+    x = helper.make_tensor_value_info("x", kind.FLOAT, [2, 2])
+    y = helper.make_tensor_value_info("y", kind.FLOAT, None)
+    graph = helper.make_graph([helper.make_node("Det", ["x"], ["y"])], "g", [x], [y])
+    opset = [helper.make_opsetid("", 17)]
+    return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+
+
+def run(network: Network) -> list[float]:
+    feeds = {"a": np.array([[1.0, 2, 3]]), "b": np.array([[10, 20, 30]])}
+    return [float(v) for v in network.run(feeds)["y"][0]]
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.mark.parametrize("half", [False, True])
+def test_runs_full_and_half_stored_weights(runtime: str, half: bool) -> None:
+    need(runtime)
+    network = open_network(scaled_sum(half), runtime, full_precision=True, threads=1)
+    assert run(network) == [12.5, 25.0, 37.5]
+    assert (
+        network.runtime
+        == {"onnxruntime": "onnxruntime (cpu)", "openvino": "openvino (f32)"}[runtime]
+    )
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_tells_names_shapes_and_metadata(runtime: str) -> None:
+    need(runtime)
+    network = open_network(scaled_sum(), runtime)
+    single = np.dtype(np.float32)
+    assert [(i.name, i.shape, i.dtype) for i in network.inputs] == [
+        ("a", (1, None), single),
+        ("b", (1, None), single),
+    ]
+    assert [o.name for o in network.outputs] == ["y"]
+    assert dict(network.metadata) == {"names": "{0: 'cucumber'}", "stride": "32"}
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_half_precision_inputs_are_narrowed_and_outputs_widened(runtime: str) -> None:
+    need(runtime)
+    network = open_network(float16_relu(), runtime)
+    out = network.run({"x": np.array([-1.0, 0.5, 2, 3], np.float32)})["y"]
+    assert out.dtype == np.float32
+    assert out.tolist() == [0.0, 0.5, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_outputs_outlive_the_next_run(runtime: str) -> None:
+    need(runtime)
+    network = open_network(float16_relu(), runtime)
+    first = network.run({"x": np.full(4, 1.0)})["y"]
+    network.run({"x": np.full(4, 7.0)})
+    assert first.tolist() == [1.0] * 4
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_reads_a_file(runtime: str, tmp_path: Path) -> None:
+    need(runtime)
+    path = tmp_path / "größe.onnx"
+    path.write_bytes(scaled_sum())
+    assert run(open_network(path, runtime)) == [12.5, 25.0, 37.5]
+
+
+@pytest.mark.parametrize("runtime", ["auto", *RUNTIMES])
+def test_truncated_file_is_named(runtime: str, tmp_path: Path) -> None:
+    need(runtime)
+    path = tmp_path / "cut.onnx"
+    path.write_bytes(scaled_sum()[:60])
+    with pytest.raises(ModelError, match=r"cut\.onnx: .*cannot load it"):
+        open_network(path, runtime)
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [(b"PK\x03\x04", "PyTorch checkpoint"), (b"", "no ONNX file"), (b"<xml/>", "no ONNX file")],
+)
+def test_other_files_are_refused(content: bytes, fault: str, tmp_path: Path) -> None:
+    path = tmp_path / "other.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=fault):
+        open_network(path)
+
+
+def test_missing_file_and_unknown_runtime(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="no such file"):
+        open_network(tmp_path / "none.onnx")
+    with pytest.raises(ModelError, match="choose one of auto, onnxruntime"):
+        open_network(scaled_sum(), "tflite")
+
+
+@pytest.mark.parametrize(
+    ("runtime", "provider"),
+    [("cuda", "CUDAExecutionProvider"), ("tensorrt", "TensorrtExecutionProvider")],
+)
+def test_missing_provider_is_named(runtime: str, provider: str) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    if provider in onnxruntime.get_available_providers():
+        pytest.skip("this build has the provider")
+    with pytest.raises(ModelError, match=f"no {provider} here; install onnxruntime-gpu"):
+        open_network(scaled_sum(), runtime)
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_wrong_feeds_are_named(runtime: str) -> None:
+    need(runtime)
+    network = open_network(scaled_sum(free=False), runtime, name="tiny")
+    with pytest.raises(ModelError, match="tiny: the network takes a, b, not a"):
+        network.run({"a": np.zeros((1, 3))})
+    with pytest.raises(ModelError, match=r"tiny: the network fails on a \(1, 4\)"):
+        network.run({"a": np.zeros((1, 4)), "b": np.zeros((1, 4))})
+
+
+def test_auto_takes_openvino_first() -> None:
+    pytest.importorskip("openvino")
+    assert open_network(scaled_sum(), "auto").runtime.startswith("openvino")
+
+
+def test_auto_steps_down_and_says_why(caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("openvino")
+    with pytest.raises(ModelError, match=r"OpenVINO cannot load it .*choose the runtime auto"):
+        open_network(determinant(), "openvino")
+    with caplog.at_level(logging.INFO, "cucumbervision"):
+        network = open_network(determinant(), "auto", name="det")
+    assert network.runtime == "onnxruntime (cpu; OpenVINO cannot load it)"
+    assert "det: OpenVINO cannot load it" in caplog.text
+    assert network.run({"x": np.diag([2.0, 4.0])})["y"] == 8
+
+
+def test_nothing_is_sent_or_stored(tmp_path: Path) -> None:
+    """Load both runtimes in a fresh process with an empty home, and count what they leave."""
+    (tmp_path / "tiny.onnx").write_bytes(scaled_sum())
+    code = (
+        "import importlib.util, socket, sys\n"
+        "def refuse(*a, **k): raise SystemExit('a connection was tried')\n"
+        "socket.socket.connect = socket.getaddrinfo = refuse\n"
+        "from cucumbervision.perception.runtime import open_network\n"
+        "for name in ('onnxruntime', 'openvino'):\n"
+        "    if importlib.util.find_spec(name): open_network(sys.argv[1], name)\n"
+        "print([m for m in sys.modules if m.startswith('openvino_telemetry')])\n"
+    )
+    home = tmp_path / "home"
+    home.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "tiny.onnx")],
+        env={"HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2] / "src")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "[]"
+    assert list(home.rglob("*")) == []

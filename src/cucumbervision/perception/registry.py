@@ -1,0 +1,304 @@
+"""The networks that have a name: what they are, whose, and where their verified files lie.
+
+`models.toml` beside this file lists them. Embedded networks lie in the package; the others are
+fetched by `cucumbervision models pull` into the user's folder, never at run time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
+from cucumbervision.perception.models import FileCheck, Model, ModelFile, ModelSource
+
+__all__ = [
+    "FORMATS",
+    "Registry",
+    "file_sha256",
+    "load_registry",
+    "models_folder",
+]
+
+FORMATS = ("onnx", "openvino")
+"""What `Registry.export` writes."""
+
+_HERE = Path(__file__).parent
+_MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Registry:
+    """The models and the two folders that their files lie in.
+
+    Parameters
+    ----------
+    models : tuple of Model
+        In the order of the file.
+    embedded : Path
+        Folder of the embedded files.
+    user : Path
+        Folder of the fetched ones, a subfolder a model; it need not exist.
+    """
+
+    models: tuple[Model, ...]
+    embedded: Path
+    user: Path
+
+    def get(self, name: str) -> Model:
+        """Give a model by its name.
+
+        Raises
+        ------
+        UnknownModelError
+            If there is none.
+        """
+        for model in self.models:
+            if model.name == name:
+                return model
+        names = ", ".join(model.name for model in self.models)
+        raise UnknownModelError(f"no model is called {name!r}", remedy=f"choose one of {names}")
+
+    def folder(self, name: str) -> Path:
+        """Give the folder that a model's files lie in, or would."""
+        return self.embedded if self.get(name).embedded else self.user / name
+
+    def state(self, name: str) -> str:
+        """Tell, without hashing: 'embedded', 'pulled' or 'not pulled'."""
+        if self.get(name).embedded:
+            return "embedded"
+        return "pulled" if (self.folder(name) / _MANIFEST).is_file() else "not pulled"
+
+    def size_bytes(self, name: str) -> int:
+        """Give the size of the files on this machine, or else of the file to fetch."""
+        model, folder = self.get(name), self.folder(name)
+        here = [folder / f.file for f in model.files if (folder / f.file).is_file()]
+        if here:
+            return sum(path.stat().st_size for path in here)
+        return model.source.size_bytes if model.source else sum(f.size_bytes for f in model.files)
+
+    def hashes(self, name: str) -> dict[str, str]:
+        """Give the SHA-256 that each file must have, by file name.
+
+        Raises
+        ------
+        ModelError
+            If the model was not pulled, or its manifest cannot be read.
+        ModelHashError
+            If it was exported from another file than the registry names.
+        """
+        model = self.get(name)
+        if self.state(name) == "not pulled":
+            raise ModelError(
+                f"the model {name} is not on this machine",
+                remedy=f"run: cucumbervision models pull {name}",
+            )
+        if model.embedded:
+            return {f.file: f.sha256 for f in model.files}
+        manifest = _read_manifest(self.folder(name) / _MANIFEST, _again(model))
+        if model.source and manifest["source_sha256"] != model.source.sha256:
+            raise ModelHashError(
+                "exported from another checkpoint than the registry names",
+                source=self.folder(name),
+                remedy=_again(model),
+            )
+        return {f.file: str(manifest["files"].get(f.file, "")) for f in model.files}
+
+    def verify(self, name: str) -> tuple[FileCheck, ...]:
+        """Hash every file of a model that is on this machine.
+
+        Raises
+        ------
+        UnknownModelError, ModelError, ModelHashError
+            As `hashes`.
+        """
+        folder, wanted = self.folder(name), self.hashes(name)
+        return tuple(
+            FileCheck(name, file, folder / file, _file_state(folder / file, sha256))
+            for file, sha256 in wanted.items()
+        )
+
+    def resolve(self, name: str) -> dict[str, Path]:
+        """Give the paths of a model's files by role, each verified.
+
+        Raises
+        ------
+        UnknownModelError
+            If no model has the name.
+        ModelError
+            If it was not pulled, or a file is missing.
+        ModelHashError
+            If a file is not what it should be.
+        """
+        self.require(self.verify(name))
+        folder = self.folder(name)
+        return {f.role: folder / f.file for f in self.get(name).files}
+
+    def require(self, checks: tuple[FileCheck, ...]) -> None:
+        """Raise for the first file that is damaged or missing.
+
+        Raises
+        ------
+        ModelHashError, ModelError
+            Naming the file and the remedy.
+        """
+        for check in checks:
+            remedy = _again(self.get(check.model))
+            if check.state == "missing":
+                raise ModelError("the file is missing", source=check.path, remedy=remedy)
+            if check.state == "damaged":
+                raise ModelHashError(
+                    "its SHA-256 is not the registry's", source=check.path, remedy=remedy
+                )
+
+    def install(self, name: str, files: tuple[Path, ...]) -> dict[str, Path]:
+        """Move a model's exported files into the user's folder and note their hashes.
+
+        Parameters
+        ----------
+        name : str
+            A model that is not embedded.
+        files : tuple of Path
+            Named as the registry names them.
+
+        Returns
+        -------
+        dict of str to Path
+            As `resolve`.
+        """
+        model, folder = self.get(name), self.folder(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in files:
+            shutil.move(path, folder / path.name)
+        manifest = {
+            "name": name,
+            "licence": model.licence,
+            "source_sha256": model.source.sha256 if model.source else "",
+            "files": {f.file: file_sha256(folder / f.file) for f in model.files},
+        }
+        (folder / _MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        return self.resolve(name)
+
+    def export(self, name: str, out: Path, form: str = "onnx") -> tuple[Path, ...]:
+        """Copy a model's verified files out, or convert them to OpenVINO's own form.
+
+        Parameters
+        ----------
+        name : str
+            A model on this machine.
+        out : Path
+            Folder, made if need be.
+        form : str
+            'onnx', or 'openvino' (.xml and .bin, weights in half precision; needs the extra
+            `openvino`).
+
+        Returns
+        -------
+        tuple of Path
+            What was written.
+
+        Raises
+        ------
+        ModelError
+            If the form is unknown.
+        UnknownModelError, ModelHashError, MissingExtraError
+            From finding the files and from converting.
+        """
+        if form not in FORMATS:
+            raise ModelError(f"no format {form!r}", remedy=f"choose one of {', '.join(FORMATS)}")
+        files = self.resolve(name).values()
+        out.mkdir(parents=True, exist_ok=True)
+        if form == "onnx":
+            return tuple(Path(shutil.copyfile(path, out / path.name)) for path in files)
+        from cucumbervision.perception.runtime import import_openvino
+
+        openvino = import_openvino()
+        written: list[Path] = []
+        for path in files:
+            target = out / f"{path.stem}.xml"
+            openvino.save_model(openvino.Core().read_model(str(path)), str(target))
+            written += [target, target.with_suffix(".bin")]
+        return tuple(written)
+
+
+def load_registry(path: Path | None = None, user: Path | None = None) -> Registry:
+    """Read the registry.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Another registry file; its embedded files lie in a folder `weights` beside it.
+    user : Path, optional
+        Another folder for fetched files than `models_folder`.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> [model.name for model in load_registry().models]
+    ['mobile-sam', 'sam-vit-b']
+    """
+    path = path or _HERE / "models.toml"
+    try:
+        entries = tomllib.loads(path.read_text(encoding="utf-8"))["models"]
+        models = tuple(_model(entry) for entry in entries)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ModelError(
+            f"the registry cannot be read ({error})", source=path, remedy="install again"
+        ) from error
+    return Registry(models, path.parent / "weights", user or models_folder())
+
+
+def models_folder() -> Path:
+    """Give the folder for fetched models: `CUCUMBERVISION_MODELS`, or the user's data folder."""
+    if chosen := os.environ.get("CUCUMBERVISION_MODELS"):
+        return Path(chosen)
+    import platformdirs
+
+    return Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "models"
+
+
+def file_sha256(path: Path) -> str:
+    """Give a file's SHA-256 in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _model(entry: dict[str, Any]) -> Model:
+    files = tuple(ModelFile(**file) for file in entry.pop("files"))
+    source = entry.pop("source", None)
+    return Model(**entry, files=files, source=ModelSource(**source) if source else None)
+
+
+def _file_state(path: Path, sha256: str) -> str:
+    if not path.is_file():
+        return "missing"
+    return "ok" if file_sha256(path) == sha256 else "damaged"
+
+
+def _again(model: Model) -> str:
+    if model.embedded:
+        return "install cucumbervision again"
+    return f"run: cucumbervision models pull {model.name}"
+
+
+def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        files, source = manifest["files"], manifest["source_sha256"]
+        if not isinstance(files, dict) or not isinstance(source, str):
+            raise ValueError("its entries have the wrong types")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ModelError(
+            f"the manifest cannot be read ({error})", source=path, remedy=remedy
+        ) from error
+    return {"files": files, "source_sha256": source}

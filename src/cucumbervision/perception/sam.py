@@ -1,0 +1,224 @@
+"""The SAM family behind one interface: a mask for every prompted fruit of a picture.
+
+The encoder runs once a picture; the decoder takes the prompts of all its fruit together. Sources:
+SAM (Kirillov et al. 2023, "Segment Anything") and MobileSAM (Zhang et al. 2023, "Faster Segment
+Anything").
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.instances import Instance, MaskSource, box_iou, box_of_mask
+from cucumbervision.perception.sam_picture import mask_from_logits, points_to_sam, prepare_picture
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["MIN_BOX_IOU", "MIN_MASK_PX", "PROMPTS", "Segmenter", "mask_fault"]
+
+PROMPTS = ("box", "box+point", "point")
+"""What a detection can be prompted by: its box, its centre, or both."""
+
+MIN_MASK_PX = 100
+MIN_BOX_IOU = 0.5
+
+_TOGETHER = 4  # prompts in one call of the decoder: more would only need more memory
+_PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
+
+
+class Segmenter:
+    """A SAM network ready to draw masks.
+
+    Parameters
+    ----------
+    model : str or pair of Path
+        A name of the registry ('mobile-sam', 'sam-vit-b'), or an encoder's and a decoder's ONNX
+        file as `cucumbervision.training.export_sam` writes them.
+    runtime : str
+        As in `cucumbervision.perception.runtime.open_network`.
+    prompt : str
+        One of `PROMPTS`.
+    full_precision : bool
+        Compute in float32 where results must reproduce.
+
+    Raises
+    ------
+    ModelError
+        If the prompt is unknown or a file cannot be loaded.
+    UnknownModelError, ModelHashError
+        From the registry.
+
+    Examples
+    --------
+    >>> picture = np.full((120, 160, 3), (120, 80, 50), np.uint8)
+    >>> picture[40:80, 30:130] = (40, 140, 50)
+    >>> fruit = Instance(np.array([29.5, 39.5, 129.5, 79.5]))
+    >>> found, = Segmenter("mobile-sam").segment(picture, [fruit])
+    >>> found.mask_source.value, found.mask[60, 80], found.mask[100, 80]
+    ('sam', np.True_, np.False_)
+    """
+
+    def __init__(
+        self,
+        model: str | tuple[Path, Path] = "mobile-sam",
+        runtime: str = "auto",
+        prompt: str = "box+point",
+        full_precision: bool = False,
+    ) -> None:
+        from cucumbervision.perception.runtime import open_network
+
+        if prompt not in PROMPTS:
+            raise ModelError(
+                f"no prompt is called {prompt!r}", remedy=f"choose one of {', '.join(PROMPTS)}"
+            )
+        if isinstance(model, str):
+            from cucumbervision.perception.registry import load_registry
+
+            files = load_registry().resolve(model)
+            encoder, decoder = files["encoder"], files["decoder"]
+        else:
+            encoder, decoder = model
+        self.prompt = prompt
+        self._encoder = open_network(encoder, runtime, full_precision=full_precision)
+        # The decoder takes coordinates: in bfloat16 they are off by pixels, and one mask in
+        # twenty changes. In float32 ONNX Runtime is the faster one.
+        self._decoder = open_network(
+            decoder, "onnxruntime" if runtime == "auto" else runtime, full_precision=True
+        )
+
+    @property
+    def runtime(self) -> str:
+        """What runs the encoder, with the precision."""
+        return self._encoder.runtime
+
+    def segment(
+        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
+    ) -> tuple[Instance, ...]:
+        """Draw a mask for each fruit.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture; red first.
+        instances : sequence of Instance
+            Whose boxes are the prompts.
+
+        Returns
+        -------
+        tuple of Instance
+            In the same order. `mask` is SAM's, or None with `mask_failure` set; the rest stays.
+        """
+        height, width = color_rgb.shape[:2]
+        boxes = [_clip(instance.box, height, width) for instance in instances]
+        seen = {i: box for i, box in enumerate(boxes) if box is not None}
+        logits = self._logits(color_rgb, np.array(list(seen.values())).reshape(-1, 4))
+        low = dict(zip(seen, logits, strict=True))
+        return tuple(
+            _with_mask(
+                instance,
+                mask_from_logits(low[i], height, width) if i in low else None,
+                seen.get(i, instance.box),
+            )
+            for i, instance in enumerate(instances)
+        )
+
+    def _logits(
+        self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64]
+    ) -> list[NDArray[np.float32]]:
+        """Give each box's most confident mask as logits, shape (256, 256)."""
+        if not len(boxes):
+            return []
+        height, width = color_rgb.shape[:2]
+        embedding = self._encoder.run({"image": prepare_picture(color_rgb)})["embedding"]
+        found: list[NDArray[np.float32]] = []
+        for start in range(0, len(boxes), _TOGETHER):
+            points, labels = _prompts(boxes[start : start + _TOGETHER], self.prompt)
+            places = points_to_sam(points, height, width)
+            answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
+            best = answer["ious"].argmax(axis=1)
+            found.extend(answer["logits"][np.arange(len(best)), best])
+        return found
+
+
+def mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
+    """Say why a mask cannot be the fruit in a box; nothing if it can.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+    box : ndarray of float64, shape (4,)
+        x1, y1, x2, y2 of the detection.
+
+    Returns
+    -------
+    str
+        'mask-empty', 'mask-small' (under 100 px), 'mask-off-box' (the mask's box has an IoU
+        under 0.5 with the detection's) or ''.
+
+    Examples
+    --------
+    >>> mask = np.zeros((40, 40), bool)
+    >>> box = np.array([9.5, 9.5, 29.5, 29.5])
+    >>> mask_fault(mask, box)
+    'mask-empty'
+    >>> mask[10:12, 10:30] = True
+    >>> mask_fault(mask, box)
+    'mask-small'
+    >>> mask[10:16, 10:30] = True
+    >>> mask_fault(mask, box)
+    'mask-off-box'
+    >>> mask[10:24, 10:30] = True
+    >>> mask_fault(mask, box)
+    ''
+    """
+    area = np.count_nonzero(mask)
+    if not area:
+        return "mask-empty"
+    if area < MIN_MASK_PX:
+        return "mask-small"
+    return "" if box_iou(box_of_mask(mask), box) >= MIN_BOX_IOU else "mask-off-box"
+
+
+def _clip(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64] | None:
+    """Cut a box to the picture; None if nothing of it is inside."""
+    limit = np.array([width, height, width, height]) - 0.5
+    cut = np.clip(np.asarray(box, np.float64), -0.5, limit)
+    return cut if cut[2] > cut[0] and cut[3] > cut[1] else None
+
+
+def _prompts(
+    boxes: NDArray[np.float64], prompt: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Give points (N, P, 2) in pixels and SAM's labels (N, P).
+
+    As SAM itself does, points come before the corners, and a point without a box is followed by
+    an empty one.
+    """
+    corners = boxes.reshape(-1, 2, 2)
+    centres = corners.mean(axis=1, keepdims=True)
+    if prompt == "box":
+        points, labels = corners, [_CORNER_1, _CORNER_2]
+    elif prompt == "point":
+        points = np.concatenate([centres, centres], axis=1)
+        labels = [_FOREGROUND, _PADDING]
+    else:
+        points = np.concatenate([centres, corners], axis=1)
+        labels = [_FOREGROUND, _CORNER_1, _CORNER_2]
+    return points, np.tile(np.array(labels, np.int64), (len(boxes), 1))
+
+
+def _with_mask(
+    instance: Instance, mask: NDArray[np.bool_] | None, box: NDArray[np.float64]
+) -> Instance:
+    fault = "mask-empty" if mask is None else mask_fault(mask, box)
+    if fault:
+        return replace(instance, mask=None, mask_source=None, mask_failure=fault)
+    return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")

@@ -124,6 +124,17 @@ class Registry:
             for file, sha256 in wanted.items()
         )
 
+    def verify_all(self) -> tuple[FileCheck, ...]:
+        """Hash every file of every model that is on this machine.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            As `hashes`.
+        """
+        here = [model.name for model in self.models if self.state(model.name) != "not pulled"]
+        return tuple(check for name in here for check in self.verify(name))
+
     def resolve(self, name: str) -> dict[str, Path]:
         """Give the paths of a model's files by role, each verified.
 

@@ -1,0 +1,89 @@
+"""`cucumbervision models`: what networks there are, and fetching, checking and copying them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    name="models",
+    help="List, fetch, verify and export the networks.",
+    no_args_is_help=True,
+)
+
+Name = Annotated[str, typer.Argument(help="A name that `models list` shows.")]
+
+
+@app.command("list")
+def list_models() -> None:
+    """Show every network: task, licence, size, origin, and whether it is on this machine."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from cucumbervision.perception.registry import load_registry
+
+    registry = load_registry()
+    table = Table("name", "task", "licence", "size", "from", "state")
+    for model in registry.models:
+        size = f"{registry.size_bytes(model.name) / 1e6:.0f} MB"
+        state = registry.state(model.name)
+        table.add_row(model.name, model.task, model.licence, size, model.origin, state)
+    Console().print(table)
+
+
+@app.command()
+def pull(
+    name: Name,
+    given: Annotated[
+        Path | None,
+        typer.Option("--from", help="The publisher's file, downloaded by hand.", metavar="FILE"),
+    ] = None,
+) -> None:
+    """Fetch a network from its publisher, check its hash and export it to ONNX."""
+    from rich.console import Console
+
+    from cucumbervision.cli.download_bar import DownloadBar
+    from cucumbervision.training.pull import pull_model
+
+    files = pull_model(name, given=given, progress=DownloadBar(name))
+    for path in files.values():
+        Console(highlight=False).print(str(path), soft_wrap=True)
+
+
+@app.command()
+def verify(
+    name: Annotated[
+        str | None, typer.Argument(help="One network; all that are on this machine without it.")
+    ] = None,
+) -> None:
+    """Hash the files and compare with the registry."""
+    from rich.console import Console
+
+    from cucumbervision.perception.registry import load_registry
+
+    registry, console = load_registry(), Console(highlight=False)
+    checks = registry.verify(name) if name else registry.verify_all()
+    for check in checks:
+        console.print(f"{check.state:8} {check.model}: {check.path}", soft_wrap=True)
+    registry.require(checks)
+
+
+@app.command()
+def export(
+    name: Name,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
+    form: Annotated[
+        str, typer.Option("--format", help="onnx or openvino.", metavar="FORMAT")
+    ] = "onnx",
+) -> None:
+    """Copy a network's verified files, or convert them to OpenVINO's own form."""
+    from rich.console import Console
+
+    from cucumbervision.perception.registry import load_registry
+
+    for path in load_registry().export(name, out, form):
+        Console(highlight=False).print(str(path), soft_wrap=True)

@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import InstancesError
+from cucumbervision.perception.instance_files import FileInstances, read_instances
+from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.mask_codes import decode_rle, fill_polygon
+
+WIDTH, HEIGHT = 20, 10
+
+
+def coco(path: Path, *annotations: dict[str, Any], **image: Any) -> Path:
+    data = {
+        "images": [{"id": 7, "file_name": "row1/a.png", **image}],
+        "categories": [{"id": 3, "name": "cucumber"}],
+        "annotations": [
+            {"id": i, "image_id": 7, "category_id": 3, **a} for i, a in enumerate(annotations)
+        ],
+    }
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return path
+
+
+def get(path: Path, name: str = "a") -> FileInstances:
+    return read_instances(path).for_capture([name], WIDTH, HEIGHT)
+
+
+def test_coco_box_moves_to_pixel_centres(tmp_path: Path) -> None:
+    found = get(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
+    (fruit,) = found.instances
+    assert fruit.box.tolist() == [1.5, 0.5, 6.5, 4.5]
+    assert (fruit.label, fruit.score, fruit.mask) == ("cucumber", 1.0, None)
+    assert (found.clipped, found.refused) == ((False,), ())
+
+
+def test_coco_polygons_join_to_one_mask(tmp_path: Path) -> None:
+    parts = [[2, 1, 5, 1, 5, 3, 2, 3], [8, 1, 9, 1, 9, 2, 8, 2]]
+    (fruit,) = get(coco(tmp_path / "c.json", {"segmentation": parts})).instances
+    expected = np.zeros((HEIGHT, WIDTH), bool)
+    expected[1:3, 2:5] = expected[1, 8] = True
+    assert fruit.mask is not None
+    assert np.array_equal(fruit.mask, expected)
+    assert fruit.mask_source is MaskSource.DATASET
+    assert fruit.box.tolist() == [1.5, 0.5, 8.5, 2.5]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_coco_run_lengths(tmp_path: Path, packed: bool) -> None:
+    # Down the columns of ten: pixels 25 to 27 are column 2, rows 5 to 7; 35 to 37 column 3.
+    runs = [25, 3, 7, 3, 162]
+    rle = {"size": [HEIGHT, WIDTH], "counts": compress(runs) if packed else runs}
+    (fruit,) = get(coco(tmp_path / "c.json", {"segmentation": rle})).instances
+    expected = np.zeros((HEIGHT, WIDTH), bool)
+    expected[5:8, 2:4] = True
+    assert fruit.mask is not None
+    assert np.array_equal(fruit.mask, expected)
+
+
+def compress(runs: list[int]) -> str:
+    """Write run lengths as pycocotools does (`rleToString`), to read them back."""
+    text = ""
+    for i, run in enumerate(runs):
+        value, more = run - (runs[i - 2] if i > 2 else 0), True
+        while more:
+            code, value = value & 0x1F, value >> 5
+            more = value != (-1 if code & 0x10 else 0)
+            text += chr((code | (0x20 if more else 0)) + 48)
+    return text
+
+
+def test_compressed_runs_by_hand() -> None:
+    # 1, 2, 3 are '1', '2', '3'; the fourth, 18, is 18 - 2 = 16 = 0b10000: its bit 4 would be read
+    # as a sign, so a second character follows: 16 + 32 + 48 = '`', then '0'. Sum 24 = 6 x 4.
+    assert np.array_equal(decode_rle("123`0", 4, 6), decode_rle([1, 2, 3, 18], 4, 6))
+    # A falling run is negative: 1, 5, 1, 2 has 2 - 5 = -3 = 0b11101 = 29, so 29 + 48 = 'M'.
+    assert np.array_equal(decode_rle("151M", 3, 3), decode_rle([1, 5, 1, 2], 3, 3))
+
+
+@pytest.mark.parametrize(("counts", "fault"), [([1, 2], "fill"), ("1h", "end within"), ("é", "is")])
+def test_broken_runs_are_named(counts: Any, fault: str) -> None:
+    with pytest.raises(ValueError, match=fault):
+        decode_rle(counts, 3, 3)
+
+
+def test_polygon_takes_pixels_by_their_centres() -> None:
+    # The diagonal of a 4x4 square: centres below it have x < y.
+    triangle = np.array([[0.0, 0.0], [4, 4], [0, 4]])
+    expected = np.tri(4, k=-1, dtype=bool)
+    inside = fill_polygon(triangle, 4, 4)
+    assert np.array_equal(inside[expected], np.ones(6, bool))
+    assert not inside[np.triu_indices(4, 1)].any()
+
+
+def test_polygon_reaching_beyond_the_picture_is_cut() -> None:
+    assert fill_polygon(np.array([[-5.0, -5], [50, -5], [50, 50], [-5, 50]]), 3, 4).all()
+
+
+def test_coco_keypoints(tmp_path: Path) -> None:
+    points = [v for i in range(5) for v in (i + 1, 2, i % 3)]
+    annotation = {"bbox": [0, 0, 9, 9], "keypoints": points}
+    (fruit,) = get(coco(tmp_path / "c.json", annotation)).instances
+    assert fruit.keypoints is not None
+    assert fruit.keypoints[1].tolist() == [1.5, 1.5, 0.5]
+    assert fruit.keypoints[:, 2].tolist() == [0, 0.5, 1, 0, 0.5]
+
+
+def test_coco_results_by_file_name(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    results = [{"file_name": "a.png", "category_id": 0, "bbox": [1, 1, 2, 2], "score": 0.5}]
+    path.write_text(json.dumps(results), encoding="utf-8")
+    (fruit,) = get(path, "folder/a.png").instances
+    assert (fruit.score, fruit.label) == (0.5, "0")
+
+
+def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
+    file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
+    for name in ("row1/a.png", "a.png", "other/a.jpg", "a"):
+        assert len(file.for_capture([name], WIDTH, HEIGHT).instances) == 1
+    assert len(file.for_capture(["b"], WIDTH, HEIGHT, frame=7).instances) == 1
+    with pytest.raises(InstancesError, match=r"does not name the picture b .it names row1/a\.png"):
+        file.for_capture(["b"], WIDTH, HEIGHT, frame=8)
+
+
+def test_another_size_is_refused(tmp_path: Path) -> None:
+    path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, width=40, height=20)
+    with pytest.raises(InstancesError, match="the size 40x20, the picture is 20x10"):
+        get(path)
+
+
+def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
+    found = get(
+        coco(
+            tmp_path / "c.json",
+            {"bbox": [15, 1, 10, 4]},
+            {"bbox": [30, 1, 5, 4]},
+            {"bbox": [float("nan"), 1, 5, 4]},
+            {"bbox": [1, 1, 0, 4]},
+            {"bbox": [1, 1, 2]},
+            {"segmentation": {"size": [5, 5], "counts": [25]}},
+            {"segmentation": [[1, 1, 2, 2]]},
+            {"segmentation": [[30, 30, 40, 30, 40, 40]]},
+            {"iscrowd": 1, "bbox": [1, 1, 5, 5]},
+            {"bbox": [1, 1, 5, 5], "score": 7},
+            {},
+        )
+    )
+    assert [f.box.tolist() for f in found.instances] == [[14.5, 0.5, 19.5, 4.5]]
+    assert found.clipped == (True,)
+    faults = [
+        "outside the picture",
+        "not finite",
+        "no area",
+        "unpack",
+        "mask of 5x5",
+        "fewer than three",
+        "covers no pixel",
+        "crowd",
+        "score 7",
+        "neither box nor mask",
+    ]
+    assert len(found.refused) == len(faults)
+    told = "\n".join(sorted(str(r) for r in found.refused))
+    for fault in faults:
+        assert fault in told
+    assert "annotation 1: " in told
+
+
+def yolo(folder: Path, name: str, *lines: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text("\n".join(lines), encoding="utf-8")
+    return folder
+
+
+def test_yolo_folder(tmp_path: Path) -> None:
+    folder = yolo(tmp_path / "l", "a.txt", "1 0.5 0.5 0.2 0.4", "", "0 0.5 0.5 0.2 0.4 0.75")
+    yolo(folder, "empty.txt")
+    yolo(folder, "classes.txt", "leaf", "cucumber")
+    first, second = get(folder, "a.png").instances
+    # 20x10: centre (10, 5), 4 by 4, so 8 to 12 and 3 to 7 from the corner.
+    assert first.box.tolist() == pytest.approx([7.5, 2.5, 11.5, 6.5])
+    assert (first.label, first.score) == ("cucumber", 1.0)
+    assert (second.label, second.score) == ("leaf", 0.75)
+    assert get(folder, "empty").instances == ()
+    with pytest.raises(InstancesError, match="an empty file"):
+        get(folder, "b")
+
+
+def test_yolo_labels_folder_and_single_file(tmp_path: Path) -> None:
+    yolo(tmp_path / "labels", "a.txt", "0 0.5 0.5 0.2 0.4")
+    assert len(get(tmp_path).instances) == 1
+    assert len(get(tmp_path / "labels" / "a.txt").instances) == 1
+
+
+def test_yolo_polygon_and_pose(tmp_path: Path) -> None:
+    points = " ".join(f"{0.1 * i:.1f} 0.5 {i % 3}" for i in range(5))
+    folder = yolo(
+        tmp_path / "l", "a.v1.txt", "0 0.1 0.1 0.3 0.1 0.3 0.3 0.1 0.3", f"0 .5 .5 .2 .4 {points}"
+    )
+    outline, pose = get(folder, "a.v1").instances
+    expected = np.zeros((HEIGHT, WIDTH), bool)
+    expected[1:3, 2:6] = True
+    assert outline.mask is not None
+    assert np.array_equal(outline.mask, expected)
+    assert pose.keypoints is not None
+    assert np.allclose(pose.keypoints[1], [1.5, 4.5, 0.5])
+
+
+def test_yolo_boxes_beyond_the_edge_are_cut_and_bad_lines_named(tmp_path: Path) -> None:
+    lines = ["0 0.05 0.5 0.2 0.4", "0 1.2 0.5 0.2 0.4", "0 320 200 40 60", "0 0.5 0.5 nan 0.4"]
+    found = get(yolo(tmp_path / "l", "a.txt", *lines, "0 0.5 0.5", "x 0 0 1 1", "-1 0 0 1 1"))
+    (fruit,) = found.instances
+    assert fruit.box.tolist() == pytest.approx([-0.5, 2.5, 2.5, 6.5])
+    assert found.clipped == (True,)
+    told = [str(r) for r in found.refused]
+    assert ["line 2: " in told[0], "line 3: " in told[1], "line 4: " in told[2]] == [True] * 3
+    assert "outside 0 to 1" in told[0]
+    assert "not finite" in told[2]
+    assert len(told) == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("a.json", "{", "is no JSON"),
+        ("a.json", "{}", "no annotations"),
+        ("a.json", '[{"bbox": [0, 0, 1, 1]}]', "names no picture"),
+        ("a.csv", "1,2", "no known kind"),
+        ("a.txt", None, "no such file"),
+        ("folder", None, "no such file"),
+    ],
+)
+def test_other_files_are_refused(
+    tmp_path: Path, name: str, content: str | None, fault: str
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content, encoding="utf-8")
+    with pytest.raises(InstancesError, match=fault):
+        read_instances(path)
+
+
+def test_same_name_twice_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    items = [{"file_name": f"{d}/a.png", "bbox": [1, 1, 2, 2]} for d in "xy"]
+    path.write_text(json.dumps(items), encoding="utf-8")
+    file = read_instances(path)
+    assert len(file.for_capture(["x/a.png"], WIDTH, HEIGHT).instances) == 1
+    with pytest.raises(InstancesError, match=r"names a\.png 2 times"):
+        file.for_capture(["z/a.png"], WIDTH, HEIGHT)

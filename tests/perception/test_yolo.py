@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.yolo import YoloDetector, with_keypoints
+
+onnx = pytest.importorskip("onnx")
+
+PICTURE = np.zeros((32, 64, 3), np.uint8)  # lies in 64x64 with 16 grey rows above and below
+
+
+def network(
+    *outputs: np.ndarray,
+    props: Mapping[str, object] | None = None,
+    shape: tuple[int | str, ...] = (1, 3, 64, 64),
+) -> bytes:
+    """Give a network whose outputs are the given arrays, whatever it sees."""
+    helper, kind = onnx.helper, onnx.TensorProto
+    images = helper.make_tensor_value_info("images", kind.FLOAT, shape)
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+    ]
+    constants = [onnx.numpy_helper.from_array(np.float32(0), "zero")]
+    values = []
+    for i, array in enumerate(outputs):
+        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
+        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
+        values.append(helper.make_tensor_value_info(f"output{i}", kind.FLOAT, array.shape))
+    graph = helper.make_graph(nodes, "g", [images], values, constants)
+    opset = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    helper.set_model_props(model, {k: str(v) for k, v in (props or {}).items()})
+    return bytes(model.SerializeToString())
+
+
+def chosen(*rows: list[float]) -> np.ndarray:
+    """Lay rows out as the end-to-end head does, filled up with empty ones."""
+    out = np.zeros((1, 300, len(rows[0])), np.float32)
+    out[0, : len(rows)] = rows
+    return out
+
+
+CUCUMBER = {"names": {0: "cucumber", 1: "leaf"}, "stride": 32, "imgsz": [64, 64]}
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_end_to_end_segments(runtime: str) -> None:
+    pytest.importorskip(runtime)
+    coefficients = [0.0] * 32
+    coefficients[3] = 2.0
+    prototypes = np.full((1, 32, 16, 16), -1.0)
+    prototypes[0, 3, :, :8] = 1.0
+    rows = chosen([8, 20, 40, 30, 0.75, 1, *coefficients], [0, 16, 4, 20, 0.3, 0, *coefficients])
+    props = CUCUMBER | {"task": "segment", "end2end": True}
+    detector = YoloDetector(network(rows, prototypes, props=props), runtime)
+    (fruit,) = detector.detect(PICTURE)
+    assert (fruit.label, fruit.score, fruit.mask) == ("leaf", 0.75, None)
+    # The picture is not scaled: 16 rows come off, and half a pixel for the centres.
+    assert fruit.box.tolist() == [7.5, 3.5, 39.5, 13.5]
+    # The prototype's edge is at column 32; the box cuts the rest.
+    expected = np.zeros((32, 64), bool)
+    expected[4:14, 8:32] = True
+    assert fruit.detector_mask is not None
+    assert np.array_equal(fruit.detector_mask, expected)
+
+
+def test_empty_mask_keeps_the_detection() -> None:
+    rows = chosen([8, 20, 40, 30, 0.75, 0, *[1.0] * 32])
+    props = CUCUMBER | {"task": "segment", "end2end": True}
+    detector = YoloDetector(network(rows, np.full((1, 32, 16, 16), -1.0), props=props))
+    (fruit,) = detector.detect(PICTURE)
+    assert fruit.detector_mask is None
+
+
+def test_pose_gives_keypoints_in_the_picture() -> None:
+    points = [[8 + 8 * i, 24, 0.1 * i] for i in range(5)]
+    rows = chosen([4, 20, 48, 30, 0.9, 0, *np.ravel(points)])
+    props = CUCUMBER | {"task": "pose", "end2end": True, "kpt_shape": [5, 3]}
+    (fruit,) = YoloDetector(network(rows, props=props)).detect(PICTURE)
+    assert fruit.keypoints is not None
+    expected = [[7.5 + 8 * i, 7.5, 0.1 * i] for i in range(5)]
+    assert np.allclose(fruit.keypoints, expected, atol=1e-6)
+
+
+def test_foreign_pose_gives_boxes_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    rows = chosen([4, 20, 48, 30, 0.9, 0, *[1.0] * 51])
+    props = {"names": {0: "person"}, "task": "pose", "end2end": True, "kpt_shape": [17, 3]}
+    with caplog.at_level(logging.WARNING, "cucumbervision"):
+        detector = YoloDetector(network(rows, props=props))
+    assert "it gives 17 keypoints" in caplog.text
+    assert detector.detect(PICTURE)[0].keypoints is None
+
+
+@pytest.mark.parametrize(("one_to_one", "count"), [(False, 1), (True, 2)])
+def test_raw_head_is_suppressed_unless_one_to_one(one_to_one: bool, count: int) -> None:
+    output = np.zeros((1, 6, 84), np.float32)
+    output[0, :, 5] = [24, 32, 16, 8, 0.2, 0.9]
+    output[0, :, 6] = [24, 32, 16, 8, 0.1, 0.8]
+    props: dict[str, object] = CUCUMBER | {"task": "detect", "end2end": False}
+    props |= {"one2one": True} if one_to_one else {}
+    found = YoloDetector(network(output, props=props)).detect(PICTURE)
+    assert len(found) == count
+    assert found[0].label == "leaf"
+    assert found[0].box.tolist() == [15.5, 11.5, 31.5, 19.5]
+    assert found[0].detector_mask is None
+
+
+def test_export_without_metadata_still_works() -> None:
+    output = np.zeros((1, 5, 84), np.float32)
+    output[0, :, 0] = [24, 32, 16, 8, 0.9]
+    (fruit,) = YoloDetector(network(output)).detect(PICTURE)
+    assert fruit.label == "0"
+
+
+def test_embedded_suppression_is_read_as_rows() -> None:
+    rows = chosen([8, 20, 40, 30, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": False, "args": {"nms": True}}
+    assert len(YoloDetector(network(rows, props=props)).detect(PICTURE)) == 1
+
+
+def test_free_size_pads_to_the_stride_only() -> None:
+    # 32x64 at imgsz 64 needs no padding, so the box comes back as it is.
+    rows = chosen([8, 20, 40, 30, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": True}
+    graph = network(rows, props=props, shape=(1, 3, "height", "width"))
+    (fruit,) = YoloDetector(graph).detect(PICTURE)
+    assert fruit.box.tolist() == [7.5, 19.5, 39.5, 29.5]
+
+
+def test_box_on_the_grey_border_is_left_out() -> None:
+    rows = chosen([8, 0, 40, 15, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": True}
+    assert YoloDetector(network(rows, props=props)).detect(PICTURE) == ()
+
+
+def test_confidence_is_the_users() -> None:
+    rows = chosen([8, 20, 40, 30, 0.2, 1])
+    graph = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True})
+    assert YoloDetector(graph).detect(PICTURE) == ()
+    assert len(YoloDetector(graph, confidence=0.1).detect(PICTURE)) == 1
+
+
+@pytest.mark.parametrize(
+    ("graph", "fault"),
+    [
+        (network(np.zeros((1, 1000))), "its outputs are output0 1x1000"),
+        (network(np.zeros((1, 6, 5)), props={"task": "obb"}), "its task is 'obb'"),
+        (network(np.zeros((1, 9, 84)), props=CUCUMBER), "the output 9x84 is no detect head"),
+        (network(np.zeros((1, 5, 84)), shape=(4, 3, 64, 64)), "it takes 4 pictures at once"),
+        (network(np.zeros((1, 5, 84)), shape=(1, 1, 64, 64)), "its inputs are images 1x1x64x64"),
+        (network(np.zeros((1, 5, 84)), props={"names": "__import__('os')"}), "its 'names' is"),
+        (network(np.zeros((1, 20, 84)), props={"task": "pose", "kpt_shape": 5}), "'kpt_shape' is"),
+    ],
+)
+def test_other_networks_are_refused(graph: bytes, fault: str) -> None:
+    with pytest.raises(ModelError, match=fault):
+        YoloDetector(graph)
+
+
+def fruit_at(x: float, keypoint: float | None = None, width: float = 10) -> Instance:
+    points = None if keypoint is None else np.full((5, 3), keypoint)
+    return Instance(np.array([x, 0, x + width, 40]), keypoints=points)
+
+
+def test_keypoints_go_to_the_best_one_to_one() -> None:
+    # Pose 7 overlaps both fruits; the sum is largest when each fruit gets its own.
+    fruits = [fruit_at(0), fruit_at(2)]
+    out = with_keypoints(fruits, [fruit_at(1.5, 7), fruit_at(0.5, 9)])
+    assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [9, 7]
+
+
+def test_keypoints_below_the_overlap_are_not_given() -> None:
+    # Shifted by 5 of 10: IoU 1/3.
+    (out,) = with_keypoints([fruit_at(0)], [fruit_at(5, 7)])
+    assert out.keypoints is None
+    assert with_keypoints([], [fruit_at(5, 7)]) == ()
+
+
+def test_hopeless_pairs_push_no_good_one_aside() -> None:
+    # Fruit A overlaps pose 1 by 9.5/10.5 = 0.90 and pose 2 by 4.8/10 = 0.48; fruit B overlaps
+    # pose 1 by 0.48. The two 0.48 sum to more than 0.90, but neither may be given.
+    fruits = [fruit_at(0), fruit_at(0.5, width=4.8)]
+    out = with_keypoints(fruits, [fruit_at(0.5, 1), fruit_at(5.2, 2, width=4.8)])
+    assert out[0].keypoints is not None
+    assert out[0].keypoints[0, 0] == 1
+    assert out[1].keypoints is None

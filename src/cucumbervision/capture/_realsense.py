@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["AlignedFrame", "AlignedStream", "import_realsense", "play_file"]
 
 _STEP_MS = 200
+_TAIL_S = 0.5
 
 
 def import_realsense() -> Any:
@@ -94,10 +96,11 @@ class AlignedStream:
         self._configure = configure
         self._source = source
         self._playback = playback
-        self._timeout_ms = int(1000 * timeout_s)
+        self._timeout_s = timeout_s
         self._pipeline: Any = None
         self._profile: Any = None
         self._align: Any = None
+        self._reached_s = 0.0
         self.intrinsics: Intrinsics
         self.device: dict[str, str] = {}
 
@@ -113,7 +116,7 @@ class AlignedStream:
             profile = pipeline.start(config)
         except RuntimeError as error:
             raise self._fault(error) from None
-        self._pipeline, self._profile = pipeline, profile
+        self._pipeline, self._profile, self._reached_s = pipeline, profile, 0.0
         try:
             self._read_profile(profile)
         except RuntimeError as error:
@@ -150,9 +153,10 @@ class AlignedStream:
         CaptureError
             If a recording breaks off.
         """
-        waited_ms = 0
-        while waited_ms < self._timeout_ms:
+        deadline_s = time.monotonic() + self._timeout_s
+        while time.monotonic() < deadline_s:
             try:
+                self._note_position()
                 arrived, frames = self._pipeline.try_wait_for_frames(_STEP_MS)
                 # The first sets may hold one picture only.
                 if arrived and frames.get_color_frame() and frames.get_depth_frame():
@@ -161,20 +165,38 @@ class AlignedStream:
                     return None
             except RuntimeError as error:
                 raise self._fault(error) from None
-            waited_ms += 0 if arrived else _STEP_MS
+            if arrived and self._playback:
+                # A recording may have a long part of one stream only; it comes to an end.
+                deadline_s = time.monotonic() + self._timeout_s
         if self._playback:
             raise CaptureError("the recording stalls", source=self._source, remedy="copy it again")
         raise CameraError(
-            f"no frame for {self._timeout_ms / 1000:g} s",
+            f"no frame with colour and depth for {self._timeout_s:g} s",
             source=self._source,
             remedy="plug the camera in again, at a USB 3 port",
         )
 
+    def _note_position(self) -> None:
+        if self._playback:
+            # Falls back to 0 once the last frame is in the queue.
+            position_s = self._profile.get_device().as_playback().get_position() / 1e9
+            self._reached_s = max(self._reached_s, position_s)
+
     def _is_over(self) -> bool:
         if not self._playback:
             return False
-        status = self._profile.get_device().as_playback().current_status()
-        return bool(status == self._rs.playback_status.stopped)
+        playback = self._profile.get_device().as_playback()
+        if playback.current_status() != self._rs.playback_status.stopped:
+            return False
+        # The SDK ends playback without a word where it can no longer read the file.
+        length_s = playback.get_duration().total_seconds()
+        if length_s - self._reached_s > _TAIL_S:
+            raise CaptureError(
+                f"no more frames can be read after {self._reached_s:.1f} s of {length_s:.1f} s",
+                source=self._source,
+                remedy="copy the recording again; the captures before are whole",
+            )
+        return True
 
     def _read_profile(self, profile: Any) -> None:
         rs = self._rs

@@ -107,6 +107,6 @@ def _corner(
     ahead = np.where(moved[2] > 0, moved[2], np.nan)
     x, y = distort(moved[0] / ahead, moved[1] / ahead, *color_lens)
     pixels = np.stack([x * kc[0, 0] + kc[0, 2], y * kc[1, 1] + kc[1, 2]]) + 0.5
-    # The pixel that holds the point: its centre is a whole number.
-    px, py = np.nan_to_num(np.floor(pixels), nan=-1.0).astype(np.int64)
+    # The pixel that holds the point, by the cast that the SDK makes: towards zero.
+    px, py = np.nan_to_num(np.trunc(pixels), nan=-9.0).astype(np.int64)
     return px, py

@@ -1,0 +1,171 @@
+"""The embedded network itself on drawn pictures; expected masks are what was drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cucumbervision.errors import ModelError, UnknownModelError
+from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.sam import PROMPTS, Segmenter
+
+Mask = NDArray[np.bool_]
+Picture = NDArray[np.uint8]
+
+
+def drawn(height: int, width: int, *curves: list[tuple[int, int]], thick: int = 30) -> Picture:
+    """Draw green tubes on a textured brown ground."""
+    rng = np.random.default_rng(11)
+    grain = cv2.GaussianBlur(rng.normal(0, 60, (height, width, 3)), (0, 0), 3)
+    picture = np.clip(np.array([120, 85, 55]) + grain, 0, 255)
+    for curve in curves:
+        mask = tube(height, width, curve, thick)
+        depth = np.clip(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) / thick, 0, 1)
+        green = np.array([45, 110, 40]) + 60 * depth[..., None]
+        picture[mask] = green[mask]
+    return picture.astype(np.uint8)
+
+
+def tube(height: int, width: int, curve: list[tuple[int, int]], thick: int = 30) -> Mask:
+    canvas = np.zeros((height, width), np.uint8)
+    cv2.polylines(canvas, [np.array(curve, np.int32)], False, 255, thick)
+    return np.asarray(canvas > 0)
+
+
+def iou(a: Mask | None, b: Mask | None) -> float:
+    assert a is not None
+    assert b is not None
+    return float((a & b).sum() / (a | b).sum())
+
+
+LEFT = [(80, 120), (150, 150), (220, 160), (300, 150)]
+RIGHT = [(480, 100), (500, 200), (490, 300), (460, 380)]
+
+
+@pytest.fixture(scope="module")
+def segmenter() -> Segmenter:
+    return Segmenter("mobile-sam", runtime="onnxruntime", full_precision=True)
+
+
+@pytest.mark.parametrize("size", [(640, 480), (720, 1280)])
+def test_a_drawn_fruit_is_found(segmenter: Segmenter, size: tuple[int, int]) -> None:
+    truth = tube(*size, LEFT)
+    fruit = Instance(box_of_mask(truth), 0.8, "cucumber", detector_mask=truth)
+    (found,) = segmenter.segment(drawn(*size, LEFT), [fruit])
+    assert iou(found.mask, truth) > 0.9
+    assert found.mask is not None
+    assert found.mask.shape == size
+    assert found.mask.dtype == np.bool_
+    assert found.mask_source is MaskSource.SAM
+    assert found.mask_failure == ""
+    assert found.detector_mask is truth
+    assert (found.score, found.label) == (0.8, "cucumber")
+
+
+def test_several_fruit_equal_one_by_one(segmenter: Segmenter) -> None:
+    picture = drawn(480, 640, LEFT, RIGHT)
+    fruit = [Instance(box_of_mask(tube(480, 640, curve))) for curve in (LEFT, RIGHT)]
+    # Five prompts do not go into one call of the decoder.
+    together = segmenter.segment(picture, [fruit[0], fruit[1], fruit[0], fruit[0], fruit[1]])
+    alone = [segmenter.segment(picture, [one])[0] for one in fruit]
+    for i, k in enumerate([0, 1, 0, 0, 1]):
+        assert iou(together[i].mask, alone[k].mask) > 0.9999
+    assert iou(alone[1].mask, tube(480, 640, RIGHT)) > 0.9
+
+
+@pytest.mark.parametrize("prompt", PROMPTS)
+def test_runtimes_agree(prompt: str) -> None:
+    pytest.importorskip("openvino")
+    picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
+    one, two = (
+        Segmenter("mobile-sam", runtime=runtime, prompt=prompt).segment(picture, [fruit])[0]
+        for runtime in ("onnxruntime", "openvino")
+    )
+    assert iou(one.mask, two.mask) > 0.99
+
+
+def test_auto_takes_openvino_where_it_is() -> None:
+    pytest.importorskip("openvino")
+    assert Segmenter("mobile-sam").runtime.startswith("openvino")
+
+
+def test_no_fruit_gives_no_instances(segmenter: Segmenter) -> None:
+    assert segmenter.segment(np.zeros((48, 64, 3), np.uint8), []) == ()
+
+
+def test_colour_order_counts(segmenter: Segmenter) -> None:
+    # Red and green swapped: SAM still sees a tube, but not with the same outline.
+    picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
+    (one,), (two,) = (segmenter.segment(p, [fruit]) for p in (picture, picture[..., ::-1]))
+    assert one.mask is not None
+    assert two.mask is not None
+    assert not np.array_equal(one.mask, two.mask)
+
+
+def test_a_speck_is_too_small(segmenter: Segmenter) -> None:
+    speck = [(200, 200), (206, 202)]
+    fruit = Instance(box_of_mask(tube(480, 640, speck, 5)))
+    (found,) = segmenter.segment(drawn(480, 640, speck, thick=5), [fruit])
+    assert found.mask_failure == "mask-small"
+    assert found.mask is None
+
+
+def test_a_mask_far_beyond_its_box_is_refused() -> None:
+    by_point = Segmenter("mobile-sam", runtime="onnxruntime", prompt="point")
+    middle = Instance(np.array([175.5, 140.5, 195.5, 170.5]), detector_mask=tube(480, 640, LEFT))
+    (found,) = by_point.segment(drawn(480, 640, LEFT), [middle])
+    assert found.mask_failure == "mask-off-box"
+    assert found.mask is None
+    assert found.mask_source is None
+    assert found.detector_mask is middle.detector_mask
+
+
+def test_boxes_with_nothing_of_the_picture_in_them(segmenter: Segmenter) -> None:
+    picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
+    outside = [[700, 10, 800, 60], [-90, -90, -10, -10], [50, 50, 50, 90], [np.nan] * 4]
+    boxes = [Instance(np.array(box, float)) for box in outside]
+    *nothing, found = segmenter.segment(picture, [*boxes, fruit])
+    assert [one.mask_failure for one in nothing] == ["mask-empty"] * 4
+    assert all(one.mask is None for one in nothing)
+    assert iou(found.mask, tube(480, 640, LEFT)) > 0.9
+
+
+def test_a_box_that_reaches_out_of_the_picture(segmenter: Segmenter) -> None:
+    cut = [(-60, 200), (60, 210), (200, 240)]
+    truth = tube(480, 640, cut)
+    box = box_of_mask(truth) - np.array([120.0, 0, 0, 0])
+    (found,) = segmenter.segment(drawn(480, 640, cut), [Instance(box)])
+    assert iou(found.mask, truth) > 0.9
+
+
+def test_an_earlier_mask_and_failure_are_replaced(segmenter: Segmenter) -> None:
+    truth = tube(480, 640, LEFT)
+    old = Instance(
+        box_of_mask(truth),
+        mask=np.zeros((480, 640), bool),
+        mask_source=MaskSource.DATASET,
+        mask_failure="mask-small",
+    )
+    (found,) = segmenter.segment(drawn(480, 640, LEFT), [old])
+    assert iou(found.mask, truth) > 0.9
+    assert (found.mask_source, found.mask_failure) == (MaskSource.SAM, "")
+
+
+def test_files_of_ones_own_are_taken() -> None:
+    files = load_registry().resolve("mobile-sam")
+    own = Segmenter((files["encoder"], files["decoder"]), runtime="onnxruntime")
+    assert own.runtime.startswith("onnxruntime")
+
+
+def test_wrong_names_are_told() -> None:
+    with pytest.raises(ModelError, match=r"no prompt is called 'mask'; choose one of box, box\+po"):
+        Segmenter(prompt="mask")
+    with pytest.raises(UnknownModelError, match="'sam3'; choose one of mobile-sam, sam-vit-b"):
+        Segmenter("sam3")
+    with pytest.raises(ModelError, match="nowhere"):
+        Segmenter((Path("nowhere.onnx"), Path("nowhere.onnx")))

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cucumbervision.perception.sam_picture import (
+    mask_from_logits,
+    points_to_sam,
+    prepare_picture,
+    scaled_size,
+)
+
+
+@pytest.mark.parametrize(
+    ("size", "scaled"),
+    [((720, 1280), (576, 1024)), ((480, 640), (768, 1024)), ((1000, 3), (1024, 3))],
+)
+def test_longer_side_becomes_1024(size: tuple[int, int], scaled: tuple[int, int]) -> None:
+    assert scaled_size(*size) == scaled
+
+
+def test_a_sliver_keeps_a_pixel() -> None:
+    assert scaled_size(1, 5000) == (1, 1024)
+
+
+@pytest.mark.parametrize("size", [(576, 1024), (720, 1280), (300, 400)])
+def test_red_is_first_and_normalised_by_its_own_spread(size: tuple[int, int]) -> None:
+    picture = np.full((*size, 3), (200, 100, 50), np.uint8)
+    height, width = scaled_size(*size)
+    inside = prepare_picture(picture)[0, :, :height, :width]
+    by_hand = [(200 - 123.675) / 58.395, (100 - 116.28) / 57.12, (50 - 103.53) / 57.375]
+    for plane, value in zip(inside, by_hand, strict=True):
+        np.testing.assert_allclose(plane, value, atol=1e-5)
+
+
+def test_padding_is_zero_on_the_right_and_below() -> None:
+    upright = prepare_picture(np.zeros((640, 480, 3), np.uint8))[0]
+    assert not upright[:, :, 768:].any()
+    assert (upright[:, :, :768] < -1).all()
+    flat = prepare_picture(np.zeros((480, 640, 3), np.uint8))[0]
+    assert not flat[:, 768:].any()
+
+
+def test_shrinking_smooths_as_pillow_does() -> None:
+    # To half: a triangle four pixels wide on each, 1/8, 3/8, 3/8, 1/8.
+    picture = np.zeros((2, 2048, 3), np.uint8)
+    picture[:, 1000] = 255
+    row = prepare_picture(picture)[0, 0, 0] * 58.395 + 123.675
+    np.testing.assert_allclose(row[498:502], [0, 32, 96, 0], atol=1e-3)
+
+
+def test_a_view_of_other_order_is_taken_as_it_is() -> None:
+    rng = np.random.default_rng(3)
+    bgr = rng.integers(0, 256, (90, 160, 3), dtype=np.uint8)
+    rgb = np.ascontiguousarray(bgr[..., ::-1])
+    assert np.array_equal(prepare_picture(bgr[..., ::-1]), prepare_picture(rgb))
+    assert not np.array_equal(prepare_picture(bgr), prepare_picture(rgb))
+
+
+def test_edges_land_on_edges() -> None:
+    corners = np.array([[-0.5, -0.5], [479.5, 639.5]])
+    # 640 high becomes 1024, 480 wide becomes 768; the decoder adds half a pixel.
+    assert points_to_sam(corners, 640, 480).tolist() == [[-0.5, -0.5], [767.5, 1023.5]]
+
+
+def two_steps(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
+    """SAM's own way: the whole square to 1024, without the padding, to the picture's size."""
+    rows, columns = scaled_size(height, width)
+    square = cv2.resize(logits, (1024, 1024), interpolation=cv2.INTER_LINEAR)
+    cut = np.ascontiguousarray(square[:rows, :columns])
+    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+@pytest.mark.parametrize("size", [(720, 1280), (480, 640), (640, 480), (101, 37), (1500, 2000)])
+@pytest.mark.parametrize("shift", [0.0, -2.0])
+def test_masks_equal_the_two_steps(size: tuple[int, int], shift: float) -> None:
+    rng = np.random.default_rng(7)
+    blobs = cv2.GaussianBlur(rng.normal(size=(256, 256)), (0, 0), 9).astype(np.float32)
+    logits = np.asarray(blobs / blobs.std() + shift, np.float32)
+    wanted = two_steps(logits, *size)
+    sure = np.abs(wanted) > 1e-3
+    assert sure.mean() > 0.99
+    assert np.array_equal(mask_from_logits(logits, *size)[sure], (wanted > 0)[sure])
+
+
+def test_a_positive_logit_in_the_padding_alone_gives_nothing() -> None:
+    logits = np.full((256, 256), -5, np.float32)
+    logits[250, 100] = 5
+    assert not mask_from_logits(logits, 720, 1280).any()

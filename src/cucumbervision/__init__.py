@@ -1,1 +1,130 @@
-"""Measures greenhouse cucumbers without touching them."""
+"""Measures greenhouse cucumbers without touching them, from RGB-D pictures.
+
+The public names; each is loaded when it is first used.
+
+Examples
+--------
+>>> import cucumbervision as cv
+>>> from cucumbervision.synthesis.demo import bundled_captures
+>>> ref = next(iter(cv.open_source(bundled_captures())))
+>>> capture = ref.load()
+>>> instances = cv.dataset_instances(capture)
+>>> fruit = cv.measure_fruit(capture, instances[0])
+>>> f"{capture.name}: {fruit.selected.length_m:.2f} m by {fruit.selected.method}"
+'simulated-bench: 0.17 m by M5'
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision._version import __version__
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.burst import fuse_burst
+    from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
+    from cucumbervision.capture.frames import Capture, Stop
+    from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream, check_intrinsics
+    from cucumbervision.capture.readers import open_source
+    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
+    from cucumbervision.capture.writer import write_native
+    from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.measurement.methods import Region, run_methods
+    from cucumbervision.measurement.results import (
+        Fruit,
+        Length,
+        LengthKind,
+        Measurement,
+        Method,
+        Reason,
+    )
+    from cucumbervision.measurement.selector import Selector, measure_fruit
+    from cucumbervision.perception.instances import Instance, MaskSource
+    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.yolo import YoloDetector
+    from cucumbervision.session.finders import dataset_instances
+    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.session.overlay import draw_overlay
+    from cucumbervision.session.run import measure_inputs
+
+_HOME = {
+    "CameraConfig": "capture.camera",
+    "Capture": "capture.frames",
+    "CaptureRef": "capture.source",
+    "CaptureSource": "capture.source",
+    "CucumberVisionError": "errors",
+    "Distortion": "capture.intrinsics",
+    "Fruit": "measurement.results",
+    "Instance": "perception.instances",
+    "Intrinsics": "capture.intrinsics",
+    "Length": "measurement.results",
+    "LengthKind": "measurement.results",
+    "MaskSource": "perception.instances",
+    "MeasureOptions": "session.options",
+    "Measurement": "measurement.results",
+    "Method": "measurement.results",
+    "ReadOptions": "capture.source",
+    "RealSenseCamera": "capture.camera",
+    "Reason": "measurement.results",
+    "Region": "measurement.methods",
+    "Segmenter": "perception.sam",
+    "Selector": "measurement.selector",
+    "Stop": "capture.frames",
+    "Stream": "capture.intrinsics",
+    "YoloDetector": "perception.yolo",
+    "check_intrinsics": "capture.intrinsics",
+    "dataset_instances": "session.finders",
+    "draw_overlay": "session.overlay",
+    "fuse_burst": "capture.burst",
+    "measure_fruit": "measurement.selector",
+    "measure_inputs": "session.run",
+    "open_source": "capture.readers",
+    "run_methods": "measurement.methods",
+    "write_native": "capture.writer",
+}
+
+__all__ = [
+    "CameraConfig",
+    "Capture",
+    "CaptureRef",
+    "CaptureSource",
+    "CucumberVisionError",
+    "Distortion",
+    "Fruit",
+    "Instance",
+    "Intrinsics",
+    "Length",
+    "LengthKind",
+    "MaskSource",
+    "MeasureOptions",
+    "Measurement",
+    "Method",
+    "ReadOptions",
+    "RealSenseCamera",
+    "Reason",
+    "Region",
+    "Segmenter",
+    "Selector",
+    "Stop",
+    "Stream",
+    "YoloDetector",
+    "__version__",
+    "check_intrinsics",
+    "dataset_instances",
+    "draw_overlay",
+    "fuse_burst",
+    "measure_fruit",
+    "measure_inputs",
+    "open_source",
+    "run_methods",
+    "write_native",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'cucumbervision' has no attribute {name!r}")
+    return getattr(import_module(f"cucumbervision.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

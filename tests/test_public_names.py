@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import cucumbervision
+
+
+def test_every_public_name_is_there() -> None:
+    for name in cucumbervision.__all__:
+        assert getattr(cucumbervision, name) is not None
+    assert set(cucumbervision._HOME) | {"__version__"} == set(cucumbervision.__all__)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    assert not hasattr(cucumbervision, "length_of_everything")
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, cucumbervision\n"
+        "heavy = {'numpy', 'scipy', 'cv2', 'onnxruntime', 'openvino', 'torch', 'pydantic'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.session.options import MeasureOptions
-    from cucumbervision.session.run import RunResult
+    from cucumbervision.session.results import RunResult
 
 __all__ = ["results_table", "run_and_show"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from cucumbervision.errors import InstancesError, ModelError
+from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
 
 if TYPE_CHECKING:
@@ -15,14 +15,35 @@ if TYPE_CHECKING:
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.session.options import MeasureOptions
 
-__all__ = ["Finder", "dataset_instances", "make_finder"]
+__all__ = ["Finder", "Found", "dataset_instances", "make_finder"]
 
-Find: TypeAlias = Callable[["Capture"], tuple[Instance, ...]]
 _NO_DETECTOR = ModelError(
     "this version comes without a cucumber detector",
     source="--instances models",
     remedy="name a YOLO ONNX export, COCO JSON or YOLO txt boxes with --instances FILE",
 )
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The fruit of one capture.
+
+    Parameters
+    ----------
+    instances : tuple of Instance
+        Each with the mask to measure, where one could be had.
+    clipped : frozenset of int
+        Which of them reached beyond the picture and were cut to it.
+    refused : tuple of CucumberVisionError
+        What a file gave that is no fruit in this picture.
+    """
+
+    instances: tuple[Instance, ...]
+    clipped: frozenset[int] = frozenset()
+    refused: tuple[CucumberVisionError, ...] = ()
+
+
+Find: TypeAlias = Callable[["Capture"], Found]
 
 
 @dataclass(frozen=True)
@@ -32,7 +53,7 @@ class Finder:
     Parameters
     ----------
     find : callable
-        Gives a capture's instances, each with the mask to measure.
+        Gives the fruit of a capture.
     models : list of dict
         Name, SHA-256 and runtime of each network, for the provenance.
     """
@@ -65,17 +86,17 @@ def make_finder(options: MeasureOptions) -> Finder:
     boxes = _box_finder(options, models)
     segmenter = _LazySegmenter(options, models)
 
-    def find(capture: Capture) -> tuple[Instance, ...]:
-        instances = boxes(capture)
+    def find(capture: Capture) -> Found:
+        found = boxes(capture)
         name = options.segmenter or "mobile-sam"
         # Masks that were given are used as they are unless a segmenter was asked for.
-        drawn = [k for k, i in enumerate(instances) if options.segmenter or i.mask is None]
+        drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
-            return instances
-        prompts = [replace(instances[k], mask=None, mask_source=None) for k in drawn]
-        masked = segmenter.get(name).segment(capture.color, prompts)
-        found = dict(zip(drawn, masked, strict=True))
-        return tuple(found.get(k, instance) for k, instance in enumerate(instances))
+            return found
+        prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
+        masked = dict(zip(drawn, segmenter.get(name).segment(capture.color, prompts), strict=True))
+        instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
+        return replace(found, instances=instances)
 
     return Finder(find, models)
 
@@ -124,25 +145,37 @@ def _box_finder(options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
         )
     if path.suffix.lower() == ".onnx":
         return _network_finder(path, options, models)
+    return _file_finder(path)
+
+
+def _file_finder(path: Path) -> Find:
     from cucumbervision.perception.instance_files import read_instances
 
-    return read_instances(path).for_capture
+    file = read_instances(path)
+
+    def find(capture: Capture) -> Found:
+        names = (capture.name, capture.source)
+        given = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
+        cut = frozenset(k for k, clipped in enumerate(given.clipped) if clipped)
+        return Found(given.instances, cut, given.refused)
+
+    return find
 
 
-def _dataset_or_error(capture: Capture) -> tuple[Instance, ...]:
+def _dataset_or_error(capture: Capture) -> Found:
     if not capture.masks:
         raise InstancesError(
             "the data set has no masks for this capture",
             source=capture.source or capture.name,
             remedy="put them into mask_visib/, or choose other --instances",
         )
-    return dataset_instances(capture)
+    return Found(dataset_instances(capture))
 
 
-def _dataset_or_models(capture: Capture) -> tuple[Instance, ...]:
+def _dataset_or_models(capture: Capture) -> Found:
     if not capture.masks:
         raise _NO_DETECTOR
-    return dataset_instances(capture)
+    return Found(dataset_instances(capture))
 
 
 def _network_finder(path: Path, options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
@@ -158,9 +191,11 @@ def _network_finder(path: Path, options: MeasureOptions, models: list[dict[str, 
     detector = load(path)
     pose = load(options.pose) if options.pose else None
 
-    def find(capture: Capture) -> tuple[Instance, ...]:
+    def find(capture: Capture) -> Found:
         found = detector.detect(capture.color)
-        return with_keypoints(found, pose.detect(capture.color)) if pose and found else found
+        if pose is not None and found:
+            found = with_keypoints(found, pose.detect(capture.color))
+        return Found(found)
 
     return find
 

@@ -2,74 +2,39 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-
-from cucumbervision._version import __version__
-from cucumbervision.about import LICENCE, installed_versions, source_offer
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import unique_names
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.session.exports import FAILURE_COLUMNS, CsvSink, write_json, write_workbook
+from cucumbervision.session.exports import FAILURE_COLUMNS, CsvSink
 from cucumbervision.session.finders import Finder, make_finder
+from cucumbervision.session.report import capture_json, write_reports
+from cucumbervision.session.results import Failure, RunResult
 from cucumbervision.session.rows import COLUMNS, fruit_row
-from cucumbervision.session.summary import summary_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureRef, CaptureSource
-    from cucumbervision.measurement.results import Fruit, Measurement
+    from cucumbervision.measurement.results import Fruit
     from cucumbervision.session.options import MeasureOptions
-    from cucumbervision.session.rows import Cell
 
-__all__ = ["Failure", "RunResult", "count_captures", "measure_capture", "measure_inputs"]
+__all__ = ["count_captures", "measure_capture", "measure_inputs"]
 
-Report: TypeAlias = Callable[["Capture | None", "Sequence[Fruit]", "Failure | None"], None]
-
-
-@dataclass(frozen=True)
-class Failure:
-    """An input or a capture that could not be read, in one line."""
-
-    input: str
-    capture: str
-    error: str
-    message: str
+Report: TypeAlias = Callable[["Capture | None", "Sequence[Fruit]", "Sequence[Failure]"], None]
 
 
-@dataclass(frozen=True, eq=False)
-class RunResult:
-    """What one run gave.
-
-    Parameters
-    ----------
-    rows : list of dict
-        One a fruit, as `session.rows.fruit_row` fills them.
-    failures : list of Failure
-        What could not be read; the rest was measured.
-    captures : int
-        How many captures were measured, those without fruit included.
-    out : Path
-        Where the files are.
-    """
-
-    rows: list[dict[str, Cell]] = field(default_factory=list)
-    failures: list[Failure] = field(default_factory=list)
-    captures: int = 0
-    out: Path = Path()
-
-
-def measure_capture(capture: Capture, finder: Finder, options: MeasureOptions) -> tuple[Fruit, ...]:
+def measure_capture(
+    capture: Capture, finder: Finder, options: MeasureOptions
+) -> tuple[tuple[Fruit, ...], tuple[CucumberVisionError, ...]]:
     """Find and measure the fruit of one capture.
 
     Parameters
@@ -83,13 +48,18 @@ def measure_capture(capture: Capture, finder: Finder, options: MeasureOptions) -
 
     Returns
     -------
-    tuple of Fruit
+    fruit : tuple of Fruit
         One for every detection.
+    refused : tuple of CucumberVisionError
+        What a file of instances gave that is no fruit in this picture.
     """
-    return tuple(
-        measure_fruit(capture, instance, options.methods, options.selector)
-        for instance in finder.find(capture)
-    )
+    found = finder.find(capture)
+    fruit = []
+    for index, instance in enumerate(found.instances):
+        one = measure_fruit(capture, instance, options.methods, options.selector)
+        cut = ("box-clipped",) if index in found.clipped else ()
+        fruit.append(replace(one, flags=(*one.flags, *cut)))
+    return tuple(fruit), found.refused
 
 
 def measure_inputs(
@@ -110,8 +80,8 @@ def measure_inputs(
     options : MeasureOptions
         The run's choices.
     report : callable, optional
-        Called after each capture with the capture (or None), its fruit, and the failure (or
-        None); for progress bars.
+        Called after each capture with the capture (None if it could not be read), its fruit and
+        the failures; for progress bars.
 
     Returns
     -------
@@ -123,43 +93,51 @@ def measure_inputs(
         If the run cannot start at all: `out` cannot be written, or a network cannot be loaded.
     """
     finder = make_finder(options)
+    started = datetime.now(UTC)
     result = RunResult(out=out)
     captures = []
+    with ExitStack() as stack:
+        rows, failures = _open_tables(out, stack)
+        for read, broken in _read_all(inputs, options):
+            capture, fruit, noted = _measure_or_note(read, broken, finder, options)
+            if capture is not None:
+                lines = [fruit_row(capture, n, f, options.length) for n, f in enumerate(fruit, 1)]
+                for line in lines:
+                    rows.write(line)
+                _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit)
+                captures.append(capture_json(capture, fruit, lines))
+                result.rows.extend(lines)
+            for failure in noted:
+                failures.write(vars(failure))
+            result.failures.extend(noted)
+            if report is not None:
+                report(capture, fruit, noted)
+    result = replace(result, captures=len(captures))
+    write_reports(result, captures, finder, options, started)
+    return result
+
+
+def _open_tables(out: Path, stack: ExitStack) -> tuple[CsvSink, CsvSink]:
     try:
         (out / "overlays").mkdir(parents=True, exist_ok=True)
-        stack = ExitStack()
         rows = stack.enter_context(CsvSink(out / "measurements.csv", [c.name for c in COLUMNS]))
-        bad = stack.enter_context(CsvSink(out / "failures.csv", FAILURE_COLUMNS))
+        return rows, stack.enter_context(CsvSink(out / "failures.csv", FAILURE_COLUMNS))
     except OSError as error:
         raise CucumberVisionError(
             f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
         ) from error
-    started = datetime.now(UTC)
-    with stack:
-        for capture, failure in _read_all(inputs, options):
-            fruit: tuple[Fruit, ...] = ()
-            if capture is not None:
-                try:
-                    fruit = measure_capture(capture, finder, options)
-                except CucumberVisionError as error:
-                    failure = _failure(capture.source, capture.name, error)
-            if failure is None and capture is not None:
-                lines = [
-                    fruit_row(capture, n, one, options.length) for n, one in enumerate(fruit, 1)
-                ]
-                for line in lines:
-                    rows.write(line)
-                _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit)
-                captures.append(_capture_json(capture, fruit, lines))
-                result.rows.extend(lines)
-            elif failure is not None:
-                bad.write(vars(failure))
-                result.failures.append(failure)
-            if report is not None:
-                report(capture, fruit, failure)
-    done = RunResult(result.rows, result.failures, len(captures), out)
-    _write_reports(done, captures, finder, options, started)
-    return done
+
+
+def _measure_or_note(
+    capture: Capture | None, failure: Failure | None, finder: Finder, options: MeasureOptions
+) -> tuple[Capture | None, tuple[Fruit, ...], list[Failure]]:
+    if capture is None:
+        return None, (), [failure] if failure else []
+    try:
+        fruit, refused = measure_capture(capture, finder, options)
+    except CucumberVisionError as error:
+        return None, (), [_failure(capture.source, capture.name, error)]
+    return capture, fruit, [_failure(capture.source, capture.name, error) for error in refused]
 
 
 def count_captures(inputs: Sequence[Path], options: MeasureOptions) -> int | None:
@@ -223,66 +201,3 @@ def _write_overlay(path: Path, capture: Capture, fruit: Sequence[Fruit]) -> None
     ok, data = cv2.imencode(".png", draw_overlay(capture, fruit)[..., ::-1])
     if ok:
         path.write_bytes(data.tobytes())
-
-
-def _capture_json(
-    capture: Capture, fruit: Sequence[Fruit], rows: Sequence[dict[str, Cell]]
-) -> dict[str, Any]:
-    camera = capture.intrinsics
-    return {
-        "name": capture.name,
-        "frame": capture.frame,
-        "source": capture.source,
-        "simulated": capture.simulated,
-        "intrinsics": {
-            "stream": str(camera.stream),
-            "width": camera.width,
-            "height": camera.height,
-            "fx_px": camera.fx_px,
-            "fy_px": camera.fy_px,
-            "cx_px": camera.cx_px,
-            "cy_px": camera.cy_px,
-            "distortion": str(camera.distortion),
-            "coefficients": list(camera.coefficients),
-        },
-        "provenance": dict(capture.provenance),
-        "fill": round(capture.fill, 4),
-        "fruit": [
-            {**row, "methods": {str(m): _method_json(x) for m, x in one.measurements.items()}}
-            for row, one in zip(rows, fruit, strict=True)
-        ],
-    }
-
-
-def _method_json(measurement: Measurement) -> dict[str, Any]:
-    path = measurement.path_m
-    return {
-        "length_m": measurement.length_m,
-        "kind": measurement.kind and str(measurement.kind),
-        "reason": str(measurement.reason),
-        "fallback": list(measurement.fallback),
-        "tips_m": None if path is None else np.round(path[[0, -1]], 5).tolist(),
-    }
-
-
-def _write_reports(
-    result: RunResult,
-    captures: list[dict[str, Any]],
-    finder: Finder,
-    options: MeasureOptions,
-    started: datetime,
-) -> None:
-    provenance = {
-        "software": f"cucumbervision {__version__}",
-        "licence": LICENCE,
-        "source": source_offer(),
-        "started": started.isoformat(timespec="seconds"),
-        "config": options.as_json(),
-        "config_sha256": options.sha256,
-        "models": finder.models,
-        "versions": {"python": platform.python_version(), **installed_versions()},
-    }
-    failures = [vars(failure) for failure in result.failures]
-    report = {**provenance, "captures": captures, "failures": failures}
-    write_json(result.out / "measurements.json", report)
-    write_workbook(result.out / "measurements.xlsx", result.rows, summary_lines(result, provenance))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cucumbervision.session.run import RunResult
+    from cucumbervision.session.results import RunResult
 
 __all__ = ["summary_lines"]
 

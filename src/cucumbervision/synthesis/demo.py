@@ -192,7 +192,7 @@ def _write_scene(folder: Path, scene: Scene, step: int) -> Path:
         CAMERA,
         name=scene.name,
         masks=masks,
-        stop=Stop(row="demo", side="left", position_m=0.4 * step, step=step),
+        stop=Stop(row="demo", side="left", position_m=round(0.4 * step, 2), step=step),
         simulated=True,
         provenance={"drawn_by": "cucumbervision.synthesis.demo", "seed": scene.seed},
     )

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.synthesis.demo import bundled_captures
+
+
+def run(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    """Run the real command in a process of its own."""
+    code = "from cucumbervision.cli.app import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+
+
+def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
+    done = run("measure", str(bundled_captures()), "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "8 of 8 fruit measured in 3 captures; simulated captures are among them" in done.stdout
+    assert "surface-arc" in done.stdout
+    names = {p.name for p in tmp_path.iterdir()}
+    assert names == {
+        "measurements.csv",
+        "measurements.xlsx",
+        "measurements.json",
+        "failures.csv",
+        "overlays",
+    }
+
+
+def test_some_input_unread_is_exit_code_1(tmp_path: Path) -> None:
+    done = run("measure", "nowhere", str(bundled_captures()), "--out", str(tmp_path))
+    assert done.returncode == 1
+    assert "8 of 8 fruit measured" in done.stdout
+    assert "nowhere: does not exist" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--instances", "models"), "comes without a cucumber detector"),
+        (("--methods", "m7"), "no method is called M7"),
+        (("--confidence", "1.5"), "less than or equal to 1"),
+        (("--selector", "worst"), "Invalid value"),
+    ],
+)
+def test_what_cannot_start_is_exit_code_2_in_plain_words(
+    tmp_path: Path, arguments: tuple[str, ...], text: str
+) -> None:
+    done = run("measure", str(bundled_captures()), "--out", str(tmp_path), *arguments)
+    assert done.returncode == 2
+    assert text in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_json_mode_prints_rows_and_nothing_else(tmp_path: Path) -> None:
+    done = run("measure", str(bundled_captures()), "--out", str(tmp_path), "--json")
+    rows = json.loads(done.stdout)
+    assert len(rows) == 8
+    assert rows[0]["length_cm"] > 0
+
+
+def test_quiet_mode_prints_nothing(tmp_path: Path) -> None:
+    done = run("measure", str(bundled_captures()), "--out", str(tmp_path), "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_paper_selector_and_chosen_methods(tmp_path: Path) -> None:
+    out = str(tmp_path)
+    arguments = ("--selector", "paper", "--methods", "m1,m3", "--json")
+    rows = json.loads(run("measure", str(bundled_captures()), "--out", out, *arguments).stdout)
+    assert {row["method"] for row in rows} == {"M3"}
+    assert all(row["m5_cm"] is None and row["m1_cm"] for row in rows)
+
+
+def test_demo_measures_the_bundled_captures_with_mobile_sam(tmp_path: Path) -> None:
+    done = run("demo", "--out", str(tmp_path / "demo"))
+    assert done.returncode == 0, done.stderr
+    assert "8 of 8 fruit measured in 3 captures" in done.stdout
+    report = json.loads((tmp_path / "demo" / "measurements.json").read_text())
+    assert report["models"][0]["name"] == "mobile-sam"
+
+
+def test_help_is_quick_and_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\n"
+        "sys.argv = ['cucumbervision', '--help']\n"
+        "from cucumbervision.cli.app import app\n"
+        "try:\n"
+        "    app()\n"
+        "except SystemExit:\n"
+        "    pass\n"
+        "heavy = {'numpy', 'scipy', 'cv2', 'onnxruntime', 'openvino', 'torch', 'pydantic'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        times.append(time.perf_counter() - start)
+        assert done.stdout.strip().endswith("[]")
+    assert min(times) < 0.5
+
+
+def test_version() -> None:
+    assert run("--version").stdout.startswith("cucumbervision 0.")

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.session.overlay import COLORS, draw_overlay, project_points
+
+
+@pytest.fixture
+def capture(camera: Intrinsics) -> Capture:
+    depth = np.full((720, 1280), 0.455, np.float32)
+    return Capture(np.full((720, 1280, 3), 90, np.uint8), depth, camera, "plate")
+
+
+@pytest.fixture
+def instance() -> Instance:
+    mask = np.zeros((720, 1280), bool)
+    mask[340:380, 440:840] = True
+    return Instance(np.array([439.5, 339.5, 839.5, 379.5]), mask=mask, mask_source=MaskSource.SAM)
+
+
+def test_drawing_leaves_the_capture_as_it_is(capture: Capture, instance: Instance) -> None:
+    before = capture.color.copy()
+    picture = draw_overlay(capture, [measure_fruit(capture, instance)])
+    assert (capture.color == before).all()
+    assert picture.shape == before.shape
+
+
+def test_the_mask_is_tinted_and_the_rest_is_not(capture: Capture, instance: Instance) -> None:
+    picture = draw_overlay(capture, [measure_fruit(capture, instance)])
+    by_hand = [int(0.7 * 90 + 0.3 * c) for c in COLORS[0]]
+    assert picture[345, 500].tolist() == by_hand
+    assert picture[200, 1200].tolist() == [90, 90, 90]
+
+
+def test_the_measured_line_runs_along_the_middle(capture: Capture, instance: Instance) -> None:
+    picture = draw_overlay(capture, [measure_fruit(capture, instance)])
+    assert picture[360, 640].tolist() == [255, 255, 255]
+
+
+def test_the_scale_bar_is_ten_centimetres_long(capture: Capture, instance: Instance) -> None:
+    picture = draw_overlay(capture, [measure_fruit(capture, instance)])
+    row = (picture[700] == 255).all(axis=1)
+    # 0.10 m at 0.455 m and f = 910 px: 200 px, and the line's own round ends.
+    assert row.sum() == pytest.approx(200, abs=8)
+
+
+def test_a_fruit_that_was_not_measured_is_shown_by_its_box(capture: Capture) -> None:
+    empty = replace(capture, depth_m=np.zeros((720, 1280), np.float32))
+    fruit = measure_fruit(empty, Instance(np.array([99.5, 99.5, 299.5, 199.5])))
+    picture = draw_overlay(empty, [fruit])
+    assert tuple(picture[150, 100]) == COLORS[0] or tuple(picture[150, 99]) == COLORS[0]
+
+
+def test_simulated_captures_say_so(capture: Capture) -> None:
+    plain = draw_overlay(capture, [])
+    drawn = draw_overlay(replace(capture, simulated=True), [])
+    assert (plain[:60] == 90).all()
+    assert (drawn[:60, :300] != 90).any()
+
+
+def test_projection_undoes_deprojection() -> None:
+    camera = Intrinsics(
+        1280, 720, 910.0, 905.0, 640.0, 350.0,
+        distortion=Distortion.BROWN_CONRADY, coefficients=(0.1, -0.05, 0.001, 0.002, 0.0),
+    )  # fmt: skip
+    u, v = np.array([100.0, 640.0, 1200.0]), np.array([80.0, 350.0, 700.0])
+    x, y = camera.rays(u, v)
+    z = np.array([0.4, 0.5, 0.6])
+    pixels = project_points(np.stack([x * z, y * z, z], axis=1), camera)
+    assert pixels == pytest.approx(np.stack([u, v], axis=1), abs=1e-3)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -131,16 +132,19 @@ def export_model(
         if head == "one-to-one":
             detect.postprocess = _corners_to_centres
         try:
-            written = model.export(
-                format="onnx",
-                imgsz=size_px,
-                dynamic=dynamic,
-                opset=_OPSET,
-                simplify=False,
-                nms=None if head == "one-to-many" else False,
-                device="cpu",
-                verbose=False,
-            )
+            with warnings.catch_warnings():
+                # The tracer warns of itself and of branches on shapes.
+                warnings.simplefilter("ignore")
+                written = model.export(
+                    format="onnx",
+                    imgsz=size_px,
+                    dynamic=dynamic,
+                    opset=_OPSET,
+                    simplify=False,
+                    nms=None if head == "one-to-many" else False,
+                    device="cpu",
+                    verbose=False,
+                )
         finally:
             detect.__dict__.pop("postprocess", None)
         out.parent.mkdir(parents=True, exist_ok=True)

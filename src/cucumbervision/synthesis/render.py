@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.synthesis.raycast import cast_tube, ray_grid
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -73,49 +75,23 @@ def render(
     0.48
     """
     height, width = camera.height, camera.width
-    v, u = np.mgrid[0:height, 0:width]
-    x, y = camera.rays(u, v)
     nearest = np.full((height, width), np.inf)
     fruit = np.full((height, width), -1, np.int32)
     ball = np.zeros((height, width), np.int32)
     for index, tube in enumerate(tubes):
-        _draw(tube, index, camera, (x, y), (nearest, fruit, ball))
+        hit = cast_tube(tube, camera)
+        if hit is not None:
+            closer = hit.depth_m < nearest[hit.window]
+            nearest[hit.window][closer] = hit.depth_m[closer]
+            fruit[hit.window][closer] = index
+            ball[hit.window][closer] = hit.part[closer]
     backdrop = np.broadcast_to(np.asarray(backdrop_m, dtype=float), (height, width))
     hidden = (backdrop > 0) & (backdrop < nearest)
     fruit[hidden] = -1
     depth = np.where(fruit >= 0, nearest, backdrop)
-    share, normal = _surface(tubes, fruit, ball, depth, (x, y))
+    grid = ray_grid(camera)
+    share, normal = _surface(tubes, fruit, ball, depth, (grid.x, grid.y))
     return Rendering(depth, fruit, share, normal)
-
-
-def _draw(
-    tube: Tube,
-    index: int,
-    camera: Intrinsics,
-    rays: tuple[NDArray[np.float64], NDArray[np.float64]],
-    buffers: tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]],
-) -> None:
-    nearest, fruit, ball = buffers
-    x, y = rays
-    # Rays grow monotonically with the pixel, so a ball's window is found in ray space once.
-    x_line, y_line = x[camera.height // 2], y[:, camera.width // 2]
-    for k, ((cx, cy, cz), r) in enumerate(zip(tube.centres_m, tube.radii_m, strict=True)):
-        if cz <= r:
-            raise ValueError("a fruit reaches behind the camera")
-        reach = 1.1 * r / (cz - r) + 0.005
-        left, right = np.searchsorted(x_line, [cx / cz - reach, cx / cz + reach])
-        top, bottom = np.searchsorted(y_line, [cy / cz - reach, cy / cz + reach])
-        window = np.s_[top:bottom, left:right]
-        xs, ys = x[window], y[window]
-        a = xs * xs + ys * ys + 1
-        b = xs * cx + ys * cy + cz
-        disc = b * b - a * (cx * cx + cy * cy + cz * cz - r * r)
-        hit = disc > 0
-        z = np.where(hit, (b - np.sqrt(np.maximum(disc, 0))) / a, np.inf)
-        closer = z < nearest[window]
-        nearest[window][closer] = z[closer]
-        fruit[window][closer] = index
-        ball[window][closer] = k
 
 
 def _surface(

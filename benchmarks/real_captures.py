@@ -1,0 +1,114 @@
+"""Measure the real RealSense frames that developers keep outside the repository.
+
+    python benchmarks/real_captures.py DATA_FOLDER
+
+Each method's mean and spread over ten frames of one rigid carrot, which has one length; M3 and the
+others against the known lengths of the YCB objects; each once with the data set's masks and once
+with MobileSAM's, prompted by the masks' boxes. Then the guard, given depth-stream intrinsics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.session.options import MeasureOptions
+from cucumbervision.session.run import measure_inputs
+
+CARROT, YCB = "rgbd/carrot_realsense_1280", "rgbd/ycb_realsense_640"
+MASKS = {"data set": None, "MobileSAM, box + point": "box+point", "MobileSAM, box": "box"}
+
+
+def rows_of(folder: Path, prompt: str | None) -> list[dict[str, Any]]:
+    """Measure a folder with the data set's masks, or with SAM's for a prompt."""
+    options = MeasureOptions(instances="dataset", full_precision=True)
+    if prompt is not None:
+        options = MeasureOptions(
+            instances="dataset", segmenter="mobile-sam", prompt=prompt, full_precision=True
+        )
+    with tempfile.TemporaryDirectory() as out:
+        return measure_inputs([folder], Path(out), options).rows
+
+
+def carrot_table(folder: Path) -> Table:
+    """Give mean and spread (sd / mean) of each method over the frames."""
+    table = Table(title="Carrot, one rigid object in ten frames: mean cm (sd/mean %) [frames]")
+    table.add_column("masks")
+    for method in AVAILABLE:
+        table.add_column(str(method), justify="right")
+    for name, prompt in MASKS.items():
+        rows = rows_of(folder, prompt)
+        cells = []
+        for method in AVAILABLE:
+            read = [r[f"{method.lower()}_cm"] for r in rows]
+            lengths = np.array([x for x in read if x is not None])
+            if len(lengths) < 2:
+                cells.append("–")
+                continue
+            spread = 100 * lengths.std(ddof=1) / lengths.mean()
+            cells.append(f"{lengths.mean():.2f} ({spread:.2f}) [{len(lengths)}]")
+        table.add_row(name, *cells)
+    return table
+
+
+def ycb_table(folder: Path) -> Table:
+    """Give the signed error of each method against the objects' known lengths."""
+    truth = json.loads((folder / "lengths.json").read_text())
+    table = Table(title="YCB objects: error against the mesh's length, % (– unknown)")
+    for head in ("masks", "object", "length cm", *(str(m) for m in AVAILABLE)):
+        table.add_column(head, justify="right")
+    for name, prompt in MASKS.items():
+        for row in rows_of(folder, prompt):
+            known = truth[str(row["frame"])]["length_m"]
+            cells = [
+                name,
+                truth[str(row["frame"])]["object"],
+                f"{100 * known:.2f}" if known else "–",
+            ]
+            for method in AVAILABLE:
+                read = row[f"{method.lower()}_cm"]
+                if read is None:
+                    cells.append("not measured")
+                else:
+                    cells.append(
+                        f"{100 * (read / 100 / known - 1):+.1f}" if known else f"{read:.1f} cm"
+                    )
+            table.add_row(*cells)
+    return table
+
+
+def guard_line(folder: Path) -> str:
+    """Tell what the guard says of depth-stream intrinsics with f = 640 px."""
+    camera = {"stream": "depth", "width": 1280, "height": 720, "fx": 640.0, "fy": 640.0}
+    with tempfile.TemporaryDirectory() as out:
+        file = Path(out) / "depth-stream.json"
+        file.write_text(json.dumps({**camera, "cx": 640.0, "cy": 360.0}))
+        options = MeasureOptions(reading=ReadOptions(intrinsics=file))
+        result = measure_inputs([folder], Path(out), options)
+    return (
+        f"{len(result.rows)} measured, {len(result.failures)} refused: {result.failures[0].message}"
+    )
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder that holds rgbd/")
+    data = parser.parse_args().data
+    console = Console(width=150, highlight=False)
+    console.print(carrot_table(data / CARROT))
+    console.print(ycb_table(data / YCB))
+    console.print(guard_line(data / CARROT), soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()

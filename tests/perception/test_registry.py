@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
+from cucumbervision.perception.registry import (
+    Registry,
+    file_sha256,
+    load_registry,
+    models_folder,
+)
+from cucumbervision.perception.runtime import open_network
+
+# SHA-256 of b"abc", from FIPS 180-2, appendix B.1.
+ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+ENTRIES = f"""
+[[models]]
+name = "inside"
+task = "segment"
+licence = "AGPL-3.0-only"
+title = "Found in the package"
+origin = "this project"
+embedded = true
+card = "docs/cards/inside.md"
+files = [{{ role = "network", file = "inside.onnx", sha256 = "{ABC}", size_bytes = 3 }}]
+
+[[models]]
+name = "outside"
+task = "prompted-mask"
+licence = "Apache-2.0"
+title = "Fetched"
+origin = "somebody"
+architecture = "sam_vit_b"
+files = [{{ role = "encoder", file = "e.onnx" }}, {{ role = "decoder", file = "d.onnx" }}]
+source = {{ file = "o.pth", sha256 = "{ABC}", size_bytes = 7000000, url = "https://example.org/o" }}
+"""
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "weights" / "inside.onnx").write_bytes(b"abc")
+    (tmp_path / "models.toml").write_text(ENTRIES)
+    return load_registry(tmp_path / "models.toml", user=tmp_path / "user")
+
+
+def installed(registry: Registry, tmp_path: Path) -> dict[str, Path]:
+    made = (tmp_path / "e.onnx", tmp_path / "d.onnx")
+    for path in made:
+        path.write_bytes(path.name.encode())
+    return registry.install("outside", made)
+
+
+def test_the_packages_own_registry_is_sound() -> None:
+    registry = load_registry()
+    assert [m.name for m in registry.models] == ["mobile-sam", "sam-vit-b"]
+    for model in registry.models:
+        assert model.licence
+        assert model.title
+        assert model.origin
+        assert model.source is not None
+        assert re.fullmatch("[0-9a-f]{64}", model.source.sha256)
+        assert model.source.url.startswith("https://")
+        if model.embedded:
+            sizes = {f.file: f.size_bytes for f in model.files}
+            paths = registry.resolve(model.name).values()
+            assert {p.name: p.stat().st_size for p in paths} == sizes
+
+
+def test_embedded_weights_come_with_licence_and_provenance() -> None:
+    registry = load_registry()
+    notice = (registry.embedded / "NOTICE.md").read_text()
+    source = registry.get("mobile-sam").source
+    assert source is not None
+    assert source.sha256 in notice
+    assert "Apache License" in (registry.embedded / "LICENSE-APACHE-2.0.txt").read_text()
+    for path in registry.resolve("mobile-sam").values():
+        metadata = open_network(path, "onnxruntime").metadata
+        assert metadata["source_sha256"] == source.sha256
+        assert metadata["licence"] == "Apache-2.0"
+
+
+def test_embedded_files_are_resolved_by_role(registry: Registry, tmp_path: Path) -> None:
+    assert registry.resolve("inside") == {"network": tmp_path / "weights" / "inside.onnx"}
+    assert registry.state("inside") == "embedded"
+    assert registry.size_bytes("inside") == 3
+
+
+def test_unknown_name_lists_the_known(registry: Registry) -> None:
+    with pytest.raises(UnknownModelError, match="'sam'; choose one of inside, outside"):
+        registry.resolve("sam")
+
+
+def test_a_changed_byte_is_found(registry: Registry, tmp_path: Path) -> None:
+    path = tmp_path / "weights" / "inside.onnx"
+    path.write_bytes(b"abd")
+    assert [c.state for c in registry.verify("inside")] == ["damaged"]
+    with pytest.raises(ModelHashError, match=r"inside\.onnx: .*; install cucumbervision again"):
+        registry.resolve("inside")
+
+
+def test_a_missing_file_is_told(registry: Registry, tmp_path: Path) -> None:
+    (tmp_path / "weights" / "inside.onnx").unlink()
+    with pytest.raises(ModelError, match=r"inside\.onnx: the file is missing"):
+        registry.resolve("inside")
+
+
+def test_not_pulled_yet(registry: Registry) -> None:
+    assert registry.state("outside") == "not pulled"
+    assert registry.size_bytes("outside") == 7_000_000
+    with pytest.raises(ModelError, match="run: cucumbervision models pull outside"):
+        registry.resolve("outside")
+
+
+def test_installed_files_are_resolved_and_verified(registry: Registry, tmp_path: Path) -> None:
+    files = installed(registry, tmp_path)
+    folder = tmp_path / "user" / "outside"
+    assert files == {"encoder": folder / "e.onnx", "decoder": folder / "d.onnx"}
+    assert registry.resolve("outside") == files
+    assert registry.state("outside") == "pulled"
+    assert registry.size_bytes("outside") == len("e.onnx") + len("d.onnx")
+    assert [c.state for c in registry.verify_all()] == ["ok", "ok", "ok"]
+    files["decoder"].write_bytes(b"else")
+    assert [c.state for c in registry.verify("outside")] == ["ok", "damaged"]
+    with pytest.raises(ModelHashError, match=r"d\.onnx: .*models pull outside"):
+        registry.resolve("outside")
+
+
+def test_files_from_another_checkpoint_are_refused(registry: Registry, tmp_path: Path) -> None:
+    installed(registry, tmp_path)
+    manifest = tmp_path / "user" / "outside" / "manifest.json"
+    content = json.loads(manifest.read_text())
+    assert content["source_sha256"] == ABC
+    manifest.write_text(json.dumps({**content, "source_sha256": "0" * 64}))
+    with pytest.raises(ModelHashError, match="another checkpoint"):
+        registry.resolve("outside")
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"files": [], "source_sha256": ""}'])
+def test_a_broken_manifest_is_told(registry: Registry, tmp_path: Path, content: str) -> None:
+    installed(registry, tmp_path)
+    (tmp_path / "user" / "outside" / "manifest.json").write_text(content)
+    with pytest.raises(ModelError, match=r"manifest\.json: .*; run: cucumbervision models pull"):
+        registry.resolve("outside")
+
+
+@pytest.mark.parametrize("content", ["models = 3", "[[models]]\nname = 'x'", "[["])
+def test_a_broken_registry_is_told(tmp_path: Path, content: str) -> None:
+    (tmp_path / "models.toml").write_text(content)
+    with pytest.raises(ModelError, match=r"models\.toml: the registry cannot be read"):
+        load_registry(tmp_path / "models.toml")
+
+
+def test_the_variable_moves_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path))
+    assert models_folder() == tmp_path
+    assert load_registry().folder("sam-vit-b") == tmp_path / "sam-vit-b"
+    monkeypatch.delenv("CUCUMBERVISION_MODELS")
+    assert models_folder().parts[-2:] == ("cucumbervision", "models")
+
+
+def test_export_copies_verified_files(registry: Registry, tmp_path: Path) -> None:
+    (written,) = registry.export("inside", tmp_path / "a" / "b")
+    assert written == tmp_path / "a" / "b" / "inside.onnx"
+    assert file_sha256(written) == ABC
+    with pytest.raises(ModelError, match="no format 'tflite'; choose one of onnx, openvino"):
+        registry.export("inside", tmp_path, "tflite")
+
+
+def test_export_refuses_damaged_files(registry: Registry, tmp_path: Path) -> None:
+    (tmp_path / "weights" / "inside.onnx").write_bytes(b"")
+    with pytest.raises(ModelHashError):
+        registry.export("inside", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_export_to_openvino_computes_the_same(tmp_path: Path) -> None:
+    pytest.importorskip("openvino")
+    from cucumbervision.perception.runtime import import_openvino
+
+    registry = load_registry()
+    written = registry.export("mobile-sam", tmp_path, "openvino")
+    assert [path.name for path in written] == [
+        "mobile-sam-encoder.xml",
+        "mobile-sam-encoder.bin",
+        "mobile-sam-decoder.xml",
+        "mobile-sam-decoder.bin",
+    ]
+    rng = np.random.default_rng(1)
+    feeds: dict[str, NDArray[Any]] = {
+        "embedding": rng.normal(0, 0.1, (1, 256, 64, 64)).astype(np.float32),
+        "points": np.array([[[512, 300], [200, 200], [800, 400]]], np.float32),
+        "labels": np.array([[1, 2, 3]], np.int64),
+    }
+    core = import_openvino().Core()
+    compiled = core.compile_model(str(written[2]), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    ours = open_network(registry.resolve("mobile-sam")["decoder"], "onnxruntime").run(feeds)
+    theirs = compiled(feeds)
+    # The converter stores every table in half precision, the small ones too.
+    np.testing.assert_allclose(theirs["ious"], ours["ious"], atol=0.01)

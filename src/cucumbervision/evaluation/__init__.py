@@ -1,0 +1,1 @@
+"""How good a length is: metrics, statistics, the protocol and the report."""

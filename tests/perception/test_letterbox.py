@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from cucumbervision.perception.letterbox import fit
 
+ONE = np.ones(1, np.float32)  # the weight of a single prototype
+
 sides = st.integers(1, 1500)
 
 
@@ -68,7 +70,7 @@ def test_mask_of_a_half_plane_lies_where_its_edge_is() -> None:
     # which is picture column edge 160.
     box = fit(320, 640, (320, 320))
     logits = np.tile(np.arange(80) - 19.5, (80, 1)).astype(np.float32)
-    mask = box.mask_back(logits, np.array([-0.5, -0.5, 639.5, 319.5]))
+    mask = box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 639.5, 319.5]))
     assert mask.shape == (320, 640)
     assert not mask[:, :160].any()
     assert mask[:, 160:].all()
@@ -77,7 +79,7 @@ def test_mask_of_a_half_plane_lies_where_its_edge_is() -> None:
 def test_mask_is_cut_by_its_box() -> None:
     box = fit(64, 64, (64, 64))
     # Edges from the corner: 10 to 20 and 30 to 33, so those pixels and no others.
-    mask = box.mask_back(np.ones((16, 16), np.float32), np.array([9.5, 29.5, 19.5, 32.5]))
+    mask = box.mask_back(np.ones((1, 16, 16), np.float32), ONE, np.array([9.5, 29.5, 19.5, 32.5]))
     ys, xs = np.nonzero(mask)
     assert (xs.min(), xs.max(), ys.min(), ys.max()) == (10, 19, 30, 32)
     assert mask.sum() == 30
@@ -89,4 +91,15 @@ def test_grey_rows_lend_nothing_to_the_mask() -> None:
     box = fit(32, 64, (64, 64))
     logits = np.full((16, 16), -1, np.float32)
     logits[:4] = logits[12:] = 9
-    assert not box.mask_back(logits, np.array([-0.5, -0.5, 63.5, 31.5])).any()
+    assert not box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 63.5, 31.5])).any()
+
+
+def test_prototypes_are_weighted_and_summed() -> None:
+    # 2 - 3 < 0 on the left, where the second prototype is 1; 2 > 0 elsewhere.
+    box = fit(64, 64, (64, 64))
+    prototypes = np.ones((2, 16, 16), np.float32)
+    prototypes[1, :, 8:] = -1
+    edges = np.array([-0.5, -0.5, 63.5, 63.5])
+    mask = box.mask_back(prototypes, np.array([2, -3], np.float32), edges)
+    assert mask[:, 40:].all()
+    assert not mask[:, :28].any()

@@ -110,17 +110,23 @@ class Letterbox:
         return np.clip(back, 0.0, (self.width, self.height)) - 0.5
 
     def mask_back(
-        self, logits: NDArray[np.floating], box: NDArray[np.floating]
+        self,
+        prototypes: NDArray[np.float32],
+        coefficients: NDArray[np.float32],
+        box: NDArray[np.floating],
     ) -> NDArray[np.bool_]:
         """Take one mask from the prototypes' grid to the picture, cut by its box.
 
-        The logits are interpolated linearly and cut at zero at the picture's own resolution, only
-        inside the box (`process_mask_native`, Ultralytics' `retina_masks`).
+        The prototypes' weighted sum is interpolated linearly and cut at zero at the picture's own
+        resolution (`process_mask_native`, Ultralytics' `retina_masks`); only the part that the
+        box needs is computed.
 
         Parameters
         ----------
-        logits : ndarray of float32, shape (h, w)
-            On the prototypes' grid, a quarter of the input.
+        prototypes : ndarray of float32, shape (C, h, w)
+            On a grid of a quarter of the input.
+        coefficients : ndarray of float32, shape (C,)
+            The detection's weight of each.
         box : ndarray, shape (4,)
             x1, y1, x2, y2 in the picture's pixels, from its first pixel's centre.
 
@@ -131,9 +137,10 @@ class Letterbox:
         mask = np.zeros((self.height, self.width), np.bool_)
         # Pixel i is inside where x1 <= i < x2, counted from the corner.
         x1, y1, x2, y2 = np.ceil(np.asarray(box, np.float64) + 0.5).astype(int)
-        rows, columns = _mask_weights(self, *logits.shape)
-        inside = rows[y1:y2] @ logits @ columns[x1:x2].T
-        mask[y1:y2, x1:x2] = inside > 0
+        rows, columns = _mask_weights(self, *prototypes.shape[1:])
+        (top, bottom, rows), (left, right, columns) = _used(rows[y1:y2]), _used(columns[x1:x2])
+        logits = np.tensordot(coefficients, prototypes[:, top:bottom, left:right], axes=1)
+        mask[y1:y2, x1:x2] = rows @ logits @ columns.T > 0
         return mask
 
 
@@ -206,6 +213,15 @@ def _mask_weights(
         _side_weights(rows, enlarge, box.height, gain),
         _side_weights(columns, enlarge, box.width, gain),
     )
+
+
+def _used(weights: NDArray[np.float32]) -> tuple[int, int, NDArray[np.float32]]:
+    """Cut the weights to the prototype pixels that they use: first, one past the last."""
+    used = np.flatnonzero(weights.any(axis=0))
+    if not len(used):
+        return 0, 0, weights[:, :0]
+    first, end = int(used[0]), int(used[-1]) + 1
+    return first, end, weights[:, first:end]
 
 
 def _side_weights(size: int, enlarge: int, target: int, gain: float) -> NDArray[np.float32]:

@@ -130,8 +130,7 @@ class YoloDetector:
                 box=edges, score=float(row[4]), label=self.names.get(label, str(label))
             )
             if prototypes is not None:
-                logits = np.tensordot(row[6:], prototypes, axes=1)
-                mask = box.mask_back(logits, edges)
+                mask = box.mask_back(prototypes, row[6:], edges)
                 instance = replace(instance, detector_mask=mask if mask.any() else None)
             elif self._layout.keypoints[0] == _KEYPOINTS:
                 instance = replace(instance, keypoints=self._keypoints(row[6:], box))

@@ -130,8 +130,8 @@ def record(path: Path, frames: int, *, pause_s: float = 0.0, **camera: Any) -> P
 
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve frames of `block_scene`, recorded by the SDK."""
-    return record(tmp_path_factory.mktemp("recording") / "walk.db3", 12)
+    """Twenty-two frames of `block_scene`, recorded by the SDK."""
+    return record(tmp_path_factory.mktemp("recording") / "walk.db3", 22)
 
 
 @pytest.fixture

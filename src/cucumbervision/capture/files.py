@@ -26,6 +26,7 @@ __all__ = [
     "read_depth",
     "read_json",
     "read_mask",
+    "write_bytes",
     "write_png",
 ]
 
@@ -216,8 +217,13 @@ def write_png(path: Path, image: NDArray[Any]) -> None:
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".png", image)
+    write_bytes(path, data.tobytes())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file, or say in one line why not."""
     try:
-        path.write_bytes(data.tobytes())
+        path.write_bytes(data)
     except OSError as error:
         raise CaptureError(
             f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"

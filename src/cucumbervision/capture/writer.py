@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.files import parse_model, write_bytes, write_png
 from cucumbervision.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["write_native"]
 
-# Steps to try, coarse first: the finest reaches 6.5 m in 16 bits.
-_UNITS_M = (0.001, 0.0005, 0.00025, 0.0001)
+# Steps to try, coarse first: 16 bits of the finest reach 3.3 m.
+_UNITS_M = (0.001, 0.0005, 0.00025, 0.0001, 0.00005)
+_STEPS = 65535
 _EXACT_M = 1e-6
 
 
@@ -60,7 +61,8 @@ def write_native(
     Notes
     -----
     Depth is 16-bit PNG in steps of 1 mm, or in finer steps where 1 mm would lose something (a
-    burst's median may lie between two millimetres). Where even 0.1 mm loses something,
+    burst's median may lie between two millimetres). Where the finest that reaches the farthest
+    reading (0.05 mm up to 3.3 m, 0.1 mm up to 6.5 m) loses something,
     `capture.json` says how much at most under `depth_rounding_m`.
 
     Examples
@@ -77,13 +79,16 @@ def write_native(
     >>> back.name, bool((back.depth_m == depth).all())
     ('a', True)
     """
-    from cucumbervision.capture.readers.native import MANIFEST, MASKS
+    from cucumbervision.capture.readers.native import MANIFEST, MASKS, Manifest
 
     if (folder / MANIFEST).exists():
         raise CaptureError("already holds a capture", source=folder, remedy="choose another folder")
     frames = list(burst) or [(capture.color, capture.depth_m)]
     times = list(timestamps_s) or ([None] * len(burst) if burst else [capture.timestamp_s])
     unit_m, rounding_m = _choose_unit([d for _, d in frames], folder)
+    manifest = _manifest(capture, times, unit_m, rounding_m, fused=not burst)
+    text = json.dumps(manifest, indent=2, default=_plain) + "\n"
+    parse_model(Manifest, json.loads(text), source=folder)
     try:
         (folder / MASKS if capture.masks else folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -95,10 +100,7 @@ def write_native(
         write_png(folder / f"depth_{i:06d}.png", _steps(depth_m, unit_m).astype(np.uint16))
     for k, mask in enumerate(capture.masks):
         write_png(folder / MASKS / f"{capture.frame:06d}_{k:06d}.png", mask.astype(np.uint8) * 255)
-    manifest = _manifest(capture, times, unit_m, rounding_m, fused=not burst)
-    (folder / MANIFEST).write_text(
-        json.dumps(manifest, indent=2, default=_plain) + "\n", encoding="utf-8"
-    )
+    write_bytes(folder / MANIFEST, text.encode())
     return folder / MANIFEST
 
 
@@ -111,9 +113,9 @@ def _manifest(
     fused: bool,
 ) -> dict[str, Any]:
     from cucumbervision.capture.calibration import CameraModel
-    from cucumbervision.capture.readers.native import FORMAT, Manifest
+    from cucumbervision.capture.readers.native import FORMAT
 
-    manifest = {
+    return {
         "format": FORMAT,
         "version": 1,
         "name": capture.name,
@@ -131,23 +133,25 @@ def _manifest(
         "simulated": capture.simulated,
         "provenance": dict(capture.provenance),
     }
-    Manifest.model_validate(json.loads(json.dumps(manifest, default=_plain)))
-    return manifest
 
 
 def _choose_unit(depths_m: Sequence[NDArray[np.float32]], folder: Path) -> tuple[float, float]:
     readings = np.unique(np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths_m]))
-    fitting = [u for u in (0.01, *_UNITS_M) if not readings.size or readings[-1] / u < 65535]
-    if not fitting:
-        raise CaptureError(
-            f"depth reaches {readings[-1]:.0f} m, too far for 16 bits",
-            source=folder,
-            remedy="set far readings to 0",
-        )
-    for unit_m in fitting:
+    far_m = float(readings.max(initial=0.0))
+    unit_m, rounding_m = 0.0, 0.0
+    for step_m in _UNITS_M:
+        if far_m / step_m > _STEPS:
+            break
+        unit_m = step_m
         rounding_m = float(np.abs(_steps(readings, unit_m) * unit_m - readings).max(initial=0.0))
-        if unit_m <= _UNITS_M[0] and rounding_m <= _EXACT_M:
+        if rounding_m <= _EXACT_M:
             return unit_m, 0.0
+    if not unit_m:
+        raise CaptureError(
+            f"depth reaches {far_m:.0f} m, too far for 16 bits in millimetres",
+            source=folder,
+            remedy="set readings beyond 65.5 m to 0",
+        )
     return unit_m, round(rounding_m, 6)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.calibration import CameraModel
@@ -52,11 +52,21 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+def _inside(name: str) -> str:
+    # A capture folder may come from anyone; it must not name files elsewhere.
+    if PureWindowsPath(name).is_absolute() or name.startswith(("/", "\\")) or ".." in name:
+        raise ValueError("must be a file in the capture's folder")
+    return name
+
+
+_File = Annotated[str, Field(min_length=1), AfterValidator(_inside)]
+
+
 class Frame(_Strict):
     """One frame of a burst: file names relative to the folder."""
 
-    color: str
-    depth: str
+    color: _File
+    depth: _File
     timestamp_s: float | None = None
 
 

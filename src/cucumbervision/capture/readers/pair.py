@@ -67,7 +67,9 @@ def find_pairs(path: Path) -> list[Pair]:
     for file in sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern)):
         name, suffix = file.relative_to(path).with_suffix("").as_posix(), file.suffix.lower()
         if _DEPTH_WORD.search(name) and suffix in DEPTH_SUFFIXES:
-            depths.setdefault(_key(name, _DEPTH_WORD), file)
+            key = _key(name, _DEPTH_WORD)
+            if key not in depths or _is_8_bit_png(depths[key]):
+                depths[key] = file
         elif _COLOR_WORD.search(name) and suffix in COLOR_SUFFIXES:
             colors.setdefault(_key(name, _COLOR_WORD), file)
     if not colors.keys() & depths.keys():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +21,7 @@ from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator, Iterator
     from pathlib import Path
 
     from cucumbervision.capture.intrinsics import Intrinsics
@@ -27,10 +29,14 @@ if TYPE_CHECKING:
 __all__ = ["open_recording"]
 
 _TIMEOUT_S = 5.0
+_STARTS = 4
 
 
 def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
-    """Open a recording, cut into consecutive bursts of `options.burst` frames.
+    """Open a recording, cut into bursts by the colour stream's own frame numbers.
+
+    With bursts of 5 these are frames 1 to 5, 6 to 10 and so on: a frame that is missing makes
+    one burst shorter and shifts none.
 
     Parameters
     ----------
@@ -44,7 +50,7 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     -------
     CaptureSource
         Of unknown length. Each iteration plays the file once, from its beginning; it is
-        released when the iteration ends or is dropped. The last burst may be shorter.
+        released when the iteration ends or is dropped.
 
     Raises
     ------
@@ -56,74 +62,92 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     import_realsense()
     given = given_calibration(options)
     with _stream(path) as stream:
-        own = stream.intrinsics
+        own, device, frame = stream.intrinsics, stream.device, stream.read()
     intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)
-    return CaptureSource(path, "recording", lambda: _refs(path, options.burst, intrinsics))
+    recording = _Recording(path, intrinsics, device, frame.number if frame else 0)
+    return CaptureSource(path, "recording", lambda: _refs(recording, options.burst))
+
+
+@dataclass(frozen=True)
+class _Recording:
+    path: Path
+    intrinsics: Intrinsics
+    device: dict[str, str]
+    first: int
 
 
 def _stream(path: Path) -> AlignedStream:
     return AlignedStream(play_file(path), source=path, playback=True, timeout_s=_TIMEOUT_S)
 
 
-def _refs(path: Path, burst: int, intrinsics: Intrinsics) -> Iterator[CaptureRef]:
-    any_frame, fault = False, None
-    with _stream(path) as stream:
-        while fault is None:
-            frames, fault = _next_burst(stream, burst)
-            if not frames:
+def _refs(recording: _Recording, burst: int) -> Iterator[CaptureRef]:
+    name = safe_name(recording.path.stem)
+    group: list[AlignedFrame] = []
+    fault, any_frame = None, False
+    with closing(_frames(recording)) as frames:
+        while True:
+            try:
+                frame = next(frames, None)
+            except CaptureError as error:
+                frame, fault = None, error
+            if group and (frame is None or _burst_of(frame, burst) != _burst_of(group[0], burst)):
+                yield _ref(recording, f"{name}_{group[0].number:06d}", group)
+                group = []
+            if frame is None:
                 break
             any_frame = True
-            yield _ref(path, frames, intrinsics, stream.device)
+            # A colour stream that is slower than depth comes again with each new depth.
+            if not group or frame.number != group[-1].number:
+                group.append(frame)
     if fault is None and not any_frame:
         fault = CaptureError(
             "has no frame with both colour and depth",
-            source=path,
+            source=recording.path,
             remedy="record both streams at one rate",
         )
     if fault is not None:
         # What came before a break is whole; the break itself is a capture that fails.
-        yield CaptureRef(f"{safe_name(path.stem)}_end", -1, partial(_fail, fault))
+        yield CaptureRef(f"{name}_end", -1, partial(_fail, fault))
 
 
-def _next_burst(
-    stream: AlignedStream, burst: int
-) -> tuple[list[AlignedFrame], CaptureError | None]:
-    frames: list[AlignedFrame] = []
-    while len(frames) < burst:
-        try:
+def _burst_of(frame: AlignedFrame, burst: int) -> int:
+    return (frame.number - 1) // burst
+
+
+def _frames(recording: _Recording) -> Generator[AlignedFrame, None, None]:
+    for chances_left in reversed(range(_STARTS)):
+        with _stream(recording.path) as stream:
             frame = stream.read()
-        except CaptureError as fault:
-            return frames, fault
-        if frame is None:
-            break
-        frames.append(frame)
-    return frames, None
+            # On a busy machine the SDK now and then misses frames while its threads start.
+            if frame is not None and frame.number > recording.first and chances_left:
+                continue
+            while frame is not None:
+                yield frame
+                frame = stream.read()
+            return
 
 
 def _fail(fault: CaptureError) -> Capture:
     raise fault
 
 
-def _ref(
-    path: Path, frames: list[AlignedFrame], intrinsics: Intrinsics, device: dict[str, str]
-) -> CaptureRef:
+def _ref(recording: _Recording, name: str, frames: list[AlignedFrame]) -> CaptureRef:
     number = frames[0].number
-    name = f"{safe_name(path.stem)}_{number:06d}"
 
     def load() -> Capture:
         color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
-        require_readings(depth_m, source=f"{path} frame {number}")
+        require_readings(depth_m, source=f"{recording.path} frame {number}")
         return Capture(
             color,
             depth_m,
-            intrinsics,
+            recording.intrinsics,
             name,
             frame=number,
             burst_frame=kept,
             burst_size=len(frames),
             timestamp_s=frames[kept].timestamp_s,
-            source=str(path),
-            provenance={"reader": "recording", **device},
+            source=str(recording.path),
+            provenance={"reader": "recording", **recording.device},
         )
 
     return CaptureRef(name, number, load)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["Snapshot", "find_snapshots", "open_viewer", "read_metadata"]
 
 _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
+_YEAR_2001_MS = 1e12
 _COLOR, _COLOR_TABLE = "_Color.png", "_Color_metadata.csv"
 
 
@@ -94,14 +95,29 @@ def open_viewer(path: Path, bases: Sequence[Path], options: ReadOptions) -> Capt
             remedy="give an intrinsics file with the colour camera and 'depth_to_color'",
         )
     names = unique_names(safe_name(base.name) for base in bases)
-    refs = [
-        CaptureRef(name, i, partial(_load, base, name, i, given, options.depth_unit_m))
-        for i, (name, base) in enumerate(zip(names, bases, strict=True))
-    ]
+    refs = []
+    for name, base in zip(names, bases, strict=True):
+        table = _table_or_error(base.with_name(base.name + _TABLE))
+        frame = 0 if isinstance(table, CaptureError) else table.frame
+        load = partial(_load, base, name, table, given, options.depth_unit_m)
+        refs.append(CaptureRef(name, frame, load))
     return CaptureSource(path, "viewer", lambda: iter(refs), len(refs))
 
 
-def _load(base: Path, name: str, frame: int, given: Calibration, unit_m: float | None) -> Capture:
+def _table_or_error(path: Path) -> Snapshot | CaptureError:
+    try:
+        return read_metadata(path, Stream.DEPTH)
+    except CaptureError as error:
+        return error
+
+
+def _load(
+    base: Path,
+    name: str,
+    table: Snapshot | CaptureError,
+    given: Calibration,
+    unit_m: float | None,
+) -> Capture:
     raw_path = base.with_name(base.name + _RAW)
     if not raw_path.is_file() and base.with_name(base.name + _PICTURE).is_file():
         raise DepthError(
@@ -109,12 +125,13 @@ def _load(base: Path, name: str, frame: int, given: Calibration, unit_m: float |
             source=base.with_name(base.name + _PICTURE),
             remedy=f"export the snapshot with its {raw_path.name}",
         )
+    if isinstance(table, CaptureError):
+        raise table
     color = read_color(base.with_name(base.name + _COLOR))
     height, width = color.shape[:2]
     own_path = base.with_name(base.name + _COLOR_TABLE)
     own = read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None
     intrinsics = choose_intrinsics(own, given, width, height, source=base)
-    table = read_metadata(base.with_name(base.name + _TABLE), Stream.DEPTH)
     depth_m = depth_to_metres(
         _read_raw(raw_path, table), unit_m or given.depth_unit_m, source=raw_path
     )
@@ -127,7 +144,7 @@ def _load(base: Path, name: str, frame: int, given: Calibration, unit_m: float |
         depth_m,
         intrinsics,
         name,
-        frame=table.frame or frame,
+        frame=table.frame,
         timestamp_s=table.timestamp_s,
         source=str(raw_path),
         provenance={"reader": "viewer", "intrinsics": str(given.path)},
@@ -177,7 +194,8 @@ def read_metadata(path: Path, stream: Stream) -> Snapshot:
         ) from None
     except IntrinsicsError as error:
         raise IntrinsicsError(error.message, source=path, remedy="export it again") from None
-    time_s = milliseconds / 1000 if np.isfinite(milliseconds) else None
+    # A hardware clock counts from the camera's start, not from the epoch.
+    time_s = milliseconds / 1000 if milliseconds > _YEAR_2001_MS else None
     return Snapshot(intrinsics, values.get("format", ""), number, time_s)
 
 

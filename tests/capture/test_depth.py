@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.depth import depth_to_metres, require_readings
+from cucumbervision.errors import DepthError
+
+PLAUSIBLE = np.linspace(0.3, 2.0, 100).reshape(10, 10)
+
+
+@pytest.mark.parametrize(
+    ("raw", "unit_m", "expected_m"),
+    [
+        (np.array([[454]], np.uint16), None, 0.454),
+        (np.array([[4540]], np.uint16), 0.0001, 0.454),
+        (np.array([[454]], np.int32), None, 0.454),
+        (np.array([[0.454]], np.float64), None, 0.454),
+        (np.array([[454.0]], np.float32), 0.001, 0.454),
+        (np.array([[[454]]], np.uint16), None, 0.454),
+    ],
+)
+def test_units(raw: Any, unit_m: float | None, expected_m: float) -> None:
+    depth_m = depth_to_metres(raw, unit_m)
+    assert depth_m.dtype == np.float32
+    assert depth_m.tolist() == [[np.float32(expected_m)]]
+
+
+def test_nan_infinity_and_negative_are_no_readings() -> None:
+    raw = np.array([[np.nan, np.inf, -np.inf, -0.5, 0.0, 0.5]])
+    assert depth_to_metres(raw).tolist() == [[0.0, 0.0, 0.0, 0.0, 0.0, 0.5]]
+
+
+@pytest.mark.parametrize(
+    ("raw", "unit_m", "words"),
+    [
+        (PLAUSIBLE, 0.001, "declared in millimetres.*100 % .*outside.*in metres 100 % lie inside"),
+        ((PLAUSIBLE * 1000).astype(np.uint16), 1.0, "declared in metres.*in millimetres 100 %"),
+        (PLAUSIBLE * 1000, None, "declared in metres.*in millimetres"),
+        (PLAUSIBLE, 0.0001, r"steps of 0.0001 m.*in metres.*depth unit 1 m"),
+    ],
+)
+def test_the_wrong_unit_is_named(raw: Any, unit_m: float | None, words: str) -> None:
+    with pytest.raises(DepthError, match=words):
+        depth_to_metres(raw, unit_m, source="a.png")
+
+
+def test_holes_do_not_count_against_a_unit() -> None:
+    raw = np.zeros((10, 10), np.uint16)
+    raw[0, 0] = 450
+    assert depth_to_metres(raw)[0, 0] == np.float32(0.45)
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        np.ones((4, 4), np.uint8),
+        np.ones((4, 4), bool),
+        np.ones((4, 4), complex),
+        np.ones((4, 4, 3), np.uint16),
+        np.ones(4, np.uint16),
+        np.ones((0, 4), np.uint16),
+    ],
+)
+def test_what_is_no_depth_is_refused(raw: Any) -> None:
+    with pytest.raises(DepthError, match=r"a\.png.*give the 16-bit depth itself"):
+        depth_to_metres(raw, source="a.png")
+
+
+@pytest.mark.parametrize(
+    ("value_m", "words"),
+    [(0.0, "every pixel is 0"), (7.0, "readings run from 7 to 7 m"), (0.05, "from 0.05 to")],
+)
+def test_depth_without_readings_is_refused(value_m: float, words: str) -> None:
+    with pytest.raises(DepthError, match=words):
+        require_readings(np.full((4, 4), value_m, np.float32), source="a")
+    depth = np.full((4, 4), value_m, np.float32)
+    depth[1, 1] = 0.5
+    require_readings(depth)

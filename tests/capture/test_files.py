@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.capture.files import (
+    read_arrays,
+    read_color,
+    read_depth,
+    read_json,
+    read_mask,
+    write_png,
+)
+from cucumbervision.errors import CaptureError, DepthError
+
+RNG = np.random.default_rng(0)
+COLOR = RNG.integers(0, 256, (30, 40, 3), dtype=np.uint8)
+DEPTH = RNG.integers(0, 9000, (30, 40), dtype=np.uint16)
+
+
+def test_color_is_rgb(tmp_path: Path) -> None:
+    red = np.zeros((8, 8, 3), np.uint8)
+    red[..., 0] = 255
+    write_png(tmp_path / "a.png", red)
+    np.testing.assert_array_equal(read_color(tmp_path / "a.png"), red)
+    cv2.imwrite(str(tmp_path / "a.jpg"), red[..., ::-1])
+    assert read_color(tmp_path / "a.jpg")[4, 4].tolist() == pytest.approx([255, 0, 0], abs=3)
+
+
+def test_grey_and_alpha_become_rgb(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "grey.png"), COLOR[..., 0])
+    np.testing.assert_array_equal(
+        read_color(tmp_path / "grey.png"), np.repeat(COLOR[..., :1], 3, axis=2)
+    )
+    cv2.imwrite(str(tmp_path / "alpha.png"), np.dstack([COLOR, COLOR[..., :1]]))
+    np.testing.assert_array_equal(read_color(tmp_path / "alpha.png"), COLOR[..., ::-1])
+
+
+@pytest.mark.parametrize("name", ["d.png", "d.tiff", "d.npy", "d.npz"])
+def test_depth_is_read_as_it_is(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if name == "d.npy":
+        np.save(path, DEPTH)
+    elif name == "d.npz":
+        np.savez_compressed(path, depth=DEPTH)
+    else:
+        cv2.imwrite(str(path), DEPTH)
+    read = read_depth(path)
+    assert read.dtype == np.uint16
+    np.testing.assert_array_equal(read, DEPTH)
+
+
+def test_float_tiff(tmp_path: Path) -> None:
+    depth = DEPTH.astype(np.float32) / 1000
+    cv2.imwrite(str(tmp_path / "d.tif"), depth)
+    np.testing.assert_array_equal(read_depth(tmp_path / "d.tif"), depth)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tiff"])
+@pytest.mark.parametrize("kept", [0.0, 0.02, 0.5, 0.97])
+def test_truncated_pictures_are_refused(name: str, kept: float, tmp_path: Path) -> None:
+    path = tmp_path / name
+    cv2.imwrite(str(path), COLOR)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * kept)])
+    with pytest.raises(CaptureError, match=rf"{name}: .*(empty|truncated|no picture)"):
+        read_color(path)
+
+
+def test_a_flipped_bit_in_a_png_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    write_png(path, DEPTH)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(CaptureError, match="truncated or damaged"):
+        read_depth(path)
+
+
+@pytest.mark.parametrize("reader", [read_color, read_depth, read_json])
+def test_missing_files_and_folders(reader: object, tmp_path: Path) -> None:
+    assert callable(reader)
+    with pytest.raises(CaptureError, match=r"none\.png: the file is missing"):
+        reader(tmp_path / "none.png")
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(CaptureError, match=r"folder\.png: cannot be read"):
+        reader(tmp_path / "folder.png")
+
+
+def test_depth_of_another_kind(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"'\.jpg' is no depth picture"):
+        read_depth(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("name", ["d.npy", "d.npz"])
+def test_python_objects_are_never_loaded(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    objects = np.array([{"a": 1}], dtype=object)
+    if name == "d.npy":
+        np.save(path, objects, allow_pickle=True)
+    else:
+        np.savez(path, depth=objects)
+    with pytest.raises(DepthError, match=r"d\.np.: holds Python objects .pickle.*numpy\.save"):
+        read_depth(path)
+
+
+def test_a_bare_pickle_is_never_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "d.npy"
+    path.write_bytes(pickle.dumps(DEPTH))
+    with pytest.raises(DepthError, match="pickle"):
+        read_depth(path)
+
+
+@pytest.mark.parametrize("name", ["d.npy", "d.npz"])
+@pytest.mark.parametrize("kept", [0.1, 0.6, 0.98])
+def test_truncated_arrays(name: str, kept: float, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if name == "d.npy":
+        np.save(path, DEPTH)
+    else:
+        np.savez_compressed(path, depth=DEPTH)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * kept)])
+    with pytest.raises(DepthError, match="truncated or no NumPy file"):
+        read_depth(path)
+
+
+def test_npz_without_depth(tmp_path: Path) -> None:
+    np.savez(tmp_path / "d.npz", distance=DEPTH)
+    with pytest.raises(DepthError, match="no array 'depth', only distance"):
+        read_arrays(tmp_path / "d.npz")
+
+
+def test_mask_of_another_size(tmp_path: Path) -> None:
+    mask = np.zeros((30, 40), np.uint8)
+    mask[3:5, 6] = 1
+    write_png(tmp_path / "m.png", mask)
+    np.testing.assert_array_equal(read_mask(tmp_path / "m.png", (30, 40, 3)), mask > 0)
+    with pytest.raises(CaptureError, match=r"m\.png: the mask is 40x30, the picture 41x30"):
+        read_mask(tmp_path / "m.png", (30, 41))

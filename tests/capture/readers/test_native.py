@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.files import write_png
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.writer import write_native
+from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
+
+Edit = Callable[[dict[str, Any]], object]
+
+
+@pytest.fixture
+def folder(capture: Capture, tmp_path: Path) -> Path:
+    write_native(capture, tmp_path / "a")
+    return tmp_path / "a"
+
+
+def edit(folder: Path, change: Edit) -> None:
+    data = json.loads((folder / "capture.json").read_text())
+    change(data)
+    (folder / "capture.json").write_text(json.dumps(data))
+
+
+def load(path: Path, options: ReadOptions | None = None) -> Capture:
+    (ref,) = open_source(path, options)
+    return ref.load()
+
+
+def test_a_folder_of_folders(capture: Capture, tmp_path: Path) -> None:
+    for name in ("r2/b", "r1/a", "r2/a"):
+        write_native(replace(capture, name=name.split("/")[1]), tmp_path / name)
+    source = open_source(tmp_path)
+    assert (source.kind, source.total) == ("native", 3)
+    # In the folders' order, with names made unique.
+    assert [r.name for r in source] == ["a", "a-2", "b"]
+    assert [r.load().name for r in source] == ["a", "a-2", "b"]
+    assert [r.frame for r in source] == [17, 17, 17]
+
+
+def test_the_json_itself_may_be_named(folder: Path) -> None:
+    assert load(folder / "capture.json").frame == 17
+
+
+def test_one_broken_folder_loses_nothing_of_the_rest(capture: Capture, tmp_path: Path) -> None:
+    for name in ("a", "b", "c", "d"):
+        write_native(replace(capture, name=name), tmp_path / name)
+    (tmp_path / "b" / "capture.json").write_text("{")
+    (tmp_path / "c" / "depth_000000.png").unlink()
+    refs = list(open_source(tmp_path))
+    assert [r.name for r in refs] == ["a", "b", "c", "d"]
+    assert refs[0].load().name == "a"
+    with pytest.raises(CaptureError, match=r"b/capture\.json: is no JSON"):
+        refs[1].load()
+    with pytest.raises(CaptureError, match=r"c/depth_000000\.png: the file is missing"):
+        refs[2].load()
+    assert refs[3].load().name == "d"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.pop("camera"), "'camera': field required"),
+        (lambda d: d["camera"].pop("stream"), "'camera.stream': field required"),
+        (lambda d: d["camera"].pop("fx"), "'camera.fx': field required"),
+        (lambda d: d.update(frames=[]), "'frames': list should have at least 1 item"),
+        (lambda d: d.update(version=2), "'version': input should be 1"),
+        (lambda d: d.update(format="other"), "'format': input should be 'cucumbervision-capture'"),
+        (lambda d: d.update(depth_unit=0.001), "'depth_unit': extra inputs"),
+        (lambda d: d.update(depth_unit_m=0), "'depth_unit_m': input should be greater than 0"),
+        (lambda d: d["frames"][0].update(color="../x.png"), "must be a file in the capture's"),
+        (lambda d: d["frames"][0].update(color="/etc/x.png"), "must be a file in the capture's"),
+        (lambda d: d["frames"][0].update(depth="C:\\x.png"), "must be a file in the capture's"),
+        (lambda d: d["stop"].update(position_m="far"), "'stop.position_m': input should be"),
+    ],
+)
+def test_a_malformed_manifest_is_one_line(folder: Path, change: Edit, words: str) -> None:
+    edit(folder, change)
+    with pytest.raises(CaptureError, match=rf"capture\.json: .*{words}") as caught:
+        load(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_sizes_must_agree(folder: Path) -> None:
+    write_png(folder / "depth_000000.png", np.full((48, 60), 500, np.uint16))
+    with pytest.raises(CaptureError, match=r"depth_000000\.png: depth is 60x48, colour 64x48"):
+        load(folder)
+
+
+def test_intrinsics_of_another_size(folder: Path) -> None:
+    edit(folder, lambda d: d["camera"].update(width=32, height=24))
+    # Scaled by height, f doubles: lengths would come out twice as long.
+    with pytest.raises(IntrinsicsError, match=r"32x24.*64x48.*\+100 %"):
+        load(folder)
+
+
+def test_intrinsics_of_the_depth_stream(folder: Path) -> None:
+    edit(folder, lambda d: d["camera"].update(stream="depth"))
+    with pytest.raises(IntrinsicsError, match=r"capture\.json: .*depth stream's"):
+        load(folder)
+
+
+def test_given_intrinsics_replace_or_are_refused(folder: Path, tmp_path: Path) -> None:
+    given = tmp_path / "k.json"
+    data = {"stream": "color", "width": 64, "height": 48, "fx": 61, "fy": 61, "cx": 32, "cy": 24}
+    given.write_text(json.dumps(data))
+    assert load(folder, ReadOptions(intrinsics=given)).intrinsics.fx_px == 61
+    given.write_text(json.dumps(data | {"stream": "depth", "fx": 50}))
+    # 60.5 / 50 - 1
+    with pytest.raises(IntrinsicsError, match=r"k\.json: .*\+21 %"):
+        load(folder, ReadOptions(intrinsics=given))
+    with pytest.raises(CaptureError, match=r"none\.json: the file is missing"):
+        open_source(folder, ReadOptions(intrinsics=tmp_path / "none.json"))
+
+
+def test_depth_unit(folder: Path) -> None:
+    halved = load(folder, ReadOptions(depth_unit_m=0.0005)).depth_m
+    np.testing.assert_allclose(halved, load(folder).depth_m / 2, rtol=1e-6)
+    edit(folder, lambda d: d.update(depth_unit_m=1.0))
+    with pytest.raises(DepthError, match=r"depth_000000\.png: .*declared in metres.*millimetres"):
+        load(folder)
+
+
+@pytest.mark.parametrize(
+    ("depth", "words"),
+    [
+        (np.zeros((48, 64), np.uint16), "every pixel is 0"),
+        (np.full((48, 64), 90, np.uint8), "8 bits"),
+        (np.full((48, 64, 3), 90, np.uint8), "colourised"),
+    ],
+)
+def test_depth_that_has_no_distances(folder: Path, depth: Any, words: str) -> None:
+    write_png(folder / "depth_000000.png", depth)
+    with pytest.raises(DepthError, match=words):
+        load(folder)
+
+
+def test_masks(folder: Path) -> None:
+    path = folder / "mask_visib" / "000017_000001.png"
+    write_png(path, np.zeros((48, 60), np.uint8))
+    with pytest.raises(CaptureError, match=r"000017_000001\.png: the mask is 60x48"):
+        load(folder)
+    path.rename(folder / "mask_visib" / "000018_000001.png")
+    with pytest.raises(CaptureError, match="named for frame 000018, the capture is frame 17"):
+        load(folder)
+
+
+def test_frames_of_a_burst_must_be_of_one_size(capture: Capture, tmp_path: Path) -> None:
+    small = (np.zeros((24, 32, 3), np.uint8), np.full((24, 32), 0.5, np.float32))
+    write_native(capture, tmp_path / "a", burst=[(capture.color, capture.depth_m), small])
+    with pytest.raises(CaptureError, match=r"a: a burst of 2 colour.*sizes 32x24, 64x48"):
+        load(tmp_path / "a")
+
+
+def test_depth_of_a_burst_may_be_tiff_or_npy(folder: Path, capture: Capture) -> None:
+    np.save(folder / "depth.npy", capture.depth_m)
+    edit(folder, lambda d: d["frames"][0].update(depth="depth.npy"))
+    edit(folder, lambda d: d.update(depth_unit_m=1.0))
+    np.testing.assert_array_equal(load(folder).depth_m, capture.depth_m)

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.errors import CaptureError
+
+
+def test_readings_end_at_10_cm_and_5_m() -> None:
+    depth = np.array([0.0999, 0.1, 5.0, 5.001, 0.0, -1.0, np.nan, np.inf], np.float32)
+    assert valid_depth(depth).tolist() == [False, True, True] + [False] * 5
+
+
+def test_size_and_fill(capture: Capture) -> None:
+    depth = capture.depth_m.copy()
+    depth[:12] = 0.0
+    assert (capture.width, capture.height) == (64, 48)
+    assert replace(capture, depth_m=depth).fill == 0.75
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"color": np.zeros((48, 64), np.uint8)}, "colour is uint8 .48, 64."),
+        ({"color": np.zeros((48, 64, 3), np.uint16)}, "colour is uint16"),
+        ({"depth_m": np.zeros((48, 64))}, "depth is float64"),
+        ({"depth_m": np.zeros((48, 64, 1), np.float32)}, "depth is float32 .48, 64, 1."),
+        ({"depth_m": np.zeros((48, 60), np.float32)}, "colour 64x48, depth 60x48, intrinsics"),
+        ({"masks": (np.zeros((24, 32), bool),)}, "mask 0 32x24"),
+        ({"intrinsics": Intrinsics(32, 24, 30, 30, 16, 12)}, "intrinsics 32x24"),
+    ],
+)
+def test_parts_that_disagree(capture: Capture, change: dict[str, Any], words: str) -> None:
+    with pytest.raises(CaptureError, match=words):
+        replace(capture, **change)

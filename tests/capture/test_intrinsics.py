@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import (
+    Distortion,
+    Intrinsics,
+    Stream,
+    check_intrinsics,
+)
+from cucumbervision.errors import IntrinsicsError
+
+COLOR = Intrinsics(1280, 720, 910.5, 909.8, 645.2, 366.1)
+DEPTH = Intrinsics(1280, 720, 640.0, 640.0, 641.3, 358.7, stream=Stream.DEPTH)
+LENS = (-0.056, 0.067, 0.0008, -0.0007, -0.021)
+
+
+def test_the_right_ones_pass_unchanged() -> None:
+    assert check_intrinsics(COLOR, 1280, 720) is COLOR
+    # A D455's colour stream has about 640: the number alone says nothing.
+    d455 = Intrinsics(1280, 720, 640.0, 640.0, 641.3, 358.7)
+    assert check_intrinsics(d455, 1280, 720, known=COLOR) is d455
+
+
+def test_the_depth_streams_are_refused_with_what_they_would_do() -> None:
+    # 910.5 / 640 - 1 = 0.4227
+    with pytest.raises(IntrinsicsError, match=r"k\.json: .*depth stream's.*\+42 % wrong"):
+        check_intrinsics(DEPTH, 1280, 720, known=COLOR, source="k.json")
+    # A D455 the other way: 640 / 910.5 - 1.
+    wrong, right = DEPTH.with_stream(Stream.DEPTH), Intrinsics(1280, 720, 500, 500, 640, 360)
+    with pytest.raises(IntrinsicsError, match=r"-22 % wrong"):
+        check_intrinsics(wrong, 1280, 720, known=right)
+    with pytest.raises(IntrinsicsError, match="cannot be said without the colour calibration"):
+        check_intrinsics(DEPTH, 1280, 720)
+
+
+@pytest.mark.parametrize(
+    ("size", "percent"),
+    [
+        # Half the height: f ought to be twice as large, so lengths come out twice as long.
+        ((640, 360), r"\+100 %"),
+        # 720/480 - 1; the sides are cropped, the height tells the scale.
+        ((640, 480), r"\+50 %"),
+        # 720/1080 - 1
+        ((1920, 1080), r"-33 %"),
+    ],
+)
+def test_another_size_is_refused(size: tuple[int, int], percent: str) -> None:
+    given = Intrinsics(*size, 600.0, 600.0, size[0] / 2, size[1] / 2)
+    with pytest.raises(IntrinsicsError, match=rf"the picture is 1280x720.*about {percent}"):
+        check_intrinsics(given, 1280, 720)
+
+
+def test_another_size_with_the_captures_own_at_hand() -> None:
+    given = Intrinsics(640, 480, 616.0, 616.0, 320.0, 240.0)
+    # 910.5 / 616 - 1
+    with pytest.raises(IntrinsicsError, match=r"come out \+48 % wrong"):
+        check_intrinsics(given, 1280, 720, known=COLOR)
+
+
+@pytest.mark.parametrize("model", [Distortion.BROWN_CONRADY, Distortion.INVERSE_BROWN_CONRADY])
+def test_rays_through_a_lens_are_the_sdks(model: Distortion) -> None:
+    rs = pytest.importorskip("pyrealsense2")
+    lens = rs.intrinsics()
+    lens.width, lens.height = 1280, 720
+    lens.fx, lens.fy, lens.ppx, lens.ppy = 910.5, 909.8, 645.2, 366.1
+    lens.model, lens.coeffs = getattr(rs.distortion, model.value), list(LENS)
+    camera = Intrinsics(1280, 720, 910.5, 909.8, 645.2, 366.1, distortion=model, coefficients=LENS)
+    for pixel in ([0.0, 0.0], [1279.0, 719.0], [300.5, 500.25]):
+        expected = rs.rs2_deproject_pixel_to_point(lens, pixel, 1.0)
+        assert [float(r) for r in camera.rays(*pixel)] == pytest.approx(expected[:2], abs=2e-6)
+
+
+def test_rays_keep_single_precision() -> None:
+    u = np.arange(3, dtype=np.float32)
+    x, y = COLOR.rays(u, u)
+    assert x.dtype == y.dtype == np.float32
+    np.testing.assert_allclose(x, (np.arange(3) - 645.2) / 910.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ((1280, 720, 0.0, 600.0, 640.0, 360.0), "are no camera"),
+        ((1280, 720, 600.0, -600.0, 640.0, 360.0), "are no camera"),
+        ((1280, 720, float("nan"), 600.0, 640.0, 360.0), "are no camera"),
+        ((1280, 0, 600.0, 600.0, 640.0, 360.0), "1280x0 is no picture"),
+    ],
+)
+def test_senseless_numbers(
+    numbers: tuple[int, int, float, float, float, float], words: str
+) -> None:
+    with pytest.raises(IntrinsicsError, match=words):
+        Intrinsics(*numbers)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.eye(2), np.eye(4), [[600, 1, 320], [0, 600, 240], [0, 0, 1]], np.ones((3, 3))],
+)
+def test_senseless_matrices(matrix: object) -> None:
+    with pytest.raises(IntrinsicsError, match="camera matrix is not"):
+        Intrinsics.from_matrix(np.asarray(matrix), 640, 480)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cucumbervision.capture._realsense import camera_fault
 from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Distortion, Stream
@@ -241,3 +242,17 @@ def test_package_or_library_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(CameraError, match=r"libusb-1\.0-0"):
         open_source(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("No device connected", "no RealSense camera is connected"),
+        ("Couldn't resolve requests", "no connected camera streams that size and rate"),
+        ("xioctl(VIDIOC_S_FMT) failed Last Error: Device or resource busy", "is in use"),
+        ("Device disconnected", r"the camera failed \(Device disconnected\)"),
+    ],
+)
+def test_what_the_sdk_says_of_a_camera_is_named(text: str, words: str) -> None:
+    with pytest.raises(CameraError, match=rf"^camera: .*{words}"):
+        raise camera_fault(RuntimeError(text), "camera")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["AlignedFrame", "AlignedStream", "import_realsense", "play_file"]
+__all__ = ["AlignedFrame", "AlignedStream", "camera_fault", "import_realsense", "play_file"]
 
 _STEP_MS = 200
 _TAIL_S = 0.5
@@ -287,7 +287,7 @@ class AlignedStream:
 
     def _fault(self, error: RuntimeError) -> CaptureError | CameraError:
         if not self._playback:
-            return _camera_fault(error, self._source)
+            return camera_fault(error, self._source)
         return CaptureError(
             f"is no recording that can be played ({str(error).rpartition('Reason: ')[2]})",
             source=self._source,
@@ -295,7 +295,7 @@ class AlignedStream:
         )
 
 
-def _camera_fault(error: RuntimeError, source: object) -> CameraError:
+def camera_fault(error: RuntimeError, source: object) -> CameraError:
     """Name what the SDK says of a camera."""
     text = str(error)
     if "No device" in text:

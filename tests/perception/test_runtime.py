@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.errors import ModelError
-from cucumbervision.perception.runtime import Network, open_network
+from cucumbervision.errors import MissingExtraError, ModelError
+from cucumbervision.perception.runtime import Network, _openvino_core, open_network
 
 onnx = pytest.importorskip("onnx")
 
@@ -203,3 +203,11 @@ def test_nothing_is_sent_or_stored(tmp_path: Path) -> None:
     )
     assert done.stdout.strip() == "[]"
     assert list(home.rglob("*")) == []
+
+
+def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    _openvino_core.cache_clear()
+    assert open_network(scaled_sum(), "auto").runtime == "onnxruntime (cpu)"
+    with pytest.raises(MissingExtraError, match=r"cucumbervision\[openvino\]"):
+        open_network(scaled_sum(), "openvino")

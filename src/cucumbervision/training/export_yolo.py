@@ -47,6 +47,8 @@ def import_ultralytics() -> Any:
     os.environ["YOLO_AUTOINSTALL"] = "False"
     os.environ.setdefault("YOLO_VERBOSE", "False")
     ensure_torchvision()
+    # Ultralytics imports it too, and would leave its telemetry on.
+    import_onnxruntime()
     try:
         import ultralytics
         from ultralytics.utils import SETTINGS, events
@@ -124,7 +126,6 @@ def export_model(
     detect = model.model.model[-1]
     if head != "one-to-many" and getattr(detect, "one2one_cv2", None) is None:
         raise ModelError("it has no one-to-one head", source=model.ckpt_path, remedy="use YOLO26")
-    import_onnxruntime()
     out = Path(out)
     with tempfile.TemporaryDirectory() as folder:
         # Ultralytics writes beside the checkpoint; the checkpoint's own folder stays clean.

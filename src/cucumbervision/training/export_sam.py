@@ -165,21 +165,25 @@ def export_sam(
         As `load_sam`.
     """
     sam = load_sam(checkpoint, architecture)
-    _fix_channels(sam.image_encoder)
+    out.mkdir(parents=True, exist_ok=True)
+    encoder, decoder = out / f"{stem}-encoder.onnx", out / f"{stem}-decoder.onnx"
+    _trace_both(sam, encoder, decoder)
+    notes = {**(metadata or {}), "source_sha256": _sha256(checkpoint)}
+    for path in (encoder, decoder):
+        _finish(path, notes, half)
+    return encoder, decoder
+
+
+def _trace_both(sam: Any, encoder: Path, decoder: Path) -> None:
     import torch
 
-    out.mkdir(parents=True, exist_ok=True)
-    notes = {**(metadata or {}), "source_sha256": _sha256(checkpoint)}
-    encoder, decoder = out / f"{stem}-encoder.onnx", out / f"{stem}-decoder.onnx"
+    _fix_channels(sam.image_encoder)
     picture, embedding = torch.zeros(1, 3, 1024, 1024), torch.zeros(1, 256, 64, 64)
     points = torch.arange(12, dtype=torch.float32).reshape(2, 3, 2)
     labels = torch.tensor([[1, 2, 3], [-1, 2, 3]])
     with torch.no_grad():
         _trace(sam.image_encoder, (picture,), encoder, _ENCODER)
         _trace(_prompt_decoder(sam), (embedding, points, labels), decoder, _DECODER)
-    for path in (encoder, decoder):
-        _finish(path, notes, half)
-    return encoder, decoder
 
 
 def _fix_channels(encoder: Any) -> None:

@@ -72,8 +72,13 @@ def measure(
     runtime: Annotated[
         RuntimeChoice, typer.Option(help="What runs the networks.")
     ] = RuntimeChoice.auto,
-    full_precision: Annotated[
-        bool, typer.Option("--full-precision", help="Networks in float32, to reproduce results.")
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="Let networks compute in half precision where the processor can: quicker, but "
+            "lengths may differ a little from machine to machine.",
+        ),
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[
@@ -97,7 +102,7 @@ def measure(
         length=Length(length.value),
         confidence=confidence,
         runtime=runtime.value,
-        full_precision=full_precision,
+        full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
     )
     raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet, as_json=as_json))

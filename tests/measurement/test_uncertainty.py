@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cucumbervision.measurement.uncertainty import (
+    IntervalModel,
+    conformal_quantile,
+    fit_interval_model,
+)
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def test_the_conformal_rank_by_hand() -> None:
+    # n = 9, level 0.9: rank ceil(9) = 9, the largest; n = 8 cannot carry it.
+    assert conformal_quantile(np.arange(9), 0.9) == 8.0
+    with pytest.raises(ValueError, match=r"8 fruit cannot carry a level of 0\.9: 9 are needed"):
+        conformal_quantile(np.arange(8), 0.9)
+
+
+def simulated(rng: np.random.Generator, count: int) -> tuple[Array, dict[str, Array]]:
+    tilt, hidden = rng.uniform(0, 1, count), rng.uniform(0, 0.6, count)
+    sigma = 0.004 * np.exp(1.5 * tilt + 2.0 * hidden)
+    return 0.002 + sigma * rng.standard_normal(count), {"tilt": tilt, "hidden": hidden}
+
+
+def test_intervals_cover_new_fruit_in_every_group() -> None:
+    rng = np.random.default_rng(3)
+    errors, features = simulated(rng, 3000)
+    model = fit_interval_model("M6", errors, features, np.arange(3000).astype(str))
+    assert model.weights[1] == pytest.approx(1.5, abs=0.25)
+    assert model.weights[2] == pytest.approx(2.0, abs=0.4)
+    errors, features = simulated(rng, 8000)
+    truth = 0.2
+    covered = np.empty(8000, bool)
+    for k, error in enumerate(errors):
+        values = {name: float(column[k]) for name, column in features.items()}
+        low, high = model.interval(truth * (1 + error), values)
+        covered[k] = low <= truth <= high
+    assert covered.mean() == pytest.approx(0.90, abs=0.015)
+    for name, limit in (("tilt", 0.5), ("hidden", 0.3)):
+        for group in (features[name] < limit, features[name] >= limit):
+            assert covered[group].mean() == pytest.approx(0.90, abs=0.03)
+
+
+def test_an_unknown_depth_scale_widens_the_interval_by_hand() -> None:
+    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 1.5, 100)
+    low, high = model.interval(0.3, {}, scale_sd=0.01)
+    half = np.hypot(1.5 * 0.01, 1.6449 * 0.01)
+    assert low == pytest.approx(0.3 / (1 + half), rel=1e-4)
+    assert high == pytest.approx(0.3 / (1 - half), rel=1e-4)
+
+
+def test_captures_of_one_fruit_stay_in_one_half() -> None:
+    # Two fruit, one error each: were they mixed, the quantile would see both.
+    errors = np.repeat([0.01, 0.05], 40)
+    model = fit_interval_model("M6", errors, {}, np.repeat(["a", "b"], 40))
+    assert model.count == 40
+    assert model.bias in (pytest.approx(0.01), pytest.approx(0.05))
+
+
+def test_missing_features_count_as_zero() -> None:
+    model = IntervalModel("M6", 0.9, ("tilt",), (np.log(0.01), 1.0), 0.0, 1.0, 100)
+    assert model.sigma({}) == pytest.approx(0.01)
+    assert model.sigma({"tilt": 1.0}) == pytest.approx(0.01 * np.e)

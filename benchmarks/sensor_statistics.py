@@ -1,0 +1,194 @@
+"""Compare the simulated depth camera with real frames, by the same measures.
+
+    python benchmarks/sensor_statistics.py DATA_FOLDER
+
+DATA_FOLDER holds BOP scenes of a body lying on a plain ground (`rgb/`, `depth/`, `mask_visib/`).
+For each real frame a twin is drawn: the ground as fitted beside the mask, and on it a straight
+tapered body of the mask's outline. All that is printed is measured alike on both.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.readers import open_source
+from cucumbervision.synthesis.d4xx import D4xx, sense
+from cucumbervision.synthesis.occluders import Plane, plane_depth
+from cucumbervision.synthesis.scenes import Scene, look
+from cucumbervision.synthesis.statistics import (
+    EdgeProfile,
+    edge_profile,
+    fill_inside,
+    noise_split,
+    plane_residuals,
+    residual_at,
+    surface_residual,
+)
+from cucumbervision.synthesis.tube import Tube
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+DISTANCES_M = (0.38, 0.47, 0.56)
+BALLS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A frame's depth, ground and mask, and its twin's."""
+
+    real: tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_]]
+    twin: tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_]]
+
+
+def fit_ground(capture: Capture, mask: NDArray[np.bool_]) -> Plane:
+    """Fit a plane to the readings in a ring round the mask, by iterated trimming."""
+    away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
+    v, u = np.nonzero((away > 18) & (away < 45) & valid_depth(capture.depth_m))
+    x, y = capture.intrinsics.rays(u, v)
+    z = capture.depth_m[v, u].astype(float)
+    points = np.stack([x * z, y * z, z], axis=1)
+    keep = np.ones(len(points), bool)
+    for _ in range(8):
+        middle = points[keep].mean(axis=0)
+        normal = np.linalg.svd(points[keep][::7] - middle, full_matrices=False)[2][2]
+        off = np.abs((points - middle) @ normal)
+        keep = off < max(3 * np.median(off), 0.002)
+    return Plane(middle, normal)
+
+
+def body_on(ground: Plane, mask: NDArray[np.bool_], camera: Intrinsics) -> Tube:
+    """Lay a straight body of the mask's widths on the ground."""
+    v, u = np.nonzero(mask)
+    pixels = np.stack([u, v], axis=1).astype(float)
+    middle = pixels.mean(axis=0)
+    along = np.linalg.svd(pixels[::11] - middle, full_matrices=False)[2][0]
+    run = (pixels - middle) @ along
+    aside = (pixels - middle) @ np.array([-along[1], along[0]])
+    # The mask's outline may be notched by a neighbour: a smooth profile of the widths will do.
+    edges = np.linspace(run.min(), run.max(), 41)
+    centres, half = [], []
+    for low, high in pairwise(edges.tolist()):
+        here = aside[(run >= low) & (run < high)]
+        half.append(np.ptp(here) / 2 if len(here) > 1 else 1.0)
+        centres.append(here.mean() if len(here) else 0.0)
+    at = (edges[:-1] + edges[1:]) / 2
+    half_px = np.convolve(np.pad(half, 3, mode="edge"), np.ones(7) / 7, "valid")
+    bow = np.polynomial.Polynomial.fit(at, centres, 2)
+    inner = np.linspace(at[0] + half_px[0], at[-1] - half_px[-1], BALLS)
+    spots = middle + inner[:, None] * along + bow(inner)[:, None] * [-along[1], along[0]]
+    x, y = camera.rays(spots[:, 0], spots[:, 1])
+    rays = np.stack([x, y, np.ones_like(x)], axis=1)
+    level = ground.normal if ground.normal @ ground.point_m < 0 else -ground.normal
+    radius = np.zeros(BALLS)
+    for _ in range(4):
+        # The centre lies one radius over the ground.
+        z = (level @ ground.point_m + radius) / (rays @ level)
+        radius = np.interp(inner, at, half_px) * z / camera.fx_px
+    return Tube(rays * z[:, None], radius, level)
+
+
+def pair_of(capture: Capture, seed: int) -> Pair:
+    """Draw the twin of a frame and read it."""
+    mask = capture.masks[0]
+    ground = fit_ground(capture, mask)
+    scene = Scene((body_on(ground, mask, capture.intrinsics),), planes=(ground,))
+    camera = D4xx.like(capture.intrinsics)
+    seen = look(scene, capture.intrinsics).mask(0)
+    reading = sense(scene, camera, np.random.default_rng(seed), frames=1)[0]
+    level = plane_depth(ground, capture.intrinsics)
+    return Pair((capture.depth_m, level, mask), (reading, level, seen))
+
+
+def wall_residuals(color: Intrinsics, captures: int = 3) -> dict[float, tuple[float, int]]:
+    """Give the simulated camera's plane residuals, on walls through each distance."""
+    found = {}
+    for distance in DISTANCES_M:
+        frames = []
+        for seed in range(captures):
+            wall = Scene((), planes=(Plane.facing(distance, tilt_deg=5.0, turn_deg=5.0),))
+            rng = np.random.default_rng(1000 + seed)
+            frames.append(plane_residuals(sense(wall, D4xx.like(color), rng, frames=1)[0]))
+        found[distance] = residual_at(frames, distance)
+    return found
+
+
+def row(name: str, real: float, twin: float, form: str = "8.2f") -> None:
+    """Print one line of the table."""
+    print(f"{name:<46}{real:{form}}{twin:{form}}{twin - real:+{form}}")
+
+
+def mean_profile(profiles: list[EdgeProfile]) -> EdgeProfile:
+    """Give the median profile of several frames."""
+    return EdgeProfile(
+        profiles[0].offset_px,
+        np.nanmedian([p.height for p in profiles], axis=0),
+        np.nanmean([p.invalid for p in profiles], axis=0),
+    )
+
+
+def print_residuals(captures: list[Capture], pairs: list[Pair]) -> None:
+    """Print noise: on plain ground, and on the body."""
+    real = [plane_residuals(c.depth_m) for c in captures]
+    walls = wall_residuals(captures[0].intrinsics)
+    for distance in DISTANCES_M:
+        measured, count = residual_at(real, distance)
+        row(
+            f"plane residual at {distance:.2f} m, mm ({count} real windows)",
+            1e3 * measured,
+            1e3 * walls[distance][0],
+        )
+    on_body = np.array(
+        [[surface_residual(p.real[0], p.real[2]), surface_residual(p.twin[0], p.twin[2])]
+         for p in pairs]
+    )  # fmt: skip
+    row("residual to a quadratic on the body, mm", *(1e3 * np.nanmedian(on_body, axis=0)))
+
+
+def print_edges(pairs: list[Pair]) -> None:
+    """Print how depth falls over the upper outline, where no shadow widens the real masks."""
+    real, twin = (
+        mean_profile([edge_profile(*part) for part in parts])
+        for parts in ([p.real for p in pairs], [p.twin for p in pairs])
+    )
+    for share in (0.75, 0.5, 0.25):
+        name = f"offset where height falls to {share:.0%}, px"
+        row(name, real.crossing_px(share), twin.crossing_px(share))
+    for low, high in ((-14, -6), (-6, 0), (0, 6), (6, 14)):
+        part = (real.offset_px >= low) & (real.offset_px < high)
+        name = f"without a reading, {low} to {high} px off it, %"
+        row(name, 100 * real.invalid[part].mean(), 100 * twin.invalid[part].mean())
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, help="a BOP scene with masks of a body on the ground")
+    captures = [ref.load() for ref in open_source(parser.parse_args().folder)]
+    pairs = [pair_of(capture, seed) for seed, capture in enumerate(captures)]
+    print(f"{'':<46}{'real':>8}{'twin':>8}{'differs':>8}")
+    print_residuals(captures, pairs)
+    fills = np.array([[100 * fill_inside(p.real[0], p.real[2]),
+                       100 * fill_inside(p.twin[0], p.twin[2])] for p in pairs])  # fmt: skip
+    for capture, (real, twin) in zip(captures, fills, strict=True):
+        row(f"fill on the body, {capture.name}, %", real, twin)
+    row("fill on the body, mean, %", *fills.mean(axis=0))
+    print_edges(pairs)
+    wall = Scene((), planes=(Plane.facing(0.5),))
+    burst = sense(wall, D4xx.like(captures[0].intrinsics), np.random.default_rng(1), frames=5)
+    print(f"{'share of the variance fixed in space':<46}{'-':>8}{noise_split(burst):8.2f}")
+
+
+if __name__ == "__main__":
+    main()

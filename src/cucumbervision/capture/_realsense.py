@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -95,11 +96,12 @@ class AlignedStream:
     ) -> None:
         self._configure = configure
         self._source = source
-        self._playback = playback
+        self._recorded = playback
         self._timeout_s = timeout_s
         self._pipeline: Any = None
-        self._profile: Any = None
+        self._playback: Any = None
         self._align: Any = None
+        self._resuming: threading.Thread | None = None
         self._reached_s = 0.0
         self.intrinsics: Intrinsics
         self.device: dict[str, str] = {}
@@ -109,16 +111,17 @@ class AlignedStream:
         config, pipeline = rs.config(), rs.pipeline()
         try:
             self._configure(rs, config)
-            # Resolved before it starts, so that playback drops no frame at its beginning.
             device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
-            if self._playback:
-                device.as_playback().set_real_time(False)
-            profile = pipeline.start(config)
-        except RuntimeError as error:
-            raise self._fault(error) from None
-        self._pipeline, self._profile, self._reached_s = pipeline, profile, 0.0
-        try:
-            self._read_profile(profile)
+            self._playback = device.as_playback() if self._recorded else None
+            if self._playback is not None:
+                # The SDK reads on as soon as its first sensor has started, and drops what the
+                # others should have had. Paused, it waits until all of them have.
+                self._playback.set_real_time(False)
+                self._playback.pause()
+            self._pipeline, self._reached_s = pipeline, 0.0
+            self._read_profile(pipeline.start(config))
+            if self._playback is not None:
+                self._play()
         except RuntimeError as error:
             self.close()
             raise self._fault(error) from None
@@ -126,6 +129,13 @@ class AlignedStream:
             self.close()
             raise
         return self
+
+    def _play(self) -> None:
+        # Waits until the sensors have started: from then on 'stopped' means the file's end.
+        self._playback.pause()
+        # This returns only when frames are taken, so it must not be waited for.
+        self._resuming = threading.Thread(target=self._playback.resume, daemon=True)
+        self._resuming.start()
 
     def __exit__(
         self,
@@ -138,10 +148,13 @@ class AlignedStream:
     def close(self) -> None:
         """Stop the pipeline and let its threads end; harmless when it is not running."""
         if self._pipeline is not None:
-            # A camera that was unplugged cannot be stopped, only let go.
+            # A camera that was unplugged cannot be stopped, only let go; nor can one that
+            # never started.
             with contextlib.suppress(RuntimeError):
                 self._pipeline.stop()
-        self._pipeline = self._profile = self._align = None
+        if self._resuming is not None:
+            self._resuming.join(self._timeout_s)
+        self._pipeline = self._playback = self._align = self._resuming = None
 
     def read(self) -> AlignedFrame | None:
         """Give the next frame that has both pictures; None at a recording's end.
@@ -165,10 +178,10 @@ class AlignedStream:
                     return None
             except RuntimeError as error:
                 raise self._fault(error) from None
-            if arrived and self._playback:
+            if arrived and self._recorded:
                 # A recording may have a long part of one stream only; it comes to an end.
                 deadline_s = time.monotonic() + self._timeout_s
-        if self._playback:
+        if self._recorded:
             raise CaptureError("the recording stalls", source=self._source, remedy="copy it again")
         raise CameraError(
             f"no frame with colour and depth for {self._timeout_s:g} s",
@@ -177,19 +190,17 @@ class AlignedStream:
         )
 
     def _note_position(self) -> None:
-        if self._playback:
+        if self._playback is not None:
             # Falls back to 0 once the last frame is in the queue.
-            position_s = self._profile.get_device().as_playback().get_position() / 1e9
-            self._reached_s = max(self._reached_s, position_s)
+            self._reached_s = max(self._reached_s, self._playback.get_position() / 1e9)
 
     def _is_over(self) -> bool:
-        if not self._playback:
+        if self._playback is None:
             return False
-        playback = self._profile.get_device().as_playback()
-        if playback.current_status() != self._rs.playback_status.stopped:
+        if self._playback.current_status() != self._rs.playback_status.stopped:
             return False
         # The SDK ends playback without a word where it can no longer read the file.
-        length_s = playback.get_duration().total_seconds()
+        length_s = self._playback.get_duration().total_seconds()
         if length_s - self._reached_s > _TAIL_S:
             raise CaptureError(
                 f"no more frames can be read after {self._reached_s:.1f} s of {length_s:.1f} s",
@@ -286,7 +297,7 @@ class AlignedStream:
         return np.asarray(cv2.cvtColor(data, codes[name]), dtype=np.uint8)
 
     def _fault(self, error: RuntimeError) -> CaptureError | CameraError:
-        if not self._playback:
+        if not self._recorded:
             return camera_fault(error, self._source)
         return CaptureError(
             f"is no recording that can be played ({str(error).rpartition('Reason: ')[2]})",

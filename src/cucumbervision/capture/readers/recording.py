@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -21,7 +20,7 @@ from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from cucumbervision.capture.intrinsics import Intrinsics
@@ -29,14 +28,10 @@ if TYPE_CHECKING:
 __all__ = ["open_recording"]
 
 _TIMEOUT_S = 5.0
-_STARTS = 4
 
 
 def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
-    """Open a recording, cut into bursts by the colour stream's own frame numbers.
-
-    With bursts of 5 these are frames 1 to 5, 6 to 10 and so on: a frame that is missing makes
-    one burst shorter and shifts none.
+    """Open a recording, cut into consecutive bursts of `options.burst` frames.
 
     Parameters
     ----------
@@ -50,7 +45,7 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     -------
     CaptureSource
         Of unknown length. Each iteration plays the file once, from its beginning; it is
-        released when the iteration ends or is dropped.
+        released when the iteration ends or is dropped. The last burst may be shorter.
 
     Raises
     ------
@@ -62,9 +57,9 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     import_realsense()
     given = given_calibration(options)
     with _stream(path) as stream:
-        own, device, frame = stream.intrinsics, stream.device, stream.read()
+        own, device = stream.intrinsics, stream.device
     intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)
-    recording = _Recording(path, intrinsics, device, frame.number if frame else 0)
+    recording = _Recording(path, intrinsics, device)
     return CaptureSource(path, "recording", lambda: _refs(recording, options.burst))
 
 
@@ -73,7 +68,6 @@ class _Recording:
     path: Path
     intrinsics: Intrinsics
     device: dict[str, str]
-    first: int
 
 
 def _stream(path: Path) -> AlignedStream:
@@ -82,23 +76,14 @@ def _stream(path: Path) -> AlignedStream:
 
 def _refs(recording: _Recording, burst: int) -> Iterator[CaptureRef]:
     name = safe_name(recording.path.stem)
-    group: list[AlignedFrame] = []
     fault, any_frame = None, False
-    with closing(_frames(recording)) as frames:
-        while True:
-            try:
-                frame = next(frames, None)
-            except CaptureError as error:
-                frame, fault = None, error
-            if group and (frame is None or _burst_of(frame, burst) != _burst_of(group[0], burst)):
-                yield _ref(recording, f"{name}_{group[0].number:06d}", group)
-                group = []
-            if frame is None:
+    with _stream(recording.path) as stream:
+        while fault is None:
+            frames, fault = _next_burst(stream, burst)
+            if not frames:
                 break
             any_frame = True
-            # A colour stream that is slower than depth comes again with each new depth.
-            if not group or frame.number != group[-1].number:
-                group.append(frame)
+            yield _ref(recording, f"{name}_{frames[0].number:06d}", frames)
     if fault is None and not any_frame:
         fault = CaptureError(
             "has no frame with both colour and depth",
@@ -110,21 +95,21 @@ def _refs(recording: _Recording, burst: int) -> Iterator[CaptureRef]:
         yield CaptureRef(f"{name}_end", -1, partial(_fail, fault))
 
 
-def _burst_of(frame: AlignedFrame, burst: int) -> int:
-    return (frame.number - 1) // burst
-
-
-def _frames(recording: _Recording) -> Generator[AlignedFrame, None, None]:
-    for chances_left in reversed(range(_STARTS)):
-        with _stream(recording.path) as stream:
+def _next_burst(
+    stream: AlignedStream, burst: int
+) -> tuple[list[AlignedFrame], CaptureError | None]:
+    frames: list[AlignedFrame] = []
+    while len(frames) < burst:
+        try:
             frame = stream.read()
-            # On a busy machine the SDK now and then misses frames while its threads start.
-            if frame is not None and frame.number > recording.first and chances_left:
-                continue
-            while frame is not None:
-                yield frame
-                frame = stream.read()
-            return
+        except CaptureError as fault:
+            return frames, fault
+        if frame is None:
+            break
+        # A colour stream that is slower than depth comes again with each new depth.
+        if not frames or frame.number != frames[-1].number:
+            frames.append(frame)
+    return frames, None
 
 
 def _fail(fault: CaptureError) -> Capture:

@@ -51,6 +51,14 @@ def test_shrinking_smooths_as_pillow_does() -> None:
     np.testing.assert_allclose(row[498:502], [0, 32, 96, 0], atol=1e-3)
 
 
+def test_a_sliver_is_smoothed_along_its_length() -> None:
+    # Two rows stay two, but 2048 columns become 1024: the comb of single pixels turns grey.
+    picture = np.zeros((2, 2048, 3), np.uint8)
+    picture[:, ::2] = 255
+    row = prepare_picture(picture)[0, 0, 0, 1:-1] * 58.395 + 123.675
+    np.testing.assert_allclose(row, 128, atol=1e-3)
+
+
 def test_a_view_of_other_order_is_taken_as_it_is() -> None:
     rng = np.random.default_rng(3)
     bgr = rng.integers(0, 256, (90, 160, 3), dtype=np.uint8)

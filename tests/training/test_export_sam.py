@@ -268,6 +268,11 @@ def test_pull_fetches_checks_and_exports(mobile: Path, server: str, tmp_path: Pa
     assert (bar.total, bar.seen, bar.closed) == (mobile.stat().st_size,) * 2 + (True,)
     assert [p.name for p in (tmp_path / "user").iterdir()] == ["mine"]
 
+    # Once it is here and whole, nothing is fetched.
+    again = Bar()
+    assert pull_model("mine", registry=registry, progress=again) == files
+    assert again.total == 0
+
     segmenter = Segmenter((files["encoder"], files["decoder"]), runtime="onnxruntime")
     colour = np.random.default_rng(2).integers(0, 256, (90, 160, 3), dtype=np.uint8)
     (found,) = segmenter.segment(colour, [Instance(np.array([20.0, 20, 120, 70]))])

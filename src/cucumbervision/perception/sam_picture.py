@@ -176,7 +176,7 @@ def _scaled_planes(
 
     before_height, before_width = color_rgb.shape[:2]
     picture = np.ascontiguousarray(color_rgb)
-    if height >= before_height:
+    if max(before_height, before_width) <= SIDE:
         enlarged = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
         return [np.asarray(plane, np.float32) for plane in cv2.split(enlarged)]
     # As Pillow: along the rows first, whole levels in between.

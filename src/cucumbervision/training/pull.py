@@ -32,7 +32,7 @@ def pull_model(
     Parameters
     ----------
     name : str
-        Its name. For an embedded one the files are verified and nothing is fetched.
+        Its name. Nothing is fetched if it is on this machine already and whole.
     given : Path, optional
         The publisher's file, already on this machine; nothing is fetched then.
     registry : Registry, optional
@@ -54,11 +54,16 @@ def pull_model(
     ModelHashError
         If the file is not the one that the registry names.
     ModelError
-        If it cannot be fetched, or is no checkpoint of weights only.
+        If it cannot be fetched, is no checkpoint of weights only, or a file is given for an
+        embedded model.
     """
     registry = registry or load_registry()
     model = registry.get(name)
-    if model.embedded:
+    if model.embedded and given:
+        raise ModelError(
+            f"the model {name} lies in the package and takes no file", remedy="leave out --from"
+        )
+    if model.embedded or (given is None and _is_whole(registry, name)):
         return registry.resolve(name)
     _require_onnx()
     registry.user.mkdir(parents=True, exist_ok=True)
@@ -108,6 +113,14 @@ def export_source(model: Model, given: Path, out: Path) -> tuple[Path, ...]:
                 remedy=f"download it again from {source.url}",
             )
         return export_sam(checkpoint, model.architecture, out, stem=model.name, metadata=notes)
+
+
+def _is_whole(registry: Registry, name: str) -> bool:
+    try:
+        registry.resolve(name)
+    except ModelError:
+        return False
+    return True
 
 
 def _fetch(model: Model, source: ModelSource, folder: Path, progress: Any) -> Path:

@@ -32,14 +32,25 @@ class SoftwareCamera:
         model: str = "brown_conrady",
         coefficients: tuple[float, ...] = (0.0,) * 5,
         color: bool = True,
+        pixels: str = "rgb8",
+        pixel_bytes: int = 3,
     ) -> None:
         self.rs: Any = pytest.importorskip("pyrealsense2")
         rs = self.rs
         device = rs.software_device()
+        device.register_info(rs.camera_info.name, "Software D435")
+        device.register_info(rs.camera_info.serial_number, "0042")
         depth, rgb = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
         self.depth_profile = self._profile(depth, rs.stream.depth, rs.format.z16, 2, 1, DEPTH_K)
         self.color_profile = self._profile(
-            rgb, rs.stream.color, rs.format.rgb8, 3, 2, COLOR_K, model, coefficients
+            rgb,
+            rs.stream.color,
+            getattr(rs.format, pixels),
+            pixel_bytes,
+            2,
+            COLOR_K,
+            model,
+            coefficients,
         )
         depth.add_read_only_option(rs.option.depth_units, 0.001)
         depth.add_read_only_option(rs.option.stereo_baseline, 50.0)
@@ -82,14 +93,14 @@ class SoftwareCamera:
         stream.intrinsics = lens
         return sensor.add_video_stream(stream).as_video_stream_profile()
 
-    def push(self, depth_mm: NDArray[np.uint16], color: NDArray[np.uint8]) -> Any:
+    def push(self, depth_mm: NDArray[np.uint16], color: NDArray[np.uint8] | None) -> Any:
         """Send one frame; gives the frameset that the SDK made of it."""
         self._count += 1
-        images: list[NDArray[Any]] = [depth_mm, color]
+        images: list[NDArray[Any]] = [depth_mm] if color is None else [depth_mm, color]
         for inlet, profile, image in zip(self._inlets, self._profiles, images, strict=False):
             frame = self.rs.software_video_frame()
             frame.pixels = np.ascontiguousarray(image)
-            frame.bpp = image.dtype.itemsize * (3 if image.ndim == 3 else 1)
+            frame.bpp = image.dtype.itemsize * (image.shape[2] if image.ndim == 3 else 1)
             frame.stride = WIDTH * frame.bpp
             frame.timestamp, frame.frame_number = 33.3 * self._count, self._count
             frame.domain, frame.profile = self.rs.timestamp_domain.system_time, profile
@@ -118,11 +129,19 @@ def block_scene(index: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
     return depth, color
 
 
-def record(path: Path, frames: int, *, pause_s: float = 0.0, **camera: Any) -> Path:
-    """Record `frames` of `block_scene`."""
+def record(
+    path: Path,
+    frames: int,
+    *,
+    pause_s: float = 0.0,
+    convert: Callable[[NDArray[np.uint8]], NDArray[np.uint8] | None] | None = None,
+    **camera: Any,
+) -> Path:
+    """Record `frames` of `block_scene`, its colour converted to what the stream carries."""
     device = SoftwareCamera(path, **camera)
     for index in range(frames):
-        device.push(*block_scene(index))
+        depth, color = block_scene(index)
+        device.push(depth, convert(color) if convert else color)
         time.sleep(pause_s)
     device.stop()
     return path

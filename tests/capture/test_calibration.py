@@ -109,6 +109,10 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
             OURS | {"depth_to_color": {"rotation": [[1, 0]], "translation_m": [0, 0, 0]}},
             "is no rotation",
         ),
+        (
+            OURS | {"depth_to_color": {"rotation": [[1, 0], [0]], "translation_m": [0, 0, 0]}},
+            "is no rotation",
+        ),
         ([1, 2], "holds no intrinsics"),
     ],
 )
@@ -130,3 +134,10 @@ def test_what_is_no_json(text: str, words: str, tmp_path: Path) -> None:
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"none\.json: the file is missing"):
         read_calibration(tmp_path / "none.json")
+
+
+def test_what_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    path.write_bytes(b"\x80\x81\x82\x83\x84")
+    with pytest.raises(CaptureError, match=r"k\.json: is no JSON text"):
+        read_calibration(path)

@@ -142,3 +142,8 @@ def test_mask_of_another_size(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png", (30, 40, 3)), mask > 0)
     with pytest.raises(CaptureError, match=r"m\.png: the mask is 40x30, the picture 41x30"):
         read_mask(tmp_path / "m.png", (30, 41))
+
+
+def test_a_folder_that_is_not_there_cannot_be_written_to(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"a\.png: cannot be written"):
+        write_png(tmp_path / "none" / "a.png", COLOR)

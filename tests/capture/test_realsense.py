@@ -10,10 +10,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture._realsense import camera_fault
+from cucumbervision.capture._realsense import AlignedStream, camera_fault, play_file
 from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Distortion, Stream
@@ -54,7 +55,11 @@ def test_recording_becomes_bursts(recording: Path, scene: Callable[[int], tuple[
     first = captures[0]
     assert first.intrinsics.stream is Stream.COLOR
     np.testing.assert_allclose(first.intrinsics.matrix, COLOR_K, rtol=1e-6)
-    assert first.provenance["reader"] == "recording"
+    assert first.provenance == {
+        "reader": "recording",
+        "camera": "Software D435",
+        "serial": "0042",
+    }
     # The software device's clock: 33.3 ms a frame, of the third.
     assert first.timestamp_s == pytest.approx(0.0999)
 
@@ -175,6 +180,58 @@ def test_recording_without_color_is_refused(
         list(open_source(path))
 
 
+def test_recording_whose_color_never_comes(
+    make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = make_recording(tmp_path / "late.db3", 4, convert=lambda _: None)
+    (ref,) = open_source(path)
+    with pytest.raises(CaptureError, match=r"late\.db3: has no frame with both colour and depth"):
+        ref.load()
+
+
+@pytest.mark.parametrize(
+    ("pixels", "size", "code"),
+    [
+        ("bgr8", 3, cv2.COLOR_RGB2BGR),
+        ("rgba8", 4, cv2.COLOR_RGB2RGBA),
+        ("bgra8", 4, cv2.COLOR_RGB2BGRA),
+        ("yuyv", 2, cv2.COLOR_RGB2YUV_YUY2),
+        ("uyvy", 2, cv2.COLOR_RGB2YUV_UYVY),
+    ],
+)
+def test_color_formats(
+    pixels: str,
+    size: int,
+    code: int,
+    make_recording: Callable[..., Path],
+    scene: Callable[[int], tuple[Any, Any]],
+    tmp_path: Path,
+) -> None:
+    def convert(color: Any) -> Any:
+        color[..., 0] //= 2  # so that red and blue are not alike
+        return cv2.cvtColor(color, code)
+
+    path = make_recording(tmp_path / "a.db3", 2, convert=convert, pixels=pixels, pixel_bytes=size)
+    capture = next(iter(open_source(path, ReadOptions(burst=1)))).load()
+    expected = scene(0)[1]
+    expected[..., 0] //= 2
+    np.testing.assert_allclose(capture.color.astype(int), expected, atol=3)
+
+
+def test_other_color_formats_and_lenses_are_refused(
+    make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = make_recording(
+        tmp_path / "grey.db3", 2, convert=lambda c: c[..., 0], pixels="y8", pixel_bytes=1
+    )
+    (ref,) = open_source(path)
+    with pytest.raises(CaptureError, match=r"grey\.db3: colour is y8, which is not read"):
+        ref.load()
+    path = make_recording(tmp_path / "fish.db3", 2, model="ftheta", coefficients=(0.1, 0, 0, 0, 0))
+    with pytest.raises(CaptureError, match=r"fish\.db3: .*lens model ftheta"):
+        open_source(path)
+
+
 def test_camera_plays_a_recording_through_the_same_driver(recording: Path) -> None:
     config = CameraConfig(playback=recording, warm_up=2, burst=5)
     with RealSenseCamera(config) as camera:
@@ -203,6 +260,15 @@ def test_no_camera() -> None:
         RealSenseCamera().__enter__()
     with pytest.raises(CameraError, match=r"camera 0042: no RealSense camera"):
         RealSenseCamera(CameraConfig(serial="0042")).__enter__()
+
+
+def test_a_live_stream_that_dries_up(recording: Path) -> None:
+    # Taken for live, a recording paces itself by the clock and then sends nothing more.
+    stream = AlignedStream(
+        play_file(recording), source="camera 0042", playback=False, timeout_s=0.4
+    )
+    with stream, pytest.raises(CameraError, match=r"camera 0042: no frame .* for 0\.4 s; plug"):
+        _ = [stream.read() for _ in range(30)]
 
 
 def test_playback_of_a_missing_file(tmp_path: Path) -> None:

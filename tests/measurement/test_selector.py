@@ -50,6 +50,8 @@ def test_the_tube_comes_first_where_it_was_fitted() -> None:
     chosen, _, _ = choose({**ALL, Method.M6: Measurement(Method.M6, 0.3)}, 500, LONG)
     assert chosen is not None
     assert chosen.method is Method.M6
+    paper, _, _ = choose({**ALL, Method.M6: Measurement(Method.M6, 0.3)}, 500, LONG, Selector.PAPER)
+    assert paper is ALL[Method.M5]
 
 
 def test_fallbacks_in_order_each_with_its_reason() -> None:
@@ -105,7 +107,7 @@ def test_paper_counts_only_sams_or_the_data_sets_mask(plate: Capture) -> None:
     assert paper.flags == ("sam-mask-small",)
     best = measure_fruit(plate, detected, selector=Selector.BEST)
     assert best.selected is not None
-    assert best.selected.method is Method.M5
+    assert best.selected.method is Method.M6
     assert best.mask_source is MaskSource.DETECTOR
     assert best.flags == ("sam-mask-small", "detector-mask")
     sam = replace(detected, mask=own, mask_source=MaskSource.SAM, mask_failure="")
@@ -121,7 +123,7 @@ def test_points_are_counted_before_the_gate(plate: Capture) -> None:
         replace(plate, depth_m=depth), Instance(BOX, mask=mask, mask_source=MaskSource.SAM)
     )
     assert fruit.reason == Choice.DENSE_MASK
-    assert fruit.fallback[0] == "M5:too-few-points"
+    assert fruit.fallback[:2] == ("M6:too-few-points", "M5:too-few-points")
     assert fruit.selected is not None
     assert fruit.selected.method is Method.M3
 
@@ -158,7 +160,10 @@ def test_a_mask_at_the_pictures_edge_is_measured_and_flagged(plate: Capture) -> 
     fruit = measure_fruit(replace(plate, depth_m=depth), Instance(box, mask=mask))
     assert "cut-by-frame" in fruit.flags
     assert fruit.selected is not None
-    assert fruit.selected.length_m == pytest.approx(0.2, rel=0.04)
+    assert fruit.selected.fit is not None
+    assert sum(fruit.selected.fit.ends_seen) == 1
+    assert "end-hidden" in fruit.flags
+    assert fruit.selected.length_m == pytest.approx(0.2, rel=0.08)
 
 
 def test_seen_endpoints_log_m4_beside_the_choice(plate: Capture) -> None:
@@ -167,6 +172,6 @@ def test_seen_endpoints_log_m4_beside_the_choice(plate: Capture) -> None:
     instance = Instance(BOX, mask=mask, mask_source=MaskSource.SAM, keypoints=keypoints)
     fruit = measure_fruit(plate, instance)
     assert fruit.selected is not None
-    assert fruit.selected.method is Method.M5
+    assert fruit.selected.method is Method.M6
     assert fruit.measurements[Method.M4].length_m == pytest.approx(0.19, rel=1e-4)
     assert "keypoints-logged" in fruit.flags

@@ -65,7 +65,11 @@ def test_lengths_are_near_the_truth_within_each_methods_known_error(run_out: Pat
     rows = [r for r in read_csv(run_out / "measurements.csv") if r["capture"] == ROW_A]
     truth = json.loads((bundled_captures() / ROW_A / "truth.json").read_text())
     for row, true in zip(rows, truth, strict=True):
-        assert row["method"] == "M5"
+        assert row["method"] == "M6"
+        assert float(row["centreline_cm"]) / (100 * true["centreline_m"]) == pytest.approx(
+            1, abs=0.02
+        )
+        assert float(row["thread_cm"]) / (100 * true["thread_m"]) == pytest.approx(1, abs=0.03)
         # M3 reads the visible chord: at most the chord, and at least all but 4 % of it.
         assert 0.96 < float(row["m3_cm"]) / (100 * true["chord_m"]) < 1.01
         # The paper's M5 over-reads by its tip anchors and by the round surface.

@@ -19,7 +19,7 @@ def demo(
         bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
     ] = False,
 ) -> None:
-    """Measure the bundled simulated captures: masks by MobileSAM, lengths by M1 to M5."""
+    """Measure the bundled simulated captures: masks by MobileSAM, lengths by M1 to M6."""
     from cucumbervision.cli.console import run_and_show
     from cucumbervision.session.options import MeasureOptions
     from cucumbervision.synthesis.demo import bundled_captures

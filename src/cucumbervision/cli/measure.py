@@ -85,7 +85,7 @@ def measure(
         bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
     ] = False,
 ) -> None:
-    """Measure every fruit of every capture, by M1 to M5, and choose the best for each."""
+    """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import run_and_show
     from cucumbervision.measurement.results import Length

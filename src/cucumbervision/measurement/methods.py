@@ -12,6 +12,7 @@ from cucumbervision.measurement.m2 import measure_m2
 from cucumbervision.measurement.m3 import measure_m3
 from cucumbervision.measurement.m4 import measure_m4
 from cucumbervision.measurement.m5 import measure_m5
+from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision.measurement.results import Measurement, Method, Reason
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["AVAILABLE", "Region", "run_methods"]
 
-AVAILABLE = (Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
+AVAILABLE = tuple(Method)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ def run_methods(region: Region, methods: Iterable[Method] = AVAILABLE) -> dict[M
     region : Region
         The fruit.
     methods : iterable of Method
-        Which to run; each is computed once, in the order M1 to M5.
+        Which to run; each is computed once, in the order M1 to M6.
 
     Returns
     -------
@@ -103,6 +104,7 @@ def run_methods(region: Region, methods: Iterable[Method] = AVAILABLE) -> dict[M
     M3 ok () None
     M4 no-keypoints () None
     M5 ok () None
+    M6 ok () None
     """
     wanted = set(methods)
     unknown = wanted - set(AVAILABLE)
@@ -139,6 +141,12 @@ def _m5(region: Region) -> Measurement:
     return measure_m5(region.mask_points_m)
 
 
+def _m6(region: Region) -> Measurement:
+    if region.mask is None:
+        return Measurement(Method.M6, reason=Reason.NO_MASK)
+    return measure_m6(region.depth_m, region.mask, region.intrinsics)
+
+
 def _or_else(failed: Measurement, method: Method, other: Measurement) -> Measurement:
     path = (f"{failed.method}:{failed.reason}", *other.fallback)
     if other.length_m is None:
@@ -148,4 +156,11 @@ def _or_else(failed: Measurement, method: Method, other: Measurement) -> Measure
     )
 
 
-_RUN = {Method.M1: _m1, Method.M2: _m2, Method.M3: _m3, Method.M4: _m4, Method.M5: _m5}
+_RUN = {
+    Method.M1: _m1,
+    Method.M2: _m2,
+    Method.M3: _m3,
+    Method.M4: _m4,
+    Method.M5: _m5,
+    Method.M6: _m6,
+}

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cucumbervision.measurement.m6 import TubeFit
     from cucumbervision.perception.instances import Instance, MaskSource
 
 __all__ = ["Fruit", "Length", "LengthKind", "Measurement", "Method", "Reason", "TubeLengths"]
@@ -33,6 +34,7 @@ class LengthKind(StrEnum):
     SURFACE_CHORD = "surface-chord"
     KEYPOINT_POLYLINE = "keypoint-polyline"
     SURFACE_ARC = "surface-arc"
+    CENTRELINE = "centreline"
 
 
 class Length(StrEnum):
@@ -54,6 +56,8 @@ class Reason(StrEnum):
     TOO_FEW_BINS = "too-few-bins"
     TOO_FEW_SAMPLES = "too-few-samples"
     ENDPOINT_MISSING = "endpoint-missing"
+    OUTLINE_TOO_SHORT = "outline-too-short"
+    NOT_A_TUBE = "not-a-tube"
     OUT_OF_RANGE = "out-of-range"
 
 
@@ -88,6 +92,8 @@ class Measurement:
         The method that stood in, where this one fell back on another.
     tube : TubeLengths, optional
         The three lengths, where a tube was fitted.
+    fit : TubeFit, optional
+        The tube's other traits and how far to trust them, where one was fitted.
     """
 
     method: Method
@@ -98,6 +104,7 @@ class Measurement:
     path_m: NDArray[np.float64] | None = None
     measured_by: Method | None = None
     tube: TubeLengths | None = None
+    fit: TubeFit | None = None
 
     @property
     def own(self) -> bool:

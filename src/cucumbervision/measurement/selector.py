@@ -54,13 +54,14 @@ def choose(
     measurements: Mapping[Method, Measurement],
     mask_points: int | None,
     box: NDArray[np.float64],
+    selector: Selector = Selector.BEST,
 ) -> tuple[Measurement | None, Choice, tuple[str, ...]]:
     """Walk the paper's decision tree over measurements already taken.
 
     A mask with at least 100 valid points (counted before the gate): M5, then M4 if it measured
     by itself, then M3. A mask with fewer: M3. No mask, or all of these failed: M1 then M2 for a
-    box at least 1.8 times as long as wide (lying or hanging), M2 then M1 otherwise. Where M6 was
-    run and measured, it comes first.
+    box at least 1.8 times as long as wide (lying or hanging), M2 then M1 otherwise. `BEST` puts
+    M6 first where it was run and measured; `PAPER` never takes it.
 
     Parameters
     ----------
@@ -70,6 +71,8 @@ def choose(
         Valid depth readings in the mask; None without a mask.
     box : ndarray of float, shape (4,)
         Edges x1, y1, x2, y2 in pixels.
+    selector : Selector
+        How to choose.
 
     Returns
     -------
@@ -93,6 +96,8 @@ def choose(
     choice, order = _order(mask_points, box)
     tried: list[str] = []
     for method in order:
+        if method is Method.M6 and selector is Selector.PAPER:
+            continue
         result = measurements.get(method)
         # M4 that fell back is M3 by another name, and M3 has its own turn.
         if result is None or (method is Method.M4 and result.measured_by is not None):
@@ -158,11 +163,13 @@ def measure_fruit(
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
     measurements = run_methods(region, methods)
     points = None if region.mask_points_m is None else len(region.mask_points_m)
-    chosen, choice, fallback = choose(measurements, points, instance.box)
+    chosen, choice, fallback = choose(measurements, points, instance.box, selector)
     if _cut_by_frame(instance.box, mask, capture.width, capture.height):
         flags.append("cut-by-frame")
     if Method.M4 in measurements and endpoints_visible(instance.keypoints):
         flags.append("keypoints-logged")
+    if chosen is not None and chosen.fit is not None:
+        flags.extend(chosen.fit.flags)
     if chosen is None:
         choice = _why_nothing(capture, instance.box)
     return Fruit(instance, measurements, chosen, str(choice), fallback, tuple(flags), mask, source)

@@ -1,0 +1,97 @@
+"""The outline of a mask between its pixels, and what lies across it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["depth_across", "outline_cracks"]
+
+
+def outline_cracks(
+    mask: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give the points between a pixel of the mask and a neighbour outside it.
+
+    A body's true outline runs somewhere between the two pixels' centres, so their middle is
+    unbiased, which a contour through pixel centres is not (it lies half a pixel inside).
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        Beyond its border nothing is known: no point is given there.
+
+    Returns
+    -------
+    points_px : ndarray of float64, shape (N, 2)
+        u, v; one of them half-integer.
+    outward : ndarray of float64, shape (N, 2)
+        Unit step from the mask's pixel to the other.
+
+    Examples
+    --------
+    >>> mask = np.zeros((3, 4), bool)
+    >>> mask[1, 1:3] = True
+    >>> points, outward = outline_cracks(mask)
+    >>> points[:2].tolist(), outward[:2].tolist()
+    ([[0.5, 1.0], [2.5, 1.0]], [[-1.0, 0.0], [1.0, 0.0]])
+    """
+    v, u = np.nonzero(mask[:, 1:] != mask[:, :-1])
+    beside = np.where(mask[v, u], 1.0, -1.0)
+    y, x = np.nonzero(mask[1:] != mask[:-1])
+    below = np.where(mask[y, x], 1.0, -1.0)
+    points = np.concatenate([np.stack([u + 0.5, v], axis=1), np.stack([x, y + 0.5], axis=1)])
+    outward = np.concatenate(
+        [np.stack([beside, np.zeros(len(u))], axis=1), np.stack([np.zeros(len(x)), below], axis=1)]
+    )
+    return points, outward
+
+
+def depth_across(
+    depth_m: NDArray[Any],
+    points_px: NDArray[Any],
+    outward: NDArray[Any],
+    steps_px: tuple[float, ...] = (0.5, 1.5, 2.5, 3.5),
+) -> NDArray[np.float64]:
+    """Give the median depth on one side of outline points.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float, shape (H, W)
+        0 where there is no reading.
+    points_px, outward : ndarray of float, shape (N, 2)
+        Points and unit steps; negate the steps to look inward.
+    steps_px : tuple of float
+        How far out to look.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        Median of the readings; NaN where there is none.
+
+    Examples
+    --------
+    >>> depth = np.array([[0.5, 0.5, 0.9, 0.0, 0.9]])
+    >>> at, right = np.array([[1.5, 0.0]]), np.array([[1.0, 0.0]])
+    >>> depth_across(depth, at, right).tolist(), depth_across(depth, at, -right).tolist()
+    ([0.9], [0.5])
+    """
+    height, width = depth_m.shape
+    at = points_px[:, None, :] + outward[:, None, :] * np.asarray(steps_px)[:, None]
+    pixel = np.rint(at).astype(np.intp)
+    u, v = pixel[..., 0], pixel[..., 1]
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    z = np.where(inside, depth_m[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], 0.0)
+    # Sorted with the missing ones last, the median of n readings is the mean of the middle two.
+    z = np.sort(np.where(z > 0, z, np.inf), axis=1)
+    count = np.isfinite(z).sum(axis=1)
+    rows = np.arange(len(z))
+    low, high = (
+        z[rows, np.maximum(count - 1, 0) // 2],
+        z[rows, np.minimum(count // 2, len(steps_px) - 1)],
+    )
+    return np.where(count > 0, 0.5 * (low + high), np.nan)

@@ -1,0 +1,251 @@
+"""A fruit as balls along a curve: its axis, thread, profile and volume.
+
+The body is the union of balls with centres C(s) and radii r(s). Ends are round; a radius that
+falls towards an end makes the end pointed.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "arc_positions",
+    "axis_path",
+    "bending_direction",
+    "inner_arc_height",
+    "profile",
+    "thread_length",
+    "volume_of_profile",
+]
+
+CAP_STEPS = 40
+SWALLOWED_M = 1e-5
+
+
+def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
+    """Give each centre's arc length from the first, metres.
+
+    Examples
+    --------
+    >>> arc_positions(np.array([[0.0, 0, 0], [3.0, 4.0, 0], [3.0, 4.0, 2.0]])).tolist()
+    [0.0, 5.0, 7.0]
+    """
+    steps = np.linalg.norm(np.diff(centres_m, axis=0), axis=1)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:
+    """Give the central axis from pole to pole.
+
+    Parameters
+    ----------
+    centres_m : ndarray of float, shape (K, 3)
+        Centres in order.
+    radii_m : ndarray of float, shape (K,)
+        Their radii.
+
+    Returns
+    -------
+    ndarray of float64, shape (K' + 2, 3)
+        Poles and the centres between them. A ball that another ball swallows reaches no further
+        than that one, so the poles lie where the farthest-reaching ball ends.
+
+    Examples
+    --------
+    >>> centres = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
+    >>> axis_path(centres, np.full(3, 0.02))[[0, -1], 0].round(3).tolist()
+    [-0.02, 0.22]
+    """
+    along = arc_positions(centres_m)
+    radii = np.maximum(radii_m, 0.0)
+    first, last = int(np.argmin(along - radii)), int(np.argmax(along + radii))
+    if last <= first:
+        first, last = 0, len(along) - 1
+    kept = np.asarray(centres_m[first : last + 1], dtype=np.float64)
+    start = _unit(kept[1] - kept[0])
+    end = _unit(kept[-1] - kept[-2])
+    return np.vstack([kept[0] - radii[first] * start, kept, kept[-1] + radii[last] * end])
+
+
+def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
+    """Give the unit vector from the chord towards the convex side, in the plane of bending.
+
+    Parameters
+    ----------
+    axis_m : ndarray of float, shape (K, 3)
+        The axis, end to end.
+
+    Returns
+    -------
+    ndarray of float64, shape (3,)
+        Perpendicular to the chord; for a straight axis any such vector.
+
+    Examples
+    --------
+    >>> t = np.linspace(0, np.pi, 99)
+    >>> bending_direction(np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)).round(6).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    chord = _unit(axis_m[-1] - axis_m[0])
+    off = axis_m - axis_m[0]
+    off = off - (off @ chord)[:, None] * chord
+    steps = np.linalg.norm(np.diff(axis_m, axis=0), axis=1)
+    mean = (0.5 * (off[1:] + off[:-1]) * steps[:, None]).sum(axis=0)
+    if np.linalg.norm(mean) < 1e-9 * steps.sum() ** 2:
+        mean = np.cross(chord, np.eye(3)[np.argmin(np.abs(chord))])
+    return _unit(mean)
+
+
+def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArray[Any]) -> float:
+    """Give the length of a thread laid from pole to pole over the convex side.
+
+    Parameters
+    ----------
+    centres_m : ndarray of float, shape (K, 3)
+        Centres in order.
+    radii_m : ndarray of float, shape (K,)
+        Their radii.
+    outward : ndarray of float, shape (3,)
+        Unit vector towards the convex side (`bending_direction`).
+
+    Returns
+    -------
+    float
+        Metres: along the balls' envelope on that side, and over each end from the envelope's
+        last contact to the pole.
+
+    Examples
+    --------
+    A straight body of radius r with its end centres a apart: a + pi r.
+
+    >>> x = np.linspace(0, 0.2, 101)
+    >>> centres = np.stack([x, 0 * x, 0 * x], axis=1)
+    >>> length = thread_length(centres, np.full(101, 0.02), np.array([0.0, 1.0, 0.0]))
+    >>> round(length, 6), round(0.2 + np.pi * 0.02, 6)
+    (0.262828, 0.262832)
+    """
+    contact, slope, tangents, across = _contacts(centres_m, radii_m, outward)
+    last = len(radii_m) - 1
+    caps = []
+    for end, sign, angle in ((0, -1.0, np.arccos(slope[0])), (last, 1.0, np.arccos(-slope[-1]))):
+        turn = np.linspace(0.0, angle, CAP_STEPS)[:, None]
+        step = sign * np.cos(turn) * tangents[end] + np.sin(turn) * across[end]
+        caps.append(centres_m[end] + radii_m[end] * step)
+    line = np.vstack([caps[0], contact[1:-1], caps[1][::-1]])
+    # Where a ball is swallowed by others its contact lies inside the body: no thread runs there.
+    gap = np.sqrt(_squared_distances(line, centres_m)) - radii_m
+    line = line[gap.min(axis=1) > -SWALLOWED_M]
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) if len(line) > 1 else 0.0
+
+
+def inner_arc_height(
+    centres_m: NDArray[Any], radii_m: NDArray[Any], poles_m: NDArray[Any], outward: NDArray[Any]
+) -> float:
+    """Give the largest distance from the chord to the body's inner edge.
+
+    Parameters
+    ----------
+    centres_m, radii_m : ndarray of float, shape (K, 3) and (K,)
+        The body.
+    poles_m : ndarray of float, shape (2, 3)
+        The ends of the chord.
+    outward : ndarray of float, shape (3,)
+        Unit vector towards the convex side.
+
+    Returns
+    -------
+    float
+        Metres; 0 where the inner edge does not rise above the chord.
+
+    Examples
+    --------
+    An arc of radius 0.2 over a half turn, 0.02 thick: its inner edge rises to 0.18 less what the
+    round ends' poles lie below the centres' ends.
+
+    >>> t = np.linspace(0, np.pi, 200)
+    >>> centres = 0.2 * np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    >>> poles = np.array([[0.2, -0.02, 0], [-0.2, -0.02, 0]])
+    >>> up = np.array([0.0, 1.0, 0.0])
+    >>> round(inner_arc_height(centres, np.full(200, 0.02), poles, up), 4)
+    0.2
+    """
+    inner, _, _, _ = _contacts(centres_m, radii_m, -outward)
+    return max(0.0, float(((inner - poles_m[0]) @ outward).max()))
+
+
+def profile(
+    centres_m: NDArray[Any], radii_m: NDArray[Any], samples: int = 101
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give the body's diameter along its axis from pole to pole.
+
+    Parameters
+    ----------
+    centres_m : ndarray of float, shape (K, 3)
+        Centres in order.
+    radii_m : ndarray of float, shape (K,)
+        Their radii.
+    samples : int
+        Number of cross-sections.
+
+    Returns
+    -------
+    along_m, diameter_m : ndarray of float64, shape (samples,)
+        Position along the axis from the first pole, and the cross-section's diameter there: the
+        widest of the balls' sections, the body being taken as straightened.
+
+    Examples
+    --------
+    >>> x = np.linspace(0, 0.2, 201)
+    >>> along, wide = profile(np.stack([x, 0 * x, 0 * x], axis=1), np.full(201, 0.02), 5)
+    >>> along.round(3).tolist(), wide.round(3).tolist()
+    ([0.0, 0.06, 0.12, 0.18, 0.24], [0.0, 0.04, 0.04, 0.04, 0.0])
+    """
+    at = arc_positions(centres_m)
+    radii = np.maximum(radii_m, 0.0)
+    low, high = float((at - radii).min()), float((at + radii).max())
+    along = np.linspace(low, high, samples)
+    half = radii**2 - (along[:, None] - at) ** 2
+    return along - low, 2 * np.sqrt(np.maximum(half.max(axis=1), 0.0))
+
+
+def volume_of_profile(along_m: NDArray[Any], diameter_m: NDArray[Any]) -> float:
+    """Give the volume of a body of round cross-sections, cubic metres.
+
+    By Pappus a bend changes nothing, so long as the sections are centred on the axis.
+
+    Examples
+    --------
+    >>> volume_of_profile(np.array([0.0, 1.0]), np.array([2.0, 2.0])) == np.pi
+    True
+    """
+    return float(np.trapezoid(np.pi / 4 * np.asarray(diameter_m) ** 2, along_m))
+
+
+def _contacts(
+    centres_m: NDArray[Any], radii_m: NDArray[Any], side: NDArray[Any]
+) -> tuple[NDArray[np.float64], ...]:
+    # Where each ball touches the common envelope on one side; the radius' slope, the tangent and
+    # the perpendicular towards that side there.
+    tangents = np.gradient(np.asarray(centres_m, dtype=np.float64), axis=0)
+    speed = np.maximum(np.linalg.norm(tangents, axis=1), 1e-12)
+    tangents /= speed[:, None]
+    across = side - (tangents @ side)[:, None] * tangents
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
+    slope = np.clip(np.gradient(np.asarray(radii_m, dtype=np.float64)) / speed, -1.0, 1.0)
+    lean = slope[:, None]
+    touch = -lean * tangents + np.sqrt(1 - lean**2) * across
+    return centres_m + radii_m[:, None] * touch, slope, tangents, across
+
+
+def _squared_distances(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+    square = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1) - 2 * a @ b.T
+    return np.asarray(np.maximum(square, 0.0))
+
+
+def _unit(vector: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12), dtype=np.float64)

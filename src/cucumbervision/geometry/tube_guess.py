@@ -1,0 +1,64 @@
+"""A first guess of a tube in a cloud of surface points."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry.axis import principal_axis
+from cucumbervision.geometry.tube_shape import TubeShape, shape_from_curve
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["guess_shape"]
+
+ROUNDS = 4
+DEEP_M = 0.02  # no fruit is so thin that this cuts it
+
+
+def guess_shape(points_m: NDArray[np.float64]) -> TubeShape:
+    """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Points of the visible surface, camera coordinates, metres.
+
+    Returns
+    -------
+    TubeShape
+        Its ends one radius short of the cloud's.
+
+    Examples
+    --------
+    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 99), np.linspace(-1, 1, 30)))
+    >>> cloud = np.stack([x, 0.02 * a, 0.5 - 0.02 * np.sqrt(1 - a**2)], axis=1)
+    >>> centres, radii = guess_shape(cloud).balls(3)
+    >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
+    (True, True)
+    """
+    # An even spread of depths ends at twice its median deviation: beyond three is background.
+    far = np.abs(points_m[:, 2] - np.median(points_m[:, 2]))
+    near = far <= 3.0 * np.median(far) + DEEP_M
+    for _ in range(ROUNDS):
+        centroid, axis = principal_axis(points_m[near])
+        along = (points_m - centroid) @ axis
+        off = points_m - centroid - along[:, None] * axis
+        power = np.stack([np.ones_like(along), along, along**2], axis=1)
+        bow = np.linalg.lstsq(power[near], off[near], rcond=None)[0]
+        rest = off - power @ bow
+        left = np.linalg.norm(rest, axis=1)
+        near = left <= 3.0 * np.median(left[near]) + 1e-6
+    view = centroid / np.linalg.norm(centroid)
+    side = np.cross(axis, view)
+    norm = float(np.linalg.norm(side))
+    across = np.abs(rest[near] @ side) / norm if norm > 0.05 else left[near]
+    radius = 2.0 * float(np.median(across))
+    low, high = np.quantile(along[near], [0.002, 0.998])
+    short = min(radius, 0.4 * (high - low))
+    t = np.linspace(low + short, high - short, 33)
+    curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
+    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
+    return shape_from_curve(curve, max(radius, 1e-3))

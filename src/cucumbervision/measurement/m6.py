@@ -1,0 +1,200 @@
+"""M6, the swept tube: our own method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape
+from cucumbervision.geometry.tube_guess import guess_shape
+from cucumbervision.geometry.tube_shape import TubeShape, gaps
+from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.traits import TubeTraits, tube_traits
+from cucumbervision.measurement.tube_view import TubeView, view_tube
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+__all__ = ["TubeFit", "measure_m6"]
+
+MIN_POINTS = 30
+MIN_RAYS = 20
+BALLS = 128
+RANGE_M = (0.02, 1.0)
+OUTLINE_SD_PX = 0.7
+MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
+GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
+END_ON_DEG = 70.0
+
+
+@dataclass(frozen=True, eq=False)
+class TubeFit:
+    """A tube fitted to one fruit: its traits, and how far to trust them.
+
+    Parameters
+    ----------
+    traits : TubeTraits
+        Lengths, bend, diameters, volume, tilt.
+    centreline_sd_m, thread_sd_m : float
+        Standard deviations from the sensor's noise and the outline's error, scaled by what
+        remains after the fit, metres. The camera's unknown depth scale is not in them.
+    hidden_share : float
+        Share of the tube's silhouette that something nearer covers, 0 to 1.
+    explained : float
+        Share of the mask's pixels that the tube's silhouette covers, 0 to 1.
+    fill : float
+        Share of the mask's pixels with a depth reading, 0 to 1.
+    outline_rms_px, depth_rms_m : float
+        Robust scatter of the outline about the tube's, pixels, and of the depth points about
+        its surface, metres.
+    ends_seen : tuple of bool
+        Whether the outline shows the first and the last end of `traits.axis_m`.
+    flags : tuple of str
+        'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
+        'part-hidden', 'poor-fit'.
+    """
+
+    traits: TubeTraits
+    centreline_sd_m: float
+    thread_sd_m: float
+    hidden_share: float
+    explained: float
+    fill: float
+    outline_rms_px: float
+    depth_rms_m: float
+    ends_seen: tuple[bool, bool]
+    flags: tuple[str, ...] = ()
+
+
+def measure_m6(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> Measurement:
+    """Fit a swept tube to a fruit's depth and outline.
+
+    A smooth curve with a radius along it and round ends, fitted to the mask's depth points and
+    to the rays through its outline at once (`geometry.tube_fit`), each weighted by its own
+    error: depth by the sensor's noise at that distance. Outline that borders something nearer
+    is left out, so a stretch behind a leaf is bridged; there is no depth gate.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    mask : ndarray of bool, shape (H, W)
+        The fruit's pixels.
+    intrinsics : Intrinsics
+        The colour stream's.
+
+    Returns
+    -------
+    Measurement
+        `length_m` is the centreline (kind 'centreline'); `tube` has all three lengths and `fit`
+        everything else. Reason 'too-few-points' (of depth), 'outline-too-short' (hardly any of
+        the outline is the fruit's own), 'not-a-tube', 'out-of-range'.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision.synthesis.render import render
+    >>> from cucumbervision.synthesis.tube import arc_tube, rotation
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> fruit = arc_tube(0.20, 0.02, 0.30).moved(rotation(tilt_deg=40), (0, 0, 0.5))
+    >>> scene = render([fruit], camera)
+    >>> result = measure_m6(scene.depth_m.astype(np.float32), scene.mask(0), camera)
+    >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 3)
+    (0.2, 1.0)
+    """
+    view = view_tube(depth_m, mask, intrinsics)
+    if view is None or len(view.points_m) < MIN_POINTS:
+        return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
+    if len(view.rays) < MIN_RAYS:
+        return Measurement(Method.M6, reason=Reason.OUTLINE_TOO_SHORT)
+    evidence = Evidence(
+        view.points_m,
+        view.points_sd_m,
+        view.rays,
+        OUTLINE_SD_PX / intrinsics.fx_px,
+        view.points_share,
+        view.rays_share,
+    )
+    try:
+        fitting = fit_shape(evidence, guess_shape(view.points_m))
+    except np.linalg.LinAlgError:
+        return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
+    return _judged(view, fitting)
+
+
+def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:
+    shape = fitting.shape
+    if not (np.isfinite(shape.bend_m).all() and np.isfinite(shape.width_m).all()):
+        return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
+    traits = tube_traits(*shape.balls(BALLS))
+    length = traits.lengths.centreline_m
+    if not RANGE_M[0] <= length <= RANGE_M[1]:
+        return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)
+    fit = _fit(view, fitting, traits)
+    if fit.explained < MIN_EXPLAINED:
+        return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
+    return Measurement(
+        Method.M6,
+        length,
+        LengthKind.CENTRELINE,
+        path_m=traits.axis_m,
+        tube=traits.lengths,
+        fit=fit,
+    )
+
+
+def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
+    explained, hidden = _coverage(view, fitting.shape)
+    rays = fitting.rays
+    far = np.linalg.norm(rays.centres_m, axis=1)
+    outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / far)) * view.focal_px
+    depth_m = 1.4826 * float(np.median(np.abs(fitting.points.gap_m)))
+    flags = []
+    if not all(fitting.ends_seen):
+        flags.append("end-hidden")
+    if _end_on(traits.axis_m):
+        flags.append("end-on")
+    if hidden > 0.1:
+        flags.append("part-hidden")
+    rough = outline_px * float(np.median(far)) / view.focal_px / traits.diameter_max_m
+    if explained < GOOD_EXPLAINED or rough > GOOD_OUTLINE:
+        flags.append("poor-fit")
+    sd = fitting.centreline_sd_m
+    return TubeFit(
+        traits,
+        sd,
+        sd * traits.lengths.thread_m / traits.lengths.centreline_m,
+        hidden,
+        explained,
+        view.fill,
+        outline_px,
+        depth_m,
+        fitting.ends_seen,
+        tuple(flags),
+    )
+
+
+def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float]:
+    # The window's own rays: which of them meet the tube, and what the picture shows there.
+    met = gaps(shape, view.grid_rays, rays=True)
+    inside = met.gap_m < 0
+    own = view.grid_mask
+    explained = float((inside & own).sum() / max(own.sum(), 1))
+    nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
+    hidden = float((inside & ~own & nearer).sum() / max(inside.sum(), 1))
+    return explained, hidden
+
+
+def _end_on(axis_m: NDArray[np.float64]) -> bool:
+    for tip, inner in ((0, 1), (-1, -2)):
+        step = axis_m[tip] - axis_m[inner]
+        view = axis_m[tip] / np.linalg.norm(axis_m[tip])
+        if float(step @ view) > np.sin(np.deg2rad(END_ON_DEG)) * float(np.linalg.norm(step)):
+            return True
+    return False

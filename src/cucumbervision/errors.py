@@ -7,6 +7,7 @@ failure and go on with the rest.
 from __future__ import annotations
 
 __all__ = [
+    "CalibrationError",
     "CameraError",
     "CaptureError",
     "CucumberVisionError",
@@ -16,6 +17,7 @@ __all__ = [
     "MissingExtraError",
     "ModelError",
     "ModelHashError",
+    "TruthError",
     "UnknownModelError",
 ]
 
@@ -81,6 +83,14 @@ class ModelHashError(ModelError):
 
 class CameraError(CucumberVisionError):
     """No camera, a camera in use, or a stream that stopped."""
+
+
+class TruthError(CucumberVisionError):
+    """Hand-measured lengths that cannot be what they are declared to be, or fit no measurement."""
+
+
+class CalibrationError(CucumberVisionError):
+    """A site's calibration that cannot be made or read, or belongs to another camera."""
 
 
 class MissingExtraError(CucumberVisionError):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from cucumbervision.errors import CaptureError, DepthError
+from cucumbervision.errors import CaptureError, CucumberVisionError, DepthError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -249,7 +249,7 @@ def read_json(path: Path) -> Any:
 
 
 def parse_model(
-    model: type[ModelT], data: Any, *, source: object, error: type[CaptureError] = CaptureError
+    model: type[ModelT], data: Any, *, source: object, error: type[CucumberVisionError] = CaptureError
 ) -> ModelT:
     """Check what people or programs wrote against a pydantic model.
 

@@ -233,7 +233,7 @@ def _fit(
     for _ in range(ROUNDS):
         root = np.sqrt(weights * trust)
         before = solution
-        solution = np.linalg.lstsq(design * root[:, None], root, rcond=None)[0]
+        solution = np.asarray(np.linalg.lstsq(design * root[:, None], root, rcond=None)[0], float)
         residual = np.abs(design @ solution - 1)
         # The floor keeps readings without any noise from being torn apart by rounding.
         bound = HUBER * max(1.4826 * float(np.median(residual)), 1e-9)

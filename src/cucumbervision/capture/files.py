@@ -249,7 +249,11 @@ def read_json(path: Path) -> Any:
 
 
 def parse_model(
-    model: type[ModelT], data: Any, *, source: object, error: type[CucumberVisionError] = CaptureError
+    model: type[ModelT],
+    data: Any,
+    *,
+    source: object,
+    error: type[CucumberVisionError] = CaptureError,
 ) -> ModelT:
     """Check what people or programs wrote against a pydantic model.
 

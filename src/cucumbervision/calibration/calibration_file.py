@@ -1,0 +1,253 @@
+"""The file that carries a site's calibration: what was fitted, to what, for which camera."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cucumbervision.calibration.corrections import Form
+from cucumbervision.capture.calibration import CameraModel
+from cucumbervision.capture.files import parse_model
+from cucumbervision.errors import CalibrationError
+from cucumbervision.measurement.results import Length
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+__all__ = [
+    "FORMAT",
+    "OWN_TRUTH",
+    "VERSION",
+    "CalibratedCamera",
+    "CorrectionEntry",
+    "DepthScaleEntry",
+    "IntervalEntry",
+    "MeasuredWith",
+    "SiteCalibration",
+    "TruthUsed",
+    "read_site_calibration",
+    "write_site_calibration",
+]
+
+FORMAT = "cucumbervision-calibration"
+VERSION = 1
+OWN_TRUTH = "own truth"
+CAMERA_TOLERANCE_PX = 0.01
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class CalibratedCamera(_Strict):
+    """The camera whose measurements were calibrated."""
+
+    serial: str | None = None
+    intrinsics: CameraModel
+    intrinsics_sha256: str
+
+    @classmethod
+    def of(cls, intrinsics: Intrinsics, serial: str | None = None) -> CalibratedCamera:
+        """Describe a camera."""
+        model = CameraModel.of(intrinsics)
+        text = json.dumps(model.model_dump(mode="json"), sort_keys=True)
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return cls(serial=serial, intrinsics=model, intrinsics_sha256=digest)
+
+    def difference(self, intrinsics: Intrinsics, serial: str | None) -> str:
+        """Say how another camera differs; empty where it is the same.
+
+        Serial numbers count where both are known; intrinsics to a hundredth of a pixel.
+
+        Examples
+        --------
+        >>> from cucumbervision.capture.intrinsics import Intrinsics
+        >>> one = CalibratedCamera.of(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0), "841")
+        >>> one.difference(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0), None)
+        ''
+        >>> one.difference(Intrinsics(1280, 720, 924.6, 924.6, 640.0, 360.0), "841")
+        'its intrinsics are 848x480 fx 616.400 px, here 1280x720 fx 924.600 px'
+        """
+        if self.serial and serial and self.serial != serial:
+            return f"its camera is {self.serial}, here {serial}"
+        own = self.intrinsics.intrinsics
+        same = own.size == intrinsics.size and own.distortion is intrinsics.distortion
+        pairs = zip(_numbers(own), _numbers(intrinsics), strict=True)
+        if same and all(abs(a - b) <= CAMERA_TOLERANCE_PX for a, b in pairs):
+            return ""
+        return f"its intrinsics are {_words(own)}, here {_words(intrinsics)}"
+
+
+def _numbers(camera: Intrinsics) -> tuple[float, ...]:
+    return camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.coefficients
+
+
+def _words(camera: Intrinsics) -> str:
+    return f"{camera.width}x{camera.height} fx {camera.fx_px:.3f} px"
+
+
+class MeasuredWith(_Strict):
+    """The run whose lengths were calibrated."""
+
+    software: str
+    config_sha256: str
+    selector: str
+    methods: list[str]
+    instances: str
+    segmenter: str | None = None
+    models: list[dict[str, Any]] = []
+    depth_scale: float = Field(default=1.0, gt=0)
+
+
+class TruthUsed(_Strict):
+    """The table of hand-measured lengths."""
+
+    file: str
+    sha256: str
+    rows: int
+    specimens_named: bool
+    floor_mm: float | None = None
+    floor_percent: float | None = None
+
+
+class IntervalEntry(_Strict):
+    """The true length lies within length (1 -+ half_width), or why nothing can be said."""
+
+    level: float = Field(gt=0, lt=1)
+    half_width: float | None = Field(default=None, ge=0)
+    reason: str
+
+
+class CorrectionEntry(_Strict):
+    """One method's correction against one kind of length: scale x reading + offset."""
+
+    method: str
+    truth_kind: Length
+    form: Form
+    scale: float = Field(gt=0)
+    offset_m: float
+    reason: str
+    fruit: int
+    captures: int
+    error_before_percent: float
+    error_after_percent: float
+    residual_sd_percent: float
+    raw_range_m: tuple[float, float]
+    mask_sources: list[str]
+    interval: IntervalEntry
+
+
+class DepthScaleEntry(_Strict):
+    """What the camera reads over what is, from a bar of known length."""
+
+    value: float = Field(gt=0.5, lt=2)
+    standard_error: float = Field(ge=0)
+    spread: float
+    captures: int
+    method: str
+    reference_length_m: float = Field(gt=0)
+
+
+class SiteCalibration(_Strict):
+    """A whole calibration file.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = CalibratedCamera.of(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0))
+    >>> run = MeasuredWith(software="x", config_sha256="", selector="best", methods=["M5"],
+    ...     instances="auto")
+    >>> site = SiteCalibration(name="house-3", created="2026-05-02T10:00:00+00:00", software="x",
+    ...     camera=camera, measured_with=run)
+    >>> site.depth_divisor, site.entry("M5", Length.THREAD) is None
+    (1.0, True)
+    """
+
+    format: Literal["cucumbervision-calibration"] = "cucumbervision-calibration"
+    version: Literal[1] = 1
+    name: str = Field(min_length=1, max_length=60)
+    created: str
+    software: str
+    camera: CalibratedCamera
+    measured_with: MeasuredWith
+    truth: TruthUsed | None = None
+    depth_scale: DepthScaleEntry | None = None
+    corrections: list[CorrectionEntry] = []
+    interval_basis: Literal["own truth"] = "own truth"
+
+    @property
+    def depth_divisor(self) -> float:
+        """What depth is divided by before anything is measured."""
+        return self.depth_scale.value if self.depth_scale else 1.0
+
+    @property
+    def tag(self) -> str:
+        """Name and the first eight digits of the content's SHA-256, as rows carry it."""
+        return f"{self.name}@{hashlib.sha256(self.as_text().encode()).hexdigest()[:8]}"
+
+    def entry(self, method: str, kind: Length) -> CorrectionEntry | None:
+        """Give the correction of a method for a kind of length; None where there is none.
+
+        Parameters
+        ----------
+        method : str
+            'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord'.
+        kind : Length
+            The kind of length that is wanted.
+        """
+        wanted = (e for e in self.corrections if e.method == method and e.truth_kind is kind)
+        return next(wanted, None)
+
+    def as_text(self) -> str:
+        """Give the file's text."""
+        return json.dumps(self.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
+
+
+def read_site_calibration(path: Path) -> SiteCalibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If it is missing, no calibration, or of another version.
+    """
+    again = "make it with `cucumbervision calibrate`"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CalibrationError(
+            f"cannot be read ({error.strerror})", source=path, remedy=again
+        ) from None
+    except ValueError:
+        raise CalibrationError("is no JSON", source=path, remedy=again) from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise CalibrationError("is no calibration file", source=path, remedy=again)
+    if data.get("version") != VERSION:
+        raise CalibrationError(
+            f"is of version {data.get('version')}, this software reads version {VERSION}",
+            source=path,
+            remedy="calibrate again with this software",
+        )
+    return parse_model(SiteCalibration, data, source=path, error=CalibrationError)
+
+
+def write_site_calibration(path: Path, site: SiteCalibration) -> None:
+    """Write a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(site.as_text(), encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(
+            f"cannot be written ({error.strerror})", source=path, remedy="choose another --out"
+        ) from None

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Tube", "arc_tube", "helix_tube", "rotation"]
 
 BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
+CAP_POINTS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,24 +69,41 @@ class Tube:
 
     @property
     def thread_m(self) -> float:
-        """Length of a thread laid from pole to pole over the convex side, metres.
+        """Length of a taut thread laid from pole to pole over the `outward` side, metres.
 
-        A quarter circle over each end and, between them, the line where the balls touch their
-        common envelope in the plane of bending.
+        It is the shortest line in the plane of bending that leaves each pole over the round end
+        on that side and never enters the body: on the body where its outline is convex, straight
+        where it is hollow (the far half of an S, the root of a neck). Meant for plane bends.
         """
+        return polyline_length(self.thread_path_m)
+
+    @property
+    def thread_path_m(self) -> NDArray[np.float64]:
+        """The taut thread of `thread_m` as a polyline, shape (N, 3), metres."""
         tangents = np.gradient(self.centres_m, axis=0)
         speed = np.linalg.norm(tangents, axis=1)
         tangents /= speed[:, None]
         # The side that stays outward all along a plane bend: perpendicular to the tangent.
         across = self.outward - (tangents @ self.outward)[:, None] * tangents
         across /= np.linalg.norm(across, axis=1)[:, None]
-        slope = np.clip(np.gradient(self.radii_m) / speed, -1.0, 1.0)[:, None]
-        contact = -slope * tangents + np.sqrt(1 - slope**2) * across
-        line = self.centres_m + self.radii_m[:, None] * contact
-        # From the pole (direction -t at the blossom end, +t at the stem end) to the contact.
-        blossom = self.radii_m[0] * np.arccos(slope[0, 0])
-        stem = self.radii_m[-1] * np.arccos(-slope[-1, 0])
-        return float(polyline_length(line) + blossom + stem)
+        slope = np.clip(np.gradient(self.radii_m) / speed, -1.0, 1.0)
+        # Angle of the contact with the common envelope, from the tangent towards outward; at the
+        # ends the thread turns from there to the pole (pi at the blossom end, 0 at the stem end).
+        angle = np.arccos(-slope)
+        first, last = (np.full(CAP_POINTS, k) for k in (0, len(self.radii_m) - 1))
+        k = np.concatenate([first, np.arange(len(self.radii_m)), last])
+        angles = np.concatenate(
+            [
+                np.linspace(np.pi, angle[0], CAP_POINTS, endpoint=False),
+                angle,
+                np.linspace(0.0, angle[-1], CAP_POINTS, endpoint=False)[::-1],
+            ]
+        )[:, None]
+        around = np.cos(angles) * tangents[k] + np.sin(angles) * across[k]
+        line = self.centres_m[k] + self.radii_m[k, None] * around
+        chord = self.poles_m[1] - self.poles_m[0]
+        kept = _taut(np.stack([line @ chord, line @ self.outward], axis=1))
+        return np.asarray(line[kept])
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Tube:
         """Give the same body turned about the origin by a 3x3 rotation, then moved by metres."""
@@ -99,6 +117,21 @@ class Tube:
         first = self.centres_m[1] - self.centres_m[0]
         last = self.centres_m[-1] - self.centres_m[-2]
         return first / np.linalg.norm(first), last / np.linalg.norm(last)
+
+
+def _taut(line: NDArray[np.float64]) -> NDArray[np.intp]:
+    # What stays of a line that has the body on its right when it is pulled tight: every point at
+    # which the line would turn left is let go. No two points in a row may coincide.
+    kept: list[int] = []
+    points = line.tolist()
+    for k, (x, y) in enumerate(points):
+        while len(kept) > 1:
+            (x0, y0), (x1, y1) = points[kept[-2]], points[kept[-1]]
+            if (x1 - x0) * (y - y1) <= (y1 - y0) * (x - x1):
+                break
+            kept.pop()
+        kept.append(k)
+    return np.array(kept)
 
 
 def arc_tube(

@@ -102,3 +102,15 @@ def test_senseless_numbers(
 def test_senseless_matrices(matrix: object) -> None:
     with pytest.raises(IntrinsicsError, match="camera matrix is not"):
         Intrinsics.from_matrix(np.asarray(matrix), 640, 480)
+
+
+def test_projection_undoes_deprojection() -> None:
+    camera = Intrinsics(
+        1280, 720, 910.0, 905.0, 640.0, 350.0,
+        distortion=Distortion.BROWN_CONRADY, coefficients=(0.1, -0.05, 0.001, 0.002, 0.0),
+    )  # fmt: skip
+    u, v = np.array([100.0, 640.0, 1200.0]), np.array([80.0, 350.0, 700.0])
+    x, y = camera.rays(u, v)
+    z = np.array([0.4, 0.5, 0.6])
+    pixels = camera.project(np.stack([x * z, y * z, z], axis=1))
+    assert pixels == pytest.approx(np.stack([u, v], axis=1), abs=1e-3)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.session.overlay import COLORS, draw_overlay, project_points
+from cucumbervision.session.overlay import COLORS, draw_overlay
 
 
 @pytest.fixture
@@ -63,15 +63,3 @@ def test_simulated_captures_say_so(capture: Capture) -> None:
     drawn = draw_overlay(replace(capture, simulated=True), [])
     assert (plain[:60] == 90).all()
     assert (drawn[:60, :300] != 90).any()
-
-
-def test_projection_undoes_deprojection() -> None:
-    camera = Intrinsics(
-        1280, 720, 910.0, 905.0, 640.0, 350.0,
-        distortion=Distortion.BROWN_CONRADY, coefficients=(0.1, -0.05, 0.001, 0.002, 0.0),
-    )  # fmt: skip
-    u, v = np.array([100.0, 640.0, 1200.0]), np.array([80.0, 350.0, 700.0])
-    x, y = camera.rays(u, v)
-    z = np.array([0.4, 0.5, 0.6])
-    pixels = project_points(np.stack([x * z, y * z, z], axis=1), camera)
-    assert pixels == pytest.approx(np.stack([u, v], axis=1), abs=1e-3)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.geometry.camera import Distortion, scale_error, undistort
+from cucumbervision.geometry.camera import Distortion, distort, scale_error, undistort
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -160,6 +160,33 @@ class Intrinsics:
         if self.distortion is Distortion.NONE or not any(self.coefficients):
             return x, y
         return undistort(x, y, self.distortion, self.coefficients)
+
+    def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
+        """Give the pixels where points are seen, lens distortion included.
+
+        Parameters
+        ----------
+        points_m : array_like of float, shape (N, 3)
+            Camera coordinates in metres, before the camera.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, 2)
+            u, v in pixels.
+
+        Notes
+        -----
+        The RealSense SDK's `rs2_project_point_to_pixel`, vectorised.
+
+        Examples
+        --------
+        >>> Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0).project([[0.1, 0.0, 0.5]]).tolist()
+        [[440.0, 240.0]]
+        """
+        points = np.asarray(points_m, dtype=np.float64)
+        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        x, y = distort(x, y, self.distortion, self.coefficients)
+        return np.stack([x * self.fx_px + self.cx_px, y * self.fy_px + self.cy_px], axis=1)
 
     def with_stream(self, stream: Stream) -> Intrinsics:
         """Give the same camera as another stream's calibration."""

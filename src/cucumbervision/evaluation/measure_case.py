@@ -179,9 +179,10 @@ def _selected(
 def _outsiders(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], region: Region
 ) -> dict[str, float | None]:
-    from cucumbervision.evaluation.outsiders import OUTSIDERS
+    from cucumbervision.evaluation.outsiders import available_outsiders
 
-    return {name: tool(depth_m, mask, region.intrinsics) for name, tool in OUTSIDERS.items()}
+    tools = available_outsiders()
+    return {name: tool(depth_m, mask, region.intrinsics) for name, tool in tools.items()}
 
 
 def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:
@@ -200,12 +201,8 @@ def _ends_seen(taken: Simulated) -> bool:
     hidden = truth.amodal & ~truth.visible
     if not hidden.any():
         return True
-    axis = truth.axis_m
-    camera = taken.capture.intrinsics
     seen = []
-    for tip in (axis[0], axis[-1]):
-        u = round(float(tip[0] / tip[2] * camera.fx_px + camera.cx_px))
-        v = round(float(tip[1] / tip[2] * camera.fy_px + camera.cy_px))
+    for u, v in np.rint(taken.capture.intrinsics.project(truth.axis_m[[0, -1]])).astype(int):
         near = np.s_[max(v - 3, 0) : max(v + 4, 0), max(u - 3, 0) : max(u + 4, 0)]
         seen.append(not hidden[near].any())
     return all(seen)

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.camera import distort
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -47,7 +45,8 @@ def oracle_length_m(
         tip = axis[0]
         run = tip - back
         cosine = max(float(np.hypot(run[0], run[1]) / np.linalg.norm(run)), SHORTEST_COS)
-        shift = end_shift_px(truth.visible, mask, _pixel(back, camera), _pixel(tip, camera))
+        back_px, tip_px = camera.project([back, tip])
+        shift = end_shift_px(truth.visible, mask, back_px, tip_px)
         if shift is None:
             continue
         pixels = shift + float(rng.uniform(-0.5, 0.5))
@@ -101,9 +100,3 @@ def end_shift_px(
             return None
         ends.append(float(steps[seen[-1]]))
     return ends[1] - ends[0]
-
-
-def _pixel(point_m: NDArray[np.float64], camera: Intrinsics) -> NDArray[np.float64]:
-    x, y = point_m[0] / point_m[2], point_m[1] / point_m[2]
-    x, y = distort(x, y, camera.distortion, camera.coefficients)
-    return np.array([x * camera.fx_px + camera.cx_px, y * camera.fy_px + camera.cy_px])

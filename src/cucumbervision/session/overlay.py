@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.geometry.camera import distort
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.results import Fruit, Measurement
 
-__all__ = ["draw_overlay", "project_points"]
+__all__ = ["draw_overlay"]
 
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -59,33 +58,6 @@ def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
     return picture
 
 
-def project_points(points_m: NDArray[Any], camera: Intrinsics) -> NDArray[np.float64]:
-    """Give the pixels where points are seen, lens distortion included.
-
-    Parameters
-    ----------
-    points_m : ndarray of float, shape (N, 3)
-        Camera coordinates in metres, before the camera.
-    camera : Intrinsics
-        The camera.
-
-    Returns
-    -------
-    ndarray of float64, shape (N, 2)
-        u, v in pixels.
-
-    Examples
-    --------
-    >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
-    >>> project_points(np.array([[0.1, 0.0, 0.5]]), camera).tolist()
-    [[440.0, 240.0]]
-    """
-    x, y = points_m[:, 0] / points_m[:, 2], points_m[:, 1] / points_m[:, 2]
-    x, y = distort(x, y, camera.distortion, camera.coefficients)
-    return np.stack([x * camera.fx_px + camera.cx_px, y * camera.fy_px + camera.cy_px], axis=1)
-
-
 def _draw_region(
     picture: NDArray[np.uint8], fruit: Fruit, color: tuple[int, int, int], size: float
 ) -> None:
@@ -108,7 +80,7 @@ def _draw_path(
 ) -> None:
     if chosen.path_m is None or (chosen.path_m[:, 2] <= 0).any():
         return
-    pixels = np.rint(project_points(chosen.path_m, camera)).astype(np.int32)
+    pixels = np.rint(camera.project(chosen.path_m)).astype(np.int32)
     cv2.polylines(picture, [pixels], False, BLACK, max(2, round(4 * size)), cv2.LINE_AA)
     cv2.polylines(picture, [pixels], False, WHITE, max(1, round(2 * size)), cv2.LINE_AA)
     for tip in (pixels[0], pixels[-1]):

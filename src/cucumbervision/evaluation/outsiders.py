@@ -1,0 +1,317 @@
+"""Other people's ways to a length, on the same mask and depth: skan, PlantCV, a rectangle.
+
+The skeleton tools give a line of pixels; what lifts it into space is the same for both
+(`lifted_length`). Nothing is added at the ends, where a skeleton may stop up to one fruit radius
+short of the tip: that is the tools' own way.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+__all__ = [
+    "OUTSIDERS",
+    "Outsider",
+    "available_outsiders",
+    "lifted_length",
+    "min_area_rect_length",
+    "plantcv_length",
+    "skan_length",
+]
+
+Outsider = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
+
+HALF_WINDOW_PX = 2  # depth of a path's pixel: median of a 5x5 window, as M4 reads its keypoints
+SMOOTH_PX = 41  # longest window of the smoothing along the path
+_MIN_PATH_PX = 5
+
+
+def skan_length(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> float | None:
+    """Measure a mask by skan: the longest shortest path of its skeleton, lifted into space.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour; 0 is no reading.
+    mask : ndarray of bool, shape (H, W)
+        The fruit's pixels.
+    intrinsics : Intrinsics
+        The colour stream's.
+
+    Returns
+    -------
+    float or None
+        Length in metres; None where there is no path.
+
+    Raises
+    ------
+    MissingExtraError
+        If skan or scikit-image is not installed.
+
+    Notes
+    -----
+    `skimage.morphology.skeletonize`, then `skan.csr.find_main_branches` (Nunez-Iglesias et al.
+    2018, PeerJ 6:e4312), which marks the branches of the longest shortest path.
+    """
+    skan, morphology = _package("skan"), _package("skimage.morphology", "scikit-image")
+    window = _window(mask)
+    if window is None:
+        return None
+    thin = morphology.skeletonize(mask[window])
+    if np.count_nonzero(thin) < _MIN_PATH_PX:
+        return None
+    skeleton = skan.Skeleton(thin)
+    with _foreign_warnings_ignored():
+        main = skan.csr.find_main_branches(skan.summarize(skeleton, separator="_"))
+    path = _joined([skeleton.path_coordinates(k) for k in np.flatnonzero(main)])
+    corner = [window[0].start, window[1].start]
+    return lifted_length((path + corner)[:, ::-1], depth_m, mask, intrinsics)
+
+
+def plantcv_length(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> float | None:
+    """Measure a mask by PlantCV: the longest segment of its pruned skeleton, lifted into space.
+
+    Parameters
+    ----------
+    depth_m, mask, intrinsics
+        As for `skan_length`.
+
+    Returns
+    -------
+    float or None
+        Length in metres; None where there is no segment.
+
+    Raises
+    ------
+    CucumberVisionError
+        If PlantCV is not installed. It asks for another OpenCV wheel and an older SciPy than
+        this program, so that no extra can carry it.
+
+    Notes
+    -----
+    `morphology.skeletonize`, `prune` of all barbs shorter than the mask is wide, and of the
+    segments left the one that `segment_path_length` gives the greatest length in pixels.
+    """
+    pcv = _plantcv()
+    window = _window(mask)
+    if window is None:
+        return None
+    region = np.pad(mask[window], 2).astype(np.uint8) * 255
+    size = _width_px(region)
+    with _foreign_warnings_ignored():
+        _, picture, segments = pcv.morphology.prune(pcv.morphology.skeletonize(region), size=size)
+        if not segments:
+            return None
+        pcv.morphology.segment_path_length(picture, segments, label="fruit")
+    found = pcv.outputs.observations["fruit"]["segment_path_length"]["value"]
+    pcv.outputs.clear()
+    loop = np.asarray(segments[int(np.argmax(found))], float).reshape(-1, 2)
+    corner = [window[1].start - 2, window[0].start - 2]
+    return lifted_length(_half(loop) + corner, depth_m, mask, intrinsics)
+
+
+def min_area_rect_length(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> float | None:
+    """Measure a mask by its smallest rectangle: long side times median depth over focal length.
+
+    Parameters
+    ----------
+    depth_m, mask, intrinsics
+        As for `skan_length`.
+
+    Returns
+    -------
+    float or None
+        Length in metres; None for an empty mask or one without a valid reading.
+
+    Notes
+    -----
+    OpenCV's `minAreaRect` of the pixels' centres, one pixel added for their extent.
+
+    Examples
+    --------
+    >>> mask = np.zeros((48, 64), bool)
+    >>> mask[20:24, 10:40] = True
+    >>> camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    >>> round(min_area_rect_length(np.full((48, 64), 0.5, np.float32), mask, camera), 6)  # 30 px
+    0.25
+    """
+    import cv2
+
+    readings = depth_m[mask & valid_depth(depth_m)]
+    if not readings.size:
+        return None
+    pixels = np.argwhere(mask)[:, ::-1].astype(np.float32)
+    _, sides, _ = cv2.minAreaRect(pixels)
+    focal_px = (intrinsics.fx_px + intrinsics.fy_px) / 2
+    return float((max(sides) + 1) * np.median(readings) / focal_px)
+
+
+OUTSIDERS: dict[str, Outsider] = {
+    "skan": skan_length,
+    "PlantCV": plantcv_length,
+    "rectangle": min_area_rect_length,
+}
+
+
+def available_outsiders() -> dict[str, Outsider]:
+    """Give those of `OUTSIDERS` whose packages are installed.
+
+    Examples
+    --------
+    >>> "rectangle" in available_outsiders()
+    True
+    """
+    needs = {"skan": ("skan", "skimage"), "PlantCV": ("plantcv",)}
+    return {
+        name: function
+        for name, function in OUTSIDERS.items()
+        if all(find_spec(package) for package in needs.get(name, ()))
+    }
+
+
+def lifted_length(
+    path_px: NDArray[Any],
+    depth_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    intrinsics: Intrinsics,
+) -> float | None:
+    """Lift a line of pixels into space and give its length.
+
+    Each pixel takes the median of the valid readings of the mask in the 5x5 window around it
+    (none: interpolated along the path) and is deprojected. The three coordinates are smoothed
+    along the path by a Savitzky-Golay filter (second order, 41 px or the path), which takes the
+    pixels' staircase and the depth's noise out and leaves the ends where they are; the length
+    is the polyline's. Without the smoothing a diagonal path would read up to 8 % too long.
+
+    Parameters
+    ----------
+    path_px : ndarray, shape (N, 2)
+        Pixels (u, v) in order.
+    depth_m, mask, intrinsics
+        As for `skan_length`.
+
+    Returns
+    -------
+    float or None
+        Metres; None for fewer than 5 pixels or without a valid reading.
+
+    Examples
+    --------
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth = np.full((480, 640), 0.6, np.float32)
+    >>> path = np.stack([np.arange(200, 401), np.full(201, 240)], axis=1)
+    >>> round(lifted_length(path, depth, depth > 0, camera), 6)
+    0.2
+    """
+    from scipy.signal import savgol_filter
+
+    if len(path_px) < _MIN_PATH_PX:
+        return None
+    z = _depth_along(path_px.astype(int), np.where(mask & valid_depth(depth_m), depth_m, np.nan))
+    known = np.isfinite(z)
+    if not known.any():
+        return None
+    place = np.arange(len(z))
+    z = np.interp(place, place[known], z[known])
+    x, y = intrinsics.rays(path_px[:, 0].astype(float), path_px[:, 1].astype(float))
+    window = min(SMOOTH_PX, len(z) - 1 + len(z) % 2)
+    points = savgol_filter(np.stack([x * z, y * z, z], axis=1), window, 2, axis=0)
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.float64]:
+    half = HALF_WINDOW_PX
+    depth = np.full(len(path_px), np.nan)
+    for k, (u, v) in enumerate(path_px):
+        near = readings_m[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+        valid = near[np.isfinite(near)]
+        if valid.size:
+            depth[k] = np.median(valid)
+    return depth
+
+
+def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
+    """Put branches end to end; each shares an end with its neighbours."""
+    rest = [np.asarray(branch, float) for branch in branches]
+    path = rest.pop(0)
+    while rest:
+        # The nearest of the four ways to go on, at either end of what is joined so far.
+        gaps = [
+            (float(np.linalg.norm(path[end] - branch[start])), end, k, start)
+            for end in (0, -1)
+            for k, branch in enumerate(rest)
+            for start in (0, -1)
+        ]
+        _, end, k, start = min(gaps)
+        branch = rest.pop(k)
+        onward = branch if start == 0 else branch[::-1]
+        path = np.vstack([path, onward[1:]]) if end == -1 else np.vstack([onward[:0:-1], path])
+    return path
+
+
+def _half(loop_px: NDArray[Any]) -> NDArray[Any]:
+    """Give a line from its outline, which runs out along it and back again."""
+    half = len(loop_px) // 2
+    across = np.linalg.norm(loop_px - np.roll(loop_px, -half, axis=0), axis=1)
+    return np.asarray(np.roll(loop_px, -int(across.argmax()), axis=0)[: half + 1])
+
+
+def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """Give the mask's rows and columns, so that the tools need not search the whole picture."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not rows.size:
+        return None
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _width_px(region: NDArray[np.uint8]) -> int:
+    import cv2
+
+    return int(np.ceil(2 * cv2.distanceTransform(region, cv2.DIST_L2, 5).max()))
+
+
+@contextmanager
+def _foreign_warnings_ignored() -> Iterator[None]:
+    """Pass over deprecations inside packages that lag behind their own dependencies."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _package(name: str, distribution: str = "") -> ModuleType:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise MissingExtraError(distribution or name, "benchmark") from None
+
+
+def _plantcv() -> ModuleType:
+    try:
+        return import_module("plantcv.plantcv")
+    except ModuleNotFoundError as error:
+        raise CucumberVisionError(
+            f"PlantCV cannot be used ({error})",
+            remedy="in an environment of the benchmark's own: pip install --no-deps "
+            "plantcv==4.11.3 and pip install 'altair<6' flyr nd2 scikit-learn statsmodels xarray",
+        ) from None

@@ -147,7 +147,11 @@ def _record(
         condition=case.condition,
         depth_scale=taken.depth_scale,
         lengths_m=lengths,
-        details={**details, "ends_seen": _ends_seen(taken), "end_asked": case.hidden_end},
+        details={
+            **details,
+            "mask_iou": _overlap(instance.mask, truth.visible),
+            "ends_seen": _ends_seen(taken),
+        },
     )
 
 
@@ -193,6 +197,12 @@ def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:
         noted["m6_features"] = {k: round(v, 6) for k, v in interval_features(m6).items()}
         noted["m6_flags"] = list(m6.fit.flags)
     return noted
+
+
+def _overlap(mask: NDArray[np.bool_] | None, exact: NDArray[np.bool_]) -> float:
+    if mask is None:
+        return 0.0
+    return round(np.count_nonzero(mask & exact) / np.count_nonzero(mask | exact), 4)
 
 
 def _ends_seen(taken: Simulated) -> bool:

@@ -89,7 +89,7 @@ def end_shift_px(
         return None
     steps = np.arange(0, reach + BEYOND_PX, STEP_PX)
     line = back_px + steps[:, None] * way / reach
-    u, v = np.rint(line).astype(int).T
+    u, v = np.floor(line + 0.5).astype(int).T
     inside = (u >= 0) & (u < exact.shape[1]) & (v >= 0) & (v < exact.shape[0])
     u, v = u[inside], v[inside]
     ends = []

@@ -69,6 +69,9 @@ def measure(
     burst: Annotated[
         int, typer.Option(min=1, max=99, help="Frames of a recording fused to one capture.")
     ] = 5,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
+    ] = None,
     runtime: Annotated[
         RuntimeChoice, typer.Option(help="What runs the networks.")
     ] = RuntimeChoice.auto,
@@ -104,5 +107,6 @@ def measure(
         runtime=runtime.value,
         full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
+        calibration=calibration,
     )
     raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet, as_json=as_json))

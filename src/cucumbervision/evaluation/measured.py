@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.evaluation.tables import parse_number, read_table
+from cucumbervision.evaluation.table_files import parse_number, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -35,14 +35,13 @@ __all__ = [
 
 KIND_OF = {"M6": Length.CENTRELINE, "M6 thread": Length.THREAD, "M6 chord": Length.CHORD}
 LONGEST_M, SHORTEST_M = 1.0, 0.01
-# Ratio of the written to the measured length, and what then was written in place of centimetres.
+# Ratio of the written to the measured length, how far around it, what was written, what to do.
 UNITS = (
-    (10.0, "10 times the measured: millimetres", "divide by 10"),
-    (0.1, "a tenth of the measured: decimetres", "multiply by 10"),
-    (0.01, "a hundredth of the measured: metres", "multiply by 100"),
-    (1 / 2.54, "0.39 of the measured: inches", "multiply by 2.54"),
+    (10.0, 1.8, "10 times that: millimetres", "divide by 10"),
+    (0.1, 1.8, "a tenth of that: decimetres", "multiply by 10"),
+    (0.01, 2.5, "a hundredth of that: metres", "multiply by 100"),
+    (1 / 2.54, 1.1, "0.39 of that: inches", "multiply by 2.54"),
 )
-UNIT_FACTOR = {10.0: 1.8, 0.1: 1.8, 0.01: 2.5, 1 / 2.54: 1.1}
 
 
 @dataclass(frozen=True)
@@ -250,13 +249,13 @@ def _truth_m(record: Record, kind: Length) -> float | None:
 def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:
     ratios = [one.length_m / typical for one, reading in pairs if (typical := _typical_m(reading))]
     ratio = float(np.median(ratios)) if ratios else 1.0
-    for about, words, remedy in UNITS:
-        if about / UNIT_FACTOR[about] < ratio < about * UNIT_FACTOR[about]:
+    for about, factor, words, remedy in UNITS:
+        if about / factor < ratio < about * factor:
             raise TruthError(
                 f"the lengths are not in centimetres: their median is {ratio:.3g} times what was "
                 f"measured, about {words}",
                 source=path,
-                remedy=f"{remedy}, or say in the head what the numbers are",
+                remedy=f"{remedy}; the columns hold centimetres",
             )
     for one, _ in pairs:
         for length_m in one.lengths_m:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import TruthError
-from cucumbervision.evaluation.tables import parse_number, read_table
+from cucumbervision.evaluation.table_files import parse_number, read_table
 from cucumbervision.measurement.results import Length
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.evaluation.tables import Line, Table
+    from cucumbervision.evaluation.table_files import Line, Table
 
 __all__ = ["MISSED", "Floor", "TrueLength", "Truth", "floor_of", "read_bar_rows", "read_truth"]
 

@@ -52,6 +52,8 @@ class MeasureOptions:
         the processor has it, and moves outlines by a pixel or so.
     reading : ReadOptions
         What is said of the sources.
+    calibration : Path, optional
+        A site's calibration file, applied to depth and rows.
     """
 
     instances: str = "auto"
@@ -65,6 +67,7 @@ class MeasureOptions:
     runtime: str = "auto"
     full_precision: bool = True
     reading: ReadOptions = field(default_factory=ReadOptions)
+    calibration: Path | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Give the choices as JSON values."""

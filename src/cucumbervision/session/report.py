@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from datetime import datetime
 
+    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.results import Fruit, Measurement
     from cucumbervision.session.finders import Finder
@@ -83,6 +84,7 @@ def write_reports(
     finder: Finder,
     options: MeasureOptions,
     started: datetime,
+    site: SiteCalibration | None = None,
 ) -> None:
     """Write `measurements.json` and `measurements.xlsx` of a whole run.
 
@@ -98,6 +100,8 @@ def write_reports(
         The run's choices.
     started : datetime
         When it began, UTC.
+    site : SiteCalibration, optional
+        The calibration that was applied.
     """
     provenance = {
         "software": f"cucumbervision {__version__}",
@@ -107,6 +111,7 @@ def write_reports(
         "config": options.as_json(),
         "config_sha256": options.sha256,
         "models": finder.models,
+        "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
         "versions": {"python": platform.python_version(), **installed_versions()},
     }
     failures = [vars(failure) for failure in result.failures]

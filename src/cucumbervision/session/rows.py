@@ -64,6 +64,10 @@ COLUMNS = (
     Column("timestamp_s", "s", "time of the capture, seconds since 1970"),
     Column("simulated", "", "whether the capture was drawn, not taken"),
     Column("source", "", "where the capture was read from"),
+    Column("raw_length_cm", "cm", "length before the site's calibration, as it was read"),
+    Column("raw_length_kind", "", "what that is the length of"),
+    Column("interval_basis", "", "what the interval rests on"),
+    Column("calibration", "", "site's calibration that was applied: name and hash"),
 )
 
 

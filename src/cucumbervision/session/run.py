@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureRef, CaptureSource
     from cucumbervision.measurement.results import Fruit
     from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.session.rows import Cell
 
 __all__ = ["count_captures", "measure_capture", "measure_inputs"]
 
@@ -90,8 +92,10 @@ def measure_inputs(
     Raises
     ------
     CucumberVisionError
-        If the run cannot start at all: `out` cannot be written, or a network cannot be loaded.
+        If the run cannot start at all: `out` cannot be written, or a network or the calibration
+        cannot be loaded.
     """
+    site = _load_calibration(options)
     finder = make_finder(options)
     started = datetime.now(UTC)
     result = RunResult(out=out)
@@ -99,9 +103,9 @@ def measure_inputs(
     with ExitStack() as stack:
         rows, failures = _open_tables(out, stack)
         for read, broken in _read_all(inputs, options):
-            capture, fruit, noted = _measure_or_note(read, broken, finder, options)
+            capture, fruit, noted = _measure_or_note(read, broken, finder, options, site)
             if capture is not None:
-                lines = [fruit_row(capture, n, f, options.length) for n, f in enumerate(fruit, 1)]
+                lines = _rows(capture, fruit, options, site)
                 for line in lines:
                     rows.write(line)
                 _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit)
@@ -113,8 +117,30 @@ def measure_inputs(
             if report is not None:
                 report(capture, fruit, noted)
     result = replace(result, captures=len(captures))
-    write_reports(result, captures, finder, options, started)
+    write_reports(result, captures, finder, options, started, site)
     return result
+
+
+def _load_calibration(options: MeasureOptions) -> SiteCalibration | None:
+    if options.calibration is None:
+        return None
+    from cucumbervision.calibration.calibration_file import read_site_calibration
+
+    return read_site_calibration(options.calibration)
+
+
+def _rows(
+    capture: Capture,
+    fruit: Sequence[Fruit],
+    options: MeasureOptions,
+    site: SiteCalibration | None,
+) -> list[dict[str, Cell]]:
+    rows = [fruit_row(capture, n, one, options.length) for n, one in enumerate(fruit, 1)]
+    if site is None:
+        return rows
+    from cucumbervision.session.calibrated import calibrated_row
+
+    return [calibrated_row(row, site, options.length) for row in rows]
 
 
 def _open_tables(out: Path, stack: ExitStack) -> tuple[CsvSink, CsvSink]:
@@ -129,11 +155,19 @@ def _open_tables(out: Path, stack: ExitStack) -> tuple[CsvSink, CsvSink]:
 
 
 def _measure_or_note(
-    capture: Capture | None, failure: Failure | None, finder: Finder, options: MeasureOptions
+    capture: Capture | None,
+    failure: Failure | None,
+    finder: Finder,
+    options: MeasureOptions,
+    site: SiteCalibration | None,
 ) -> tuple[Capture | None, tuple[Fruit, ...], list[Failure]]:
     if capture is None:
         return None, (), [failure] if failure else []
     try:
+        if site is not None:
+            from cucumbervision.session.calibrated import calibrated_capture
+
+            capture = calibrated_capture(capture, site)
         fruit, refused = measure_capture(capture, finder, options)
     except CucumberVisionError as error:
         return None, (), [_failure(capture.source, capture.name, error)]

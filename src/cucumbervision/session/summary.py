@@ -52,5 +52,7 @@ def summary_lines(result: RunResult, provenance: Mapping[str, Any]) -> list[tupl
         ("Started (UTC)", provenance["started"]),
         ("Configuration SHA-256", provenance["config_sha256"]),
     ]
+    if provenance.get("calibration"):
+        lines.append(("Calibration", provenance["calibration"]["tag"]))
     lines += [(f"Model {m['name']}", f"{m['runtime']} {m['sha256']}") for m in provenance["models"]]
     return lines

@@ -48,11 +48,21 @@ def test_intervals_cover_new_fruit_in_every_group() -> None:
 
 
 def test_an_unknown_depth_scale_widens_the_interval_by_hand() -> None:
-    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 1.5, 100)
+    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 1.5, 1.5, 100)
     low, high = model.interval(0.3, {}, scale_sd=0.01)
     half = np.hypot(1.5 * 0.01, 1.6449 * 0.01)
     assert low == pytest.approx(0.3 / (1 + half), rel=1e-4)
     assert high == pytest.approx(0.3 / (1 - half), rel=1e-4)
+
+
+def test_a_method_that_reads_short_gets_a_long_upper_end() -> None:
+    rng = np.random.default_rng(8)
+    errors = -rng.exponential(0.1, 4000)  # never long, at times far too short
+    model = fit_interval_model("M1", errors, {}, np.arange(4000).astype(str))
+    low, high = model.interval(0.2, {})
+    assert 0.2 - low < 0.3 * (high - 0.2)
+    covered = [low <= 0.2 / (1 + e) <= high for e in -rng.exponential(0.1, 4000)]
+    assert np.mean(covered) == pytest.approx(0.90, abs=0.02)
 
 
 def test_captures_of_one_fruit_stay_in_one_half() -> None:
@@ -64,6 +74,6 @@ def test_captures_of_one_fruit_stay_in_one_half() -> None:
 
 
 def test_missing_features_count_as_zero() -> None:
-    model = IntervalModel("M6", 0.9, ("tilt",), (np.log(0.01), 1.0), 0.0, 1.0, 100)
+    model = IntervalModel("M6", 0.9, ("tilt",), (np.log(0.01), 1.0), 0.0, 1.0, 1.0, 100)
     assert model.sigma({}) == pytest.approx(0.01)
     assert model.sigma({"tilt": 1.0}) == pytest.approx(0.01 * np.e)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.evaluation.metrics import score
 from cucumbervision.evaluation.protocol import CAMERA
 from cucumbervision.evaluation.records import Masks, Record, Suite
+from cucumbervision.evaluation.table import Cell, Table
 from cucumbervision.geometry.camera import scale_error_tilted
 from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m6 import measure_m6
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from cucumbervision.synthesis.tube import Tube
 
 __all__ = [
-    "Experiment",
     "burst_sizes",
     "carrot_intrinsics",
     "length_conventions",
@@ -45,29 +45,7 @@ TILTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
 SIZES_M = ((0.0, 0.10), (0.10, 0.18), (0.18, 0.45))
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """One table of the report.
-
-    Parameters
-    ----------
-    title : str
-        What was asked.
-    comment : str
-        What it says, in plain words.
-    columns : tuple of str
-        Heads with units.
-    rows : tuple of tuple
-        Texts and numbers.
-    """
-
-    title: str
-    comment: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str | float, ...], ...]
-
-
-def wrong_intrinsics() -> Experiment:
+def wrong_intrinsics() -> Table:
     """Measure one exact fruit with wrong focal lengths at several tilts, against the formula.
 
     Notes
@@ -84,7 +62,7 @@ def wrong_intrinsics() -> Experiment:
             formula = 100 * scale_error_tilted(CAMERA.fx_px, focal, tilt)
             read = np.nan if found.length_m is None else 100 * (found.length_m / 0.20 - 1)
             rows.append((name, tilt, round(formula, 1), _line_error(tube, wrong), round(read, 1)))
-    return Experiment(
+    return _table(
         "Wrong intrinsics",
         "A straight fruit of 20 cm, exact depth, deprojected with another stream's or another "
         "size's focal length. The sign and the size follow from the two focal lengths, so no "
@@ -104,7 +82,7 @@ def _line_error(tube: Tube, wrong: Intrinsics) -> float:
     return round(100 * (polyline_length(lifted) / polyline_length(axis) - 1), 1)
 
 
-def carrot_intrinsics(folder: Path) -> Experiment:
+def carrot_intrinsics(folder: Path) -> Table:
     """Measure the real carrot frames with a depth stream's focal length instead of their own."""
     from cucumbervision.capture.readers import open_source
     from cucumbervision.measurement.cloud import masked_points
@@ -123,7 +101,7 @@ def carrot_intrinsics(folder: Path) -> Experiment:
             errors.append(100 * (scaled / right - 1))
     formula = 100 * (own.fx_px / 640.0 - 1)
     row = (len(errors), round(float(np.mean(errors)), 1), round(float(np.std(errors)), 2))
-    return Experiment(
+    return _table(
         "Wrong intrinsics on real frames",
         "Ten RealSense frames of one carrot lying across the view, by M3, with f = 640 px in "
         "place of the colour stream's.",
@@ -134,13 +112,13 @@ def carrot_intrinsics(folder: Path) -> Experiment:
 
 def burst_sizes(
     measure: Callable[[int], Sequence[Record]], sizes: Sequence[int] = (1, 3, 5, 9)
-) -> Experiment:
+) -> Table:
     """Compare bursts; `measure` gives the records of the same cases for a burst size."""
-    rows: list[tuple[str | float, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     for size in sizes:
         records = measure(size)
         rows.append((size, len(records), *(_mape(records, name) for name in ("M3", "M5", "M6"))))
-    return Experiment(
+    return _table(
         "Burst size",
         "The same captures with exact masks. Most of the sensor's noise is fixed in space, so "
         "more frames help little beyond filling holes.",
@@ -149,15 +127,15 @@ def burst_sizes(
     )
 
 
-def sam_prompts(measure: Callable[[str], Sequence[Record]]) -> Experiment:
+def sam_prompts(measure: Callable[[str], Sequence[Record]]) -> Table:
     """Compare SAM's prompts; `measure` gives perceived records of the same cases for a prompt."""
-    rows: list[tuple[str | float, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     for prompt in ("box+point", "box", "point"):
         records = measure(prompt)
         failed = sum(bool(r.details.get("mask_failure")) for r in records)
         overlap = np.mean([float(r.details.get("mask_iou", 0.0)) for r in records])
         rows.append((prompt, len(records), failed, round(float(overlap), 3), _mape(records, "M6")))
-    return Experiment(
+    return _table(
         "SAM's prompt",
         "MobileSAM, prompted by the exact box of the visible fruit.",
         ("prompt", "captures", "masks refused", "mask IoU, mean", "M6 MAPE [%]"),
@@ -165,15 +143,15 @@ def sam_prompts(measure: Callable[[str], Sequence[Record]]) -> Experiment:
     )
 
 
-def selectors(records: Sequence[Record]) -> Experiment:
+def selectors(records: Sequence[Record]) -> Table:
     """Compare the selectors on the paper's captures, by kind of mask."""
-    rows: list[tuple[str | float, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     for masks in Masks:
         some = [r for r in records if r.masks is masks and r.suite is not Suite.STRESS]
         if some:
             for name in ("selector paper", "selector best"):
                 rows.append((name.split()[1], str(masks), len(some), _mape(some, name)))
-    return Experiment(
+    return _table(
         "Selector",
         "Raw length of the chosen method against the centreline.",
         ("selector", "masks", "captures", "MAPE [%]"),
@@ -181,9 +159,9 @@ def selectors(records: Sequence[Record]) -> Experiment:
     )
 
 
-def length_conventions(records: Sequence[Record]) -> Experiment:
+def length_conventions(records: Sequence[Record]) -> Table:
     """Say by how much thread and chord differ from the centreline, by size."""
-    rows: list[tuple[str | float, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     fruit = {r.fruit: r for r in records if r.thread_m and r.centreline_m and r.chord_m}
     for low, high in SIZES_M:
         some = [r for r in fruit.values() if low <= (r.centreline_m or 0) < high]
@@ -195,7 +173,7 @@ def length_conventions(records: Sequence[Record]) -> Experiment:
         rows.append(
             (name, len(some), round(float(np.mean(thread)), 1), round(float(np.mean(chord)), 1))
         )
-    return Experiment(
+    return _table(
         "Thread, centreline, chord",
         "What people lay along a fruit differs by more than any good method errs: say which.",
         ("centreline", "fruit", "thread, mean [%]", "chord, mean [%]"),
@@ -207,3 +185,7 @@ def _mape(records: Sequence[Record], name: str) -> float:
     lengths = [np.nan if (x := r.lengths_m.get(name)) is None else x for r in records]
     truth = [r.centreline_m or np.nan for r in records]
     return round(score(lengths, truth).mape_percent, 2) if records else float("nan")
+
+
+def _table(title: str, comment: str, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Table:
+    return Table.of(title, heads, rows, comment)

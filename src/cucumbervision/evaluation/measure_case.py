@@ -192,9 +192,9 @@ def _outsiders(
 def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:
     noted: dict[str, Any] = {"m6_reason": str(m6.reason), "mask_failure": instance.mask_failure}
     if m6.fit is not None:
-        from cucumbervision.measurement.interval_features import interval_features
+        from cucumbervision.measurement.interval_features import tube_features
 
-        noted["m6_features"] = {k: round(v, 6) for k, v in interval_features(m6).items()}
+        noted["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
         noted["m6_flags"] = list(m6.fit.flags)
     return noted
 

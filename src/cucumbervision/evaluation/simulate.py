@@ -10,10 +10,11 @@ import numpy as np
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.frames import Capture
 from cucumbervision.evaluation.protocol import CAMERA, Case
+from cucumbervision.synthesis.bodies import random_fruit, variety_of
 from cucumbervision.synthesis.d4xx import D4xx, sense
 from cucumbervision.synthesis.occluders import Leaf, Plane
 from cucumbervision.synthesis.scenes import FruitTruth, Scene, View, look, truth_of
-from cucumbervision.synthesis.tube import Tube, arc_tube, rotation
+from cucumbervision.synthesis.tube import Tube, rotation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,18 +61,20 @@ def build_fruit(case: Case) -> Tube:
     >>> round(100 * build_fruit(validation_cases()[4]).thread_m, 2)
     38.0
     """
-    rng = np.random.default_rng(case.fruit_seed)
-    # Greenhouse fruit: 6.9 cm are about 2.6 cm thick, 38 cm about 4.8 cm.
-    radius = float((0.0105 + 0.036 * case.length_m) * rng.uniform(0.9, 1.1))
-    neck = float(rng.uniform(0.05, 0.35))
     bend = np.inf if case.bend_radius_m is None else case.bend_radius_m
-    length = case.length_m
-    tube = arc_tube(length, radius, bend, neck=neck)
+    variety = variety_of(case.length_m)
+
+    def grown(length_m: float) -> Tube:
+        rng = np.random.default_rng(case.fruit_seed)
+        return random_fruit(rng, length_m, variety, bend_radius_m=bend)
+
+    tube = grown(case.length_m)
     if not case.by_thread:
         return tube
-    for _ in range(4):  # the thread grows almost evenly with the centreline
-        length *= case.length_m / tube.thread_m
-        tube = arc_tube(length, radius, bend, neck=neck)
+    length_m = case.length_m
+    for _ in range(5):  # the thread grows almost evenly with the centreline
+        length_m *= case.length_m / tube.thread_m
+        tube = grown(length_m)
     return tube
 
 

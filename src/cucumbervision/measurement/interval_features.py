@@ -1,4 +1,4 @@
-"""What is known at run time of how far to trust an M6 length."""
+"""What is known at run time of how far to trust a length."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 if TYPE_CHECKING:
     from cucumbervision.measurement.results import Measurement
 
-__all__ = ["FEATURES", "interval_features"]
+__all__ = ["RAW_FEATURES", "TUBE_FEATURES", "raw_features", "tube_features"]
 
-FEATURES = (
+TUBE_FEATURES = (
     "log_sd",
+    "log_outline",
     "tilt",
     "tilt_steep",
     "hidden",
@@ -24,10 +25,11 @@ FEATURES = (
     "end_on",
     "poor_fit",
 )
+RAW_FEATURES = ("distance_m", "holes", "log_pixels")
 STEEP_DEG = 35.0
 
 
-def interval_features(measurement: Measurement) -> dict[str, float]:
+def tube_features(measurement: Measurement) -> dict[str, float]:
     """Give the features of `uncertainty.IntervalModel` for an M6 measurement.
 
     Parameters
@@ -38,7 +40,7 @@ def interval_features(measurement: Measurement) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        One value for each of `FEATURES`.
+        One value for each of `TUBE_FEATURES`.
 
     Raises
     ------
@@ -49,18 +51,38 @@ def interval_features(measurement: Measurement) -> dict[str, float]:
     if fit is None or tube is None:
         raise ValueError("there is no tube to tell features of")
     distance = float(np.median(fit.traits.axis_m[:, 2]))
-    length = tube.centreline_m
     tilt = fit.traits.tilt_deg
     return {
-        "log_sd": float(np.log(max(fit.centreline_sd_m / length, 1e-5))),
+        "log_sd": float(np.log(max(fit.centreline_sd_m / tube.centreline_m, 1e-5))),
+        "log_outline": float(np.log(max(fit.outline_rms_px, 0.05))),
         "tilt": tilt / 60.0,
         "tilt_steep": max(0.0, tilt - STEEP_DEG) / 25.0,
         "hidden": fit.hidden_share,
-        "distance_m": distance,
-        "holes": 1.0 - fit.fill,
         "unexplained": 1.0 - fit.explained,
-        "log_pixels": float(np.log(length / distance)),
         "end_hidden": float("end-hidden" in fit.flags),
         "end_on": float("end-on" in fit.flags),
         "poor_fit": float("poor-fit" in fit.flags),
+        **raw_features(tube.centreline_m, distance, fit.fill),
+    }
+
+
+def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, float]:
+    """Give the features of a raw length, by M1 to M5.
+
+    Parameters
+    ----------
+    length_m, distance_m : float
+        The length as measured, and the fruit's median depth, metres.
+    fill : float
+        Share of the mask's (or box's) pixels with a reading, 0 to 1.
+
+    Examples
+    --------
+    >>> raw_features(0.25, 0.5, 0.98)["distance_m"]
+    0.5
+    """
+    return {
+        "distance_m": distance_m,
+        "holes": 1.0 - fill,
+        "log_pixels": float(np.log(max(length_m, 1e-3) / distance_m)),
     }

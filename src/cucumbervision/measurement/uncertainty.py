@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["IntervalModel", "conformal_quantile", "fit_interval_model"]
 
 FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
+LEAST = 0.05  # a reading is taken for no less than a twentieth of the truth
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,12 @@ class IntervalModel:
     weights : tuple of float
         c0 and one weight a feature, of log(relative sigma).
     bias : float
-        Median relative error on the calibration fruit, taken off the interval's middle.
-    quantile : float
-        Conformal quantile of |relative error - bias| / sigma, scale known.
+        Median relative error on the calibration fruit.
+    low_quantile, high_quantile : float
+        Conformal quantiles of (relative error - bias) / sigma to either side, each missed by half
+        of 1 - level; a method that reads short has a long lower side. Scale known.
     count : int
-        Calibration fruit behind the quantile.
+        Calibration fruit behind the quantiles.
     """
 
     method: str
@@ -51,7 +53,8 @@ class IntervalModel:
     features: tuple[str, ...]
     weights: tuple[float, ...]
     bias: float
-    quantile: float
+    low_quantile: float
+    high_quantile: float
     count: int
 
     def sigma(self, values: Mapping[str, float]) -> float:
@@ -80,15 +83,18 @@ class IntervalModel:
 
         Examples
         --------
-        >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 2.0, 500)
+        >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 2.0, 2.0, 500)
         >>> [round(x, 4) for x in model.interval(0.2, {})]
         [0.1961, 0.2041]
         """
-        half = self.quantile * self.sigma(values)
-        if scale_sd > 0:
-            half = float(np.hypot(half, _normal_quantile(self.level) * scale_sd))
-        # error = measured / true - 1, so true = measured / (1 + error).
-        return length_m / (1 + self.bias + half), length_m / max(1 + self.bias - half, 0.05)
+        sigma = self.sigma(values)
+        scale = _normal_quantile(self.level) * scale_sd
+        low, high = (
+            float(np.hypot(q * sigma, scale)) for q in (self.low_quantile, self.high_quantile)
+        )
+        # error = measured / true - 1 lies in [bias - low, bias + high], so
+        # true = measured / (1 + error).
+        return length_m / (1 + self.bias + high), length_m / max(1 + self.bias - low, LEAST)
 
 
 def _normal_quantile(level: float) -> float:
@@ -167,10 +173,17 @@ def fit_interval_model(
     bias = float(np.median(error[first]))
     weights = _log_linear(np.abs(error[first] - bias), columns[first])
     sigma = np.exp(np.clip(columns @ weights, np.log(FLOOR), 0.0))
-    scores = np.abs(error - bias) / sigma
-    quantile = conformal_quantile(scores[~first], level)
+    scores = ((error - bias) / sigma)[~first]
+    side = (1 + level) / 2
     return IntervalModel(
-        method, level, names, tuple(float(w) for w in weights), bias, quantile, int((~first).sum())
+        method,
+        level,
+        names,
+        tuple(float(w) for w in weights),
+        bias,
+        max(conformal_quantile(-scores, side), 0.0),
+        max(conformal_quantile(scores, side), 0.0),
+        len(scores),
     )
 
 

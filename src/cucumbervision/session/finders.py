@@ -179,6 +179,7 @@ def _dataset_or_models(capture: Capture) -> Found:
 
 
 def _network_finder(path: Path, options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
+    from cucumbervision.perception.registry import file_sha256
     from cucumbervision.perception.yolo import YoloDetector, with_keypoints
 
     def load(file: Path) -> YoloDetector:
@@ -209,7 +210,7 @@ class _LazySegmenter:
 
     def get(self, name: str) -> Segmenter:
         if name not in self._loaded:
-            from cucumbervision.perception.registry import load_registry
+            from cucumbervision.perception.registry import file_sha256, load_registry
             from cucumbervision.perception.sam import Segmenter
 
             files = load_registry().resolve(name)
@@ -223,11 +224,3 @@ class _LazySegmenter:
             self._models.append({"name": name, "sha256": hashes, "runtime": segmenter.runtime})
             self._loaded[name] = segmenter
         return self._loaded[name]
-
-
-def file_sha256(path: Path) -> str:
-    """Give a file's SHA-256 in hexadecimal."""
-    import hashlib
-
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,74 @@
+"""Put the simulated interval into a row, where nothing better is known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cucumbervision.measurement.interval_book import BASIS, IntervalBook
+from cucumbervision.measurement.interval_features import raw_features, tube_features
+from cucumbervision.measurement.results import Length, Method
+
+if TYPE_CHECKING:
+    from cucumbervision.measurement.results import Fruit
+    from cucumbervision.session.rows import Cell
+
+__all__ = ["with_simulated_interval"]
+
+_TUBE_KEYS = {Length.CENTRELINE: "M6", Length.THREAD: "M6 thread", Length.CHORD: "M6 chord"}
+
+
+def with_simulated_interval(
+    row: dict[str, Cell],
+    fruit: Fruit,
+    length: Length,
+    book: IntervalBook,
+    *,
+    scale_known: bool,
+) -> dict[str, Cell]:
+    """Give a row its interval.
+
+    Parameters
+    ----------
+    row : dict
+        As `session.rows.fruit_row` fills it.
+    fruit : Fruit
+        The fruit of the row.
+    length : Length
+        The length that the run was asked for.
+    book : IntervalBook
+        The models.
+    scale_known : bool
+        Whether the camera's depth scale was measured with a bar of known length.
+
+    Returns
+    -------
+    dict
+        The row with `interval_low_cm`, `interval_high_cm`, `interval_of` and `interval_basis`;
+        unchanged where nothing was measured. A raw length's interval is about the centreline,
+        which is what the fruit's length means where a method's own chord or arc does not.
+    """
+    chosen = fruit.selected
+    if chosen is None or chosen.length_m is None:
+        return row
+    method = chosen.measured_by or chosen.method
+    if method is Method.M6 and chosen.tube is not None and chosen.fit is not None:
+        key, about = _TUBE_KEYS[length], length
+        measured = getattr(chosen.tube, f"{length}_m")
+        features = tube_features(chosen)
+    else:
+        distance, fill = row["distance_cm"], row["fill"]
+        if not isinstance(distance, float | int) or not isinstance(fill, float | int):
+            return row
+        key, about, measured = str(method), Length.CENTRELINE, chosen.length_m
+        features = raw_features(measured, distance / 100, float(fill))
+    found = book.interval(key, measured, features, scale_known=scale_known)
+    if found is None:
+        return row
+    low, high = found
+    return {
+        **row,
+        "interval_low_cm": round(100 * low, 3),
+        "interval_high_cm": round(100 * high, 3),
+        "interval_of": str(about),
+        "interval_basis": BASIS,
+    }

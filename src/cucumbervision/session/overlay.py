@@ -28,7 +28,9 @@ BAR_M = 0.10
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
+def draw_overlay(
+    capture: Capture, fruit: Sequence[Fruit], lengths_cm: Sequence[float | None] | None = None
+) -> NDArray[np.uint8]:
     """Draw each fruit's mask, measured line, tips and length, and a scale bar.
 
     Parameters
@@ -37,6 +39,9 @@ def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
         The frame; its colour picture is not changed.
     fruit : sequence of Fruit
         The fruit in it, measured, numbered from 1.
+    lengths_cm : sequence of float or None, optional
+        What to write as each fruit's length, where a row says another one than the method read:
+        a tube's thread, or a calibrated length.
 
     Returns
     -------
@@ -51,7 +56,9 @@ def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
         if one.selected is not None and one.selected.path_m is not None:
             _draw_path(picture, one.selected, capture.intrinsics, color, size)
     for number, one in enumerate(fruit, start=1):
-        _draw_label(picture, _label(number, one), one.instance.box, size)
+        known = 100 * one.selected.length_m if one.selected and one.selected.length_m else None
+        length_cm = known if lengths_cm is None else lengths_cm[number - 1]
+        _draw_label(picture, _label(number, one, length_cm), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
@@ -89,12 +96,12 @@ def _draw_path(
         cv2.circle(picture, at, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
 
-def _label(number: int, fruit: Fruit) -> str:
+def _label(number: int, fruit: Fruit, length_cm: float | None) -> str:
     chosen = fruit.selected
-    if chosen is None or chosen.length_m is None:
+    if chosen is None or length_cm is None:
         return f"{number}: not measured ({fruit.reason})"
     cut = " cut" if "cut-by-frame" in fruit.flags else ""
-    return f"{number}: {100 * chosen.length_m:.1f} cm {chosen.measured_by or chosen.method}{cut}"
+    return f"{number}: {length_cm:.1f} cm {chosen.measured_by or chosen.method}{cut}"
 
 
 def _draw_label(

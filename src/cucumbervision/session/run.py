@@ -108,7 +108,7 @@ def measure_inputs(
                 lines = _rows(capture, fruit, options, site)
                 for line in lines:
                     rows.write(line)
-                _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit)
+                _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit, lines)
                 captures.append(capture_json(capture, fruit, lines))
                 result.rows.extend(lines)
             for failure in noted:
@@ -227,11 +227,16 @@ def _failure(source: str, capture: str, error: CucumberVisionError) -> Failure:
     return Failure(source, capture, error.code, str(error))
 
 
-def _write_overlay(path: Path, capture: Capture, fruit: Sequence[Fruit]) -> None:
+def _write_overlay(
+    path: Path, capture: Capture, fruit: Sequence[Fruit], rows: Sequence[dict[str, Cell]]
+) -> None:
     import cv2
 
     from cucumbervision.session.overlay import draw_overlay
 
-    ok, data = cv2.imencode(".png", draw_overlay(capture, fruit)[..., ::-1])
+    lengths = [row["length_cm"] for row in rows]
+    known = [float(x) if isinstance(x, int | float) else None for x in lengths]
+    picture = draw_overlay(capture, fruit, known)
+    ok, data = cv2.imencode(".png", picture[..., ::-1])
     if ok:
         path.write_bytes(data.tobytes())

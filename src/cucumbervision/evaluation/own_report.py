@@ -1,0 +1,89 @@
+"""The report of an evaluation on one's own fruit."""
+
+from __future__ import annotations
+
+import math
+import platform
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.evaluation.records import append_record
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cucumbervision.evaluation.measured import Measured
+    from cucumbervision.evaluation.own_truth import OwnTruth
+    from cucumbervision.evaluation.truth import Truth
+
+__all__ = ["RECORDS", "SCORES", "write_own_report"]
+
+RECORDS = "records.jsonl"
+SCORES = "scores.json"
+
+
+def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
+    """Write the benchmark's report over one's own fruit, its records and its scores.
+
+    `out` gets `scores.json` (what the command prints), `records.jsonl`, and the report.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the folder cannot be written.
+    """
+    from cucumbervision.evaluation.report import write_report
+    from cucumbervision.session.exports import write_json
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / RECORDS).unlink(missing_ok=True)
+        for record in found.records:
+            append_record(out / RECORDS, record)
+        provenance = _provenance(measured, truth)
+        floor = found.floor and asdict(found.floor)
+        scores = [_plain(asdict(one)) for one in found.scores]
+        write_json(
+            out / SCORES,
+            {**provenance, "notes": found.notes, "floor": floor, "scores": scores},
+        )
+        write_report(
+            found.records,
+            out,
+            title="Lengths against one's own ground truth",
+            notes=found.notes,
+            experiments={},
+            provenance=provenance,
+        )
+    except OSError as error:
+        raise CucumberVisionError(
+            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
+        ) from error
+
+
+def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
+    report = measured.report
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
+        "measurements": str(measured.path),
+        "measured_with": report.get("software"),
+        "config_sha256": report.get("config_sha256"),
+        "models": report.get("models", []),
+        "calibration": (report.get("calibration") or {}).get("tag"),
+        "truth": str(truth.path),
+        "truth_sha256": truth.sha256,
+        "versions": {"python": platform.python_version(), **installed_versions()},
+    }
+
+
+def _plain(score: dict[str, Any]) -> dict[str, Any]:
+    metrics = {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in score["metrics"].items()
+    }
+    return {**score, "kind": str(score["kind"]), "metrics": metrics}

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError
-from cucumbervision.evaluation.tables import Truth, methods_against, readings, truth_m
+from cucumbervision.evaluation.tables import Truth, is_scored, methods_against, readings, truth_m
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
@@ -224,7 +223,7 @@ def _error_against(
     ax = figure.subplots()
     known = [r for r in records if truth_m(r, truth) is not None]
     for method in _plotted(known, truth):
-        run = [r for r in known if readings([r], method, truth).fruit]
+        run = [r for r in known if is_scored(r, method, truth)]
         percent = readings(run, method, truth).errors_percent
         where = np.array([value(r) for r in run])
         # The last edge belongs to the last group.

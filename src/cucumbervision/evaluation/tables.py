@@ -27,6 +27,7 @@ __all__ = [
     "Truth",
     "accuracy_table",
     "comparison_table",
+    "is_scored",
     "length_and_error",
     "method_rows",
     "methods_against",
@@ -128,34 +129,18 @@ def truth_m(record: Record, truth: Truth) -> float | None:
     return lengths[truth]
 
 
-def methods_against(records: Sequence[Record], truth: Truth) -> list[str]:
-    """Give the methods that a kind of truth is fair to, in the tables' order.
+def is_scored(record: Record, method: str, truth: Truth) -> bool:
+    """Say whether a method was run on a record and may be held against this kind of truth.
 
     M1 to M5 and other people's tools are held against every kind: they do not say which they
     measure. M6's own kinds and the oracle's are held against their own; M6's centreline also
     against the thread, since that is what the paper would do.
-
-    Examples
-    --------
-    >>>     >>> read = {"M6": 0.2, "M1": 0.1, "M6 thread": 0.2, "oracle": 0.2}
-    >>> where = dict(distance_m=0.5, tilt_deg=0.0, bend_radius_m=None, hidden_share=0.0, fill=1.0)
-    >>> one = Record("a", Suite.PAPER, Masks.EXACT, "f", 0.2, 0.22, None, lengths_m=read, **where)
-    >>> methods_against([one], Truth.THREAD)
-    ['M1', 'M6', 'M6 thread']
-    >>> methods_against([one], Truth.CHORD)
-    []
     """
-    found = {name for r in records for name in r.lengths_m if _is_fair(r, name, truth)}
-    order = {name: k for k, name in enumerate(DESCRIPTIONS)}
-    return sorted(found, key=lambda name: (order.get(name, len(order) - 1.5), name))
-
-
-def _is_fair(record: Record, method: str, truth: Truth) -> bool:
-    if truth_m(record, truth) is None:
+    if method not in record.lengths_m or truth_m(record, truth) is None:
         return False
     if method == "reported":  # its kind changes from fruit to fruit
-        kind = record.details.get("reported_kind")
-        return kind == truth or kind not in set(Truth)
+        reported = record.details.get("reported_kind")
+        return reported == truth or reported not in set(Truth)
     for kind in (Truth.THREAD, Truth.CHORD):
         if method.endswith(f" {kind}"):
             return truth is kind
@@ -164,14 +149,31 @@ def _is_fair(record: Record, method: str, truth: Truth) -> bool:
     return not (method in ("M6", "selector best") and truth is Truth.CHORD)
 
 
+def methods_against(records: Sequence[Record], truth: Truth) -> list[str]:
+    """Give the methods that a kind of truth is fair to, in the tables' order; `is_scored` says which.
+
+    Examples
+    --------
+    >>> from cucumbervision.evaluation.records import Masks, Record, Suite
+    >>> read = {"M6": 0.2, "M1": 0.1, "M6 thread": 0.2, "oracle": 0.2}
+    >>> where = dict(distance_m=0.5, tilt_deg=0.0, bend_radius_m=None, hidden_share=0.0, fill=1.0)
+    >>> one = Record("a", Suite.PAPER, Masks.EXACT, "f", 0.2, 0.22, None, lengths_m=read, **where)
+    >>> methods_against([one], Truth.THREAD)
+    ['M1', 'M6', 'M6 thread']
+    >>> methods_against([one], Truth.CHORD)
+    []
+    """
+    found = {name for r in records for name in r.lengths_m if is_scored(r, name, truth)}
+    order = {name: k for k, name in enumerate(DESCRIPTIONS)}
+    return sorted(found, key=lambda name: (order.get(name, len(order) - 1.5), name))
+
+
 def readings(records: Sequence[Record], method: str, truth: Truth) -> Readings:
     """Gather what a method read where it was run and the truth is known."""
     rows = [
         (record.lengths_m[method], true, record.fruit)
         for record in records
-        if method in record.lengths_m
-        and _is_fair(record, method, truth)
-        and (true := truth_m(record, truth)) is not None
+        if is_scored(record, method, truth) and (true := truth_m(record, truth)) is not None
     ]
     lengths = np.array([np.nan if length is None else length for length, _, _ in rows], float)
     return Readings(lengths, np.array([true for _, true, _ in rows]), tuple(r[2] for r in rows))

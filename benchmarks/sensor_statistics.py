@@ -1,10 +1,11 @@
 """Compare the simulated depth camera with real frames, by the same measures.
 
-    python benchmarks/sensor_statistics.py DATA_FOLDER
+    python benchmarks/sensor_statistics.py DATA_FOLDER [--foliage DEPTH.png]
 
 DATA_FOLDER holds BOP scenes of a body lying on a plain ground (`rgb/`, `depth/`, `mask_visib/`).
 For each real frame a twin is drawn: the ground as fitted beside the mask, and on it a straight
-tapered body of the mask's outline. All that is printed is measured alike on both.
+tapered body of the mask's outline. DEPTH.png is a 16-bit depth picture of a canopy in millimetres,
+compared with drawn trellises. All that is printed is measured alike on both.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
+from cucumbervision.synthesis.arrange import hang, trellis
+from cucumbervision.synthesis.bodies import random_fruit
 from cucumbervision.synthesis.d4xx import D4xx, sense
 from cucumbervision.synthesis.occluders import Plane, plane_depth
 from cucumbervision.synthesis.scenes import Scene, look
@@ -38,7 +42,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
 
 DISTANCES_M = (0.38, 0.47, 0.56)
 BALLS = 400
@@ -131,11 +134,14 @@ def row(name: str, real: float, twin: float, form: str = "8.2f") -> None:
 
 def mean_profile(profiles: list[EdgeProfile]) -> EdgeProfile:
     """Give the median profile of several frames."""
-    return EdgeProfile(
-        profiles[0].offset_px,
-        np.nanmedian([p.height for p in profiles], axis=0),
-        np.nanmean([p.invalid for p in profiles], axis=0),
-    )
+    heights = np.array([p.height for p in profiles])
+    invalid = np.array([p.invalid for p in profiles])
+    # An offset at which no frame has a reading stays empty, without a warning.
+    some = ~np.isnan(heights).all(axis=0), ~np.isnan(invalid).all(axis=0)
+    height, empty = np.full(heights.shape[1], np.nan), np.full(heights.shape[1], np.nan)
+    height[some[0]] = np.nanmedian(heights[:, some[0]], axis=0)
+    empty[some[1]] = np.nanmean(invalid[:, some[1]], axis=0)
+    return EdgeProfile(profiles[0].offset_px, height, empty)
 
 
 def print_residuals(captures: list[Capture], pairs: list[Pair]) -> None:
@@ -165,17 +171,60 @@ def print_edges(pairs: list[Pair]) -> None:
     for share in (0.75, 0.5, 0.25):
         name = f"offset where height falls to {share:.0%}, px"
         row(name, real.crossing_px(share), twin.crossing_px(share))
+    sideways = []
+    for parts in ([p.real for p in pairs], [p.twin for p in pairs]):
+        left, right = (
+            mean_profile([edge_profile(*part, (way, 0.0)) for part in parts]).crossing_px(0.5)
+            for way in (-1.0, 1.0)
+        )
+        sideways.append((right - left) / 2)
+    row("depth stands off colour sideways, px", sideways[0], sideways[1])
     for low, high in ((-14, -6), (-6, 0), (0, 6), (6, 14)):
         part = (real.offset_px >= low) & (real.offset_px < high)
         name = f"without a reading, {low} to {high} px off it, %"
         row(name, 100 * real.invalid[part].mean(), 100 * twin.invalid[part].mean())
 
 
+def jumps_per_mille(depth_m: NDArray[np.float32], focal_baseline: float) -> float:
+    """Give the share of neighbours in a row that both read and differ by over 2 px disparity."""
+    read = valid_depth(depth_m)
+    disparity = focal_baseline / np.where(read, depth_m, np.inf)
+    both = read[:, 1:] & read[:, :-1]
+    return float(1e3 * (both & (np.abs(np.diff(disparity, axis=1)) > 2)).mean())
+
+
+def print_foliage(path: Path) -> None:
+    """Print how full a canopy's depth picture is, and how often it jumps without a gap."""
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.dtype != np.uint16:
+        raise SystemExit(f"{path}: no 16-bit depth picture")
+    real = picture.astype(np.float32) / np.float32(1000)
+    camera = D4xx.like(Intrinsics(1280, 720, 924.0, 924.0, 640.0, 360.0))
+    drawn = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        fruit = tuple(
+            hang(random_fruit(rng, 0.25), (x, 0.0, 0.55), spin_deg=rng.uniform(0, 360))
+            for x in (-0.15, 0.15)
+        )
+        scene = trellis(rng, camera.color, fruit)
+        drawn.append(sense(scene, camera, rng, frames=1)[0])
+    full = [float(100 * (depth > 0).mean()) for depth in (real, np.array(drawn))]
+    row("fill of a canopy, %", full[0], full[1])
+    row(
+        "jumps over 2 px without a gap, per mille",
+        jumps_per_mille(real, 32.0),
+        float(np.mean([jumps_per_mille(d, 32.0) for d in drawn])),
+    )
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="a BOP scene with masks of a body on the ground")
-    captures = [ref.load() for ref in open_source(parser.parse_args().folder)]
+    parser.add_argument("--foliage", type=Path, help="16-bit depth picture of a canopy, mm")
+    given = parser.parse_args()
+    captures = [ref.load() for ref in open_source(given.folder)]
     pairs = [pair_of(capture, seed) for seed, capture in enumerate(captures)]
     print(f"{'':<46}{'real':>8}{'twin':>8}{'differs':>8}")
     print_residuals(captures, pairs)
@@ -185,6 +234,8 @@ def main() -> None:
         row(f"fill on the body, {capture.name}, %", real, twin)
     row("fill on the body, mean, %", *fills.mean(axis=0))
     print_edges(pairs)
+    if given.foliage:
+        print_foliage(given.foliage)
     wall = Scene((), planes=(Plane.facing(0.5),))
     burst = sense(wall, D4xx.like(captures[0].intrinsics), np.random.default_rng(1), frames=5)
     print(f"{'share of the variance fixed in space':<46}{'-':>8}{noise_split(burst):8.2f}")

@@ -126,3 +126,12 @@ def test_glare_takes_its_share_of_the_fruit() -> None:
         for share in (0.0, 0.2)
     )
     assert dry - wet == pytest.approx(0.2, abs=0.05)
+
+
+def test_a_registration_error_moves_depth_over_colour() -> None:
+    tube = arc_tube(0.2, 0.022).moved(rotation(-80), (0, 0, 0.45))
+    scene = Scene((tube,), planes=(Plane.facing(0.9),))
+    right, off = (
+        burst_of(scene, replace(CALM, registration_px=shift))[0] for shift in ((0, 0), (3, -2))
+    )
+    assert (off[:-2, 3:] == right[2:, :-3]).mean() > 0.999

@@ -55,6 +55,9 @@ class D4xx:
         Disparity comes in such steps.
     scale_error : float
         This camera's own: it reads depth times 1 + scale_error.
+    registration_px : tuple of float
+        By how much (u, v) depth stands off colour, colour pixels: the rig's own error, or motion
+        between both exposures.
     matcher : Matcher
         How the matching errs at edges.
     foliage_holes, glare_holes : float
@@ -82,6 +85,7 @@ class D4xx:
     correlation_px: float = 5.0
     subpixel_step_px: float = 1 / 32
     scale_error: float = 0.0
+    registration_px: tuple[float, float] = (0.0, 0.0)
     matcher: Matcher = field(default_factory=Matcher)
     foliage_holes: float = 0.02
     glare_holes: float = 0.0
@@ -312,6 +316,6 @@ def _corner(
     px, py = distort(
         points[0] / points[2], points[1] / points[2], color.distortion, color.coefficients
     )
-    px = px * np.float32(color.fx_px) + np.float32(color.cx_px + 0.5)
-    py = py * np.float32(color.fy_px) + np.float32(color.cy_px + 0.5)
+    px = px * np.float32(color.fx_px) + np.float32(color.cx_px + camera.registration_px[0] + 0.5)
+    py = py * np.float32(color.fy_px) + np.float32(color.cy_px + camera.registration_px[1] + 0.5)
     return px.astype(np.int32), py.astype(np.int32)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Matched", "Matcher", "hidden_from_right", "match", "smooth_field"]
 
+GAP_LOST = 0.95  # of the pixels in a gap
 _COARSE_SIGMA = 1.5  # px of a coarse grid: the blur that cubic enlarging still draws smoothly
 
 
@@ -26,17 +27,19 @@ class Matcher:
     ----------
     ramp_px : float
         Standard deviation of the blur that the matching window lays over small steps, pixels.
-    crisp_px : float
-        The same for great steps: half the width, about, of the gap that they leave.
     jump_px : float
         Step of disparity, pixels, up to which both sides run into each other; from twice that on
         each pixel takes one side.
     fatten_px : int
         How far at most the nearer side grows over such a jump, pixels.
+    gap_px : int
+        Width of the gap that such a jump leaves on its farther side, pixels.
+    border_lost : float
+        Share of the nearer side's border pixels lost at such a jump.
     steep : float
         Slope of the blurred disparity, pixels a pixel, above which there is no reading.
     flying_share : float
-        Share of those steep pixels that read something between both sides nevertheless.
+        Share of all those pixels that read something between both sides nevertheless.
     hidden_filled : float
         Share of what the right imager cannot see that is read nevertheless, as the farther side.
     thin_px : int
@@ -50,10 +53,11 @@ class Matcher:
     """
 
     ramp_px: float = 2.5
-    crisp_px: float = 2.2
     jump_px: float = 8.0
-    fatten_px: int = 3
-    steep: float = 1.5
+    fatten_px: int = 1
+    gap_px: int = 5
+    border_lost: float = 0.3
+    steep: float = 1.3
     flying_share: float = 0.02
     hidden_filled: float = 0.06
     thin_px: int = 5
@@ -167,17 +171,22 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     """
     import cv2
 
-    soft = cv2.GaussianBlur(disparity_px, (0, 0), matcher.ramp_px)
+    blurred = cv2.GaussianBlur(disparity_px, (0, 0), matcher.ramp_px)
+    soft = np.asarray(blurred, np.float32)
     reach = 2 * int(np.ceil(2.0 * matcher.ramp_px)) + 1
-    apart = _steps(disparity_px, reach) / np.float32(matcher.jump_px) - np.float32(1)
+    steps = _steps(disparity_px, reach) / np.float32(matcher.jump_px)
+    apart = np.asarray(np.clip(steps - np.float32(1), 0, 1), np.float32)
     sharp = _fattened(disparity_px, matcher, rng)
-    apart = np.clip(apart, 0, 1)
     read = np.asarray(soft + apart * (sharp - soft), np.float32)
 
     clump = smooth_field(read.shape, matcher.clump_px / 2, rng)
-    crisp = cv2.GaussianBlur(sharp, (0, 0), matcher.crisp_px)
-    slope = _steps(soft + apart * (crisp - soft), 3) / np.float32(2)
+    # Small steps leave holes where the ramp is steep, great ones a gap on the farther side.
+    slope = (1 - apart) * _steps(soft, 3) / np.float32(2)
     lost = slope > np.float32(matcher.steep) * (np.float32(1) + np.float32(0.25) * clump)
+    gap = cv2.dilate(sharp, _disc(matcher.gap_px)) - sharp > np.float32(matcher.jump_px)
+    lost |= gap & (clump < _quantile(GAP_LOST))
+    border = sharp - cv2.erode(sharp, _disc(1)) > np.float32(matcher.jump_px)
+    lost |= border & (clump < _quantile(matcher.border_lost))
     flying = lost & (rng.random(read.shape, dtype=np.float32) < matcher.flying_share)
     read[flying] = soft[flying]
     hidden = hidden_from_right(read)
@@ -185,7 +194,15 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     lost |= _thin(disparity_px, matcher) & (clump < _quantile(matcher.thin_lost))
     lost |= rng.random(read.shape, dtype=np.float32) < matcher.speckle
     unsure = np.abs(slope - np.float32(matcher.steep)) < np.float32(0.25 * matcher.steep)
+    unsure |= border
     return Matched(read, ~lost & (disparity_px > 0) & (read > 0), unsure)
+
+
+def _disc(radius_px: int) -> NDArray[np.uint8]:
+    import cv2
+
+    side = 2 * radius_px + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
 
 
 def _steps(disparity_px: NDArray[np.float32], window_px: int) -> NDArray[np.float32]:
@@ -205,8 +222,7 @@ def _fattened(
     texture = smooth_field(disparity_px.shape, 3.0, rng)
     fat = disparity_px.copy()
     for k in range(1, matcher.fatten_px + 1):
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * k + 1, 2 * k + 1))
-        grown = cv2.dilate(disparity_px, disc)
+        grown = cv2.dilate(disparity_px, _disc(k))
         wide = texture > _quantile(1 - (matcher.fatten_px + 1 - k) / (matcher.fatten_px + 1))
         np.copyto(fat, grown, where=wide)
     return fat

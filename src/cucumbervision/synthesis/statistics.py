@@ -233,5 +233,6 @@ def edge_profile(
         read = ring & valid
         heights.append(np.median(height[read]) if read.sum() >= 10 else np.nan)
         invalid.append(1 - read.sum() / ring.sum() if ring.any() else np.nan)
-    top = np.nanmedian(heights[:4])
+    inner = np.array(heights[:4])
+    top = np.median(inner[~np.isnan(inner)]) if not np.isnan(inner).all() else np.nan
     return EdgeProfile(OFFSETS_PX, np.array(heights) / top, np.array(invalid))

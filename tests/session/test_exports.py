@@ -56,4 +56,4 @@ def test_workbook_holds_rows_units_and_summary(tmp_path: Path) -> None:
     assert sheet.cell(3, length + 1).value is None
     assert book["Summary"]["B1"].value == 2
     assert book["Summary"]["B2"].data_type == "s"
-    assert [c.value for c in book["Columns"][2]][0] == "capture"
+    assert next(c.value for c in book["Columns"][2]) == "capture"

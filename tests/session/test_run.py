@@ -192,6 +192,14 @@ def test_a_run_that_cannot_start_says_why(
         make_finder(MeasureOptions(instances=instances))
 
 
+def test_a_segmenter_that_is_not_here_stops_the_run_at_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path))
+    with pytest.raises(ModelError, match="models pull sam-vit-b"):
+        make_finder(MeasureOptions(segmenter="sam-vit-b"))
+
+
 def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")

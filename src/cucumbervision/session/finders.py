@@ -85,6 +85,8 @@ def make_finder(options: MeasureOptions) -> Finder:
     models: list[dict[str, Any]] = []
     boxes = _box_finder(options, models)
     segmenter = _LazySegmenter(options, models)
+    if options.segmenter not in (None, "none"):
+        segmenter.check(options.segmenter)
 
     def find(capture: Capture) -> Found:
         found = boxes(capture)
@@ -207,6 +209,12 @@ class _LazySegmenter:
     def __init__(self, options: MeasureOptions, models: list[dict[str, Any]]) -> None:
         self._options, self._models = options, models
         self._loaded: dict[str, Segmenter] = {}
+
+    def check(self, name: str) -> None:
+        """Raise a ModelError before any capture is read, if the model is not here and whole."""
+        from cucumbervision.perception.registry import load_registry
+
+        load_registry().resolve(name)
 
     def get(self, name: str) -> Segmenter:
         if name not in self._loaded:

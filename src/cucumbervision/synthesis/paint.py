@@ -150,7 +150,7 @@ def paint_view(view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
             picture[seen] = np.array(base) * tone[:, None] + rng.normal(0, 4, 3)
     blurred = cv2.GaussianBlur(picture, (0, 0), 0.7)
     noisy = blurred + rng.normal(0, 2.0, blurred.shape)
-    return np.clip(noisy, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(noisy, 0, 255).astype(np.uint8))
 
 
 def _halfway() -> NDArray[np.float64]:

@@ -26,6 +26,11 @@ __all__ = [
     "group_table",
 ]
 
+INTERVAL = {
+    Truth.CENTRELINE: "interval",
+    Truth.THREAD: "thread_interval",
+    Truth.CHORD: "chord_interval",
+}
 LARGE_GROUP = 400  # fruit from which on coverage is held against fixed bounds
 LARGE_GROUP_SHARE = (0.87, 0.93)  # for a 90 % interval; moved along with another level
 
@@ -171,18 +176,18 @@ def coverage_rows(
     Parameters
     ----------
     records : sequence of Record
-        Those with 'interval_low_m' and 'interval_high_m' in their details count.
+        Those count that have 'interval_low_m' and 'interval_high_m' (of the centreline) or
+        'thread_interval_…', 'chord_interval_…' in their details.
     level : float
         What the interval claims.
     truth : Truth
-        The length that the interval is of.
+        Which length.
     factors : sequence of Factor, optional
         What to group by; all that tell the records apart if not given.
     """
+    name = f"{INTERVAL[truth]}_low_m"
     known = [
-        r
-        for r in records
-        if r.details.get("interval_low_m") is not None and truth_m(r, truth) is not None
+        r for r in records if r.details.get(name) is not None and truth_m(r, truth) is not None
     ]
     if not known:
         return []
@@ -200,8 +205,8 @@ def coverage_rows(
 def _covered(
     factor: str, group: str, records: Sequence[Record], level: float, truth: Truth
 ) -> CoverageRow:
-    low = np.array([r.details["interval_low_m"] for r in records], float)
-    high = np.array([r.details["interval_high_m"] for r in records], float)
+    low = np.array([r.details[f"{INTERVAL[truth]}_low_m"] for r in records], float)
+    high = np.array([r.details[f"{INTERVAL[truth]}_high_m"] for r in records], float)
     true = np.array([truth_m(r, truth) for r in records], float)
     hits, count = int(((low <= true) & (true <= high)).sum()), len(records)
     bounds = binomial_interval(hits, count)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +104,8 @@ class Table:
         [['1', '0.90'], ['5', '0.75']]
         """
         columns = tuple(Column(head, decimals) for head in heads)
-        return cls(title, columns, tuple(tuple(row) for row in rows), comment)
+        cells = tuple(tuple(map(_python, row)) for row in rows)
+        return cls(title, columns, cells, comment)
 
     @property
     def numeric(self) -> list[bool]:
@@ -140,16 +140,11 @@ class Table:
             ],
         }
 
-    @property
-    def key(self) -> str:
-        """The title as a name for an anchor.
 
-        Examples
-        --------
-        >>> Table.of("By tilt (°), exact", ["a"], []).key
-        'by-tilt-exact'
-        """
-        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+def _python(cell: Any) -> Cell:
+    """Give numpy's numbers as Python's own, which JSON knows."""
+    value: Cell = cell.item() if hasattr(cell, "item") else cell
+    return value
 
 
 def _plain(cell: Cell) -> Cell:

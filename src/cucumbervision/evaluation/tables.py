@@ -62,7 +62,7 @@ DESCRIPTIONS = {
     "selector best": "what this program reports",
     "selector paper": "what the paper's selector reports",
     "reported": "what the run reported",
-    "oracle": "knows the tube, errs only by the outline at both ends",
+    "oracle": "the true tube, ends by the outline",
 }
 PAPER_METHODS = ("M1", "M2", "M3", "M4", "M5")
 _COUNT_OF_RESAMPLES = 10_000
@@ -150,7 +150,7 @@ def is_scored(record: Record, method: str, truth: Truth) -> bool:
 
 
 def methods_against(records: Sequence[Record], truth: Truth) -> list[str]:
-    """Give the methods that a kind of truth is fair to, in the tables' order; `is_scored` says which.
+    """Give the methods to hold against a kind of truth (`is_scored`), in the tables' order.
 
     Examples
     --------
@@ -208,7 +208,6 @@ def method_rows(records: Sequence[Record], truth: Truth) -> list[MethodRow]:
 
 _ACCURACY = (
     Column("method"),
-    Column("what it does"),
     Column("captures"),
     Column("fruit"),
     Column("measured (%)", 1),
@@ -222,13 +221,14 @@ _ACCURACY = (
     Column("R²", 3),
     Column("Pearson r", 4),
     Column("bias (%)", 2, signed=True),
+    Column("what it is"),
 )
 _LOWEST_IS_BEST = {
-    5: "mae_cm",
-    6: "rmse_cm",
-    7: "mape_percent",
-    10: "median_percent",
-    11: "worst_percent",
+    4: "mae_cm",
+    5: "rmse_cm",
+    6: "mape_percent",
+    9: "median_percent",
+    10: "worst_percent",
 }
 
 
@@ -237,7 +237,6 @@ def accuracy_table(rows: Sequence[MethodRow], truth: Truth, title: str = "") -> 
     cells = tuple(
         (
             row.method,
-            DESCRIPTIONS.get(row.method, ""),
             row.metrics.count,
             row.fruit_count,
             100 * row.metrics.measured,
@@ -251,6 +250,7 @@ def accuracy_table(rows: Sequence[MethodRow], truth: Truth, title: str = "") -> 
             row.metrics.r2,
             row.metrics.pearson_r,
             row.metrics.bias_percent,
+            DESCRIPTIONS.get(row.method, ""),
         )
         for row in rows
     )

@@ -24,7 +24,7 @@ def test_white_noise_on_a_slant_is_found_again() -> None:
     v, u = np.mgrid[0:250, 0:250]
     rng = np.random.default_rng(1)
     depth = (0.5 + 1e-4 * u - 5e-5 * v + rng.normal(0, 4e-4, v.shape)).astype(np.float32)
-    distance, rms = plane_residuals(depth)
+    distance, rms = plane_residuals(depth, 25)
     assert len(rms) == 100
     # A plane takes three of 625 degrees of freedom.
     assert np.median(rms) == pytest.approx(4e-4 * np.sqrt(622 / 625), rel=0.01)
@@ -34,8 +34,8 @@ def test_white_noise_on_a_slant_is_found_again() -> None:
 def test_windows_with_a_hole_do_not_count() -> None:
     depth = np.full((50, 50), 0.5, np.float32)
     depth[3, 3] = 0.0
-    assert len(plane_residuals(depth)[1]) == 3
-    assert residual_at([plane_residuals(depth)], 0.9)[1] == 0
+    assert len(plane_residuals(depth, 25)[1]) == 3
+    assert residual_at([plane_residuals(depth, 25)], 0.9)[1] == 0
 
 
 def test_a_bowl_is_a_quadratic_but_no_plane() -> None:
@@ -43,7 +43,7 @@ def test_a_bowl_is_a_quadratic_but_no_plane() -> None:
     bowl = (0.5 + 1e-6 * ((u - 50.0) ** 2 + (v - 50.0) ** 2)).astype(np.float32)
     mask = np.zeros(bowl.shape, bool)
     mask[25:75, 25:75] = True
-    assert surface_residual(bowl, mask) < 1e-6
+    assert surface_residual(bowl, mask, 25) < 1e-6
     assert plane_residuals(bowl)[1].min() > 5e-5
     assert np.isnan(surface_residual(bowl, np.zeros_like(mask)))
 

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["cover", "foliage", "hang", "string", "trellis"]
 
-COARSE = 4  # the search for a leaf's size looks at every fourth pixel
+COARSE = 2  # the search for a leaf's size looks at every second pixel
 SEARCH_STEPS = 14
+NEAREST = 0.4  # a leaf stands no nearer to the camera than that share of the way from the fruit
 
 
 def hang(
@@ -233,7 +234,8 @@ def cover(
     where = 0.5 + rng.uniform(-0.5, 0.5) * (0.75 - hidden_share) if ends_free else 0.0
     if not ends_free and rng.random() < 0.5:
         where = 1.0
-    low, high = 0.0, 1.0
+    # A half length of half the share would do for an oblong leaf; this one has lobes.
+    low, high = 0.0, (0.9 if ends_free else 1.8) * hidden_share
     for _ in range(SEARCH_STEPS):
         reach = (low + high) / 2
         leaf = _blade(tube, where, reach, before, bend)
@@ -252,11 +254,12 @@ def _blade(
     along = tube.centres_m[ahead] - tube.centres_m[back]
     along /= np.linalg.norm(along)
     # Parallel to the fruit there, on the ray from the camera, so that it hides this very spot.
-    sight = -tube.centres_m[k] / np.linalg.norm(tube.centres_m[k])
+    distance = float(np.linalg.norm(tube.centres_m[k]))
+    sight = -tube.centres_m[k] / distance
     off = sight - (sight @ along) * along
     off /= np.linalg.norm(off)
     radius = float(tube.radii_m.max())
-    away = (radius + before_m) / max(float(sight @ off), 0.3)
+    away = min((radius + before_m) / max(float(sight @ off), 0.3), NEAREST * distance)
     return Leaf(
         tube.centres_m[k] + away * sight,
         np.stack([along, np.cross(off, along), off]),
@@ -278,7 +281,7 @@ def _hides(leaf: Leaf, fruit: Hit, camera: Intrinsics) -> float:
 
 
 def _coarse(camera: Intrinsics) -> Intrinsics:
-    # Pixel centres are whole numbers: the middle of four by four lies at 1.5.
+    # Pixel centres are whole numbers: the middle of two by two lies at 0.5.
     return replace(
         camera,
         width=max(camera.width // COARSE, 1),

@@ -29,14 +29,14 @@ WIDTH = 120
 
 
 def evaluate_and_show(measurements: Path, truth: Path, out: Path) -> None:
-    """Evaluate, write the report and print the scores."""
+    """Evaluate, print the scores and write the report."""
     measured, table = read_measured(measurements), read_truth(truth)
     found = evaluate_lengths(measured, table)
-    write_own_report(found, out, measured, table)
     console = _console()
     console.print(_scores_table(found.scores))
     for note in found.notes:
         console.print(note, soft_wrap=True, markup=False)
+    write_own_report(found, out, measured, table)
     console.print(f"The report is in {out}/", soft_wrap=True, markup=False)
 
 
@@ -99,7 +99,7 @@ def _scores_table(scores: Sequence[MethodScore]) -> Table:
             f"{one.low_percent:.2f}–{one.high_percent:.2f}",
             f"{m.median_percent:.2f}",
             f"{m.worst_percent:.2f}",
-            f"{m.bias_percent:+.2f}",
+            f"{m.bias_percent:+.2f}" if m.measured else "",
         )
     return table
 

@@ -34,8 +34,10 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
     ------
     CucumberVisionError
         If the folder cannot be written.
+    MissingExtraError
+        If what draws the page is not installed; scores and records are written before it.
     """
-    from cucumbervision.evaluation.report import write_report
+    from cucumbervision.evaluation.report import SUMMARY, write_report
     from cucumbervision.session.exports import write_json
 
     try:
@@ -48,14 +50,13 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
         scores = [_plain(asdict(one)) for one in found.scores]
         write_json(
             out / SCORES,
-            {**provenance, "notes": found.notes, "floor": floor, "scores": scores},
+            {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores},
         )
         write_report(
             found.records,
             out,
             title="Lengths against one's own ground truth",
-            notes=found.notes,
-            experiments={},
+            notes={SUMMARY: "\n\n".join(found.notes)},
             provenance=provenance,
         )
     except OSError as error:
@@ -67,9 +68,6 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
 def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
     report = measured.report
     return {
-        "software": f"cucumbervision {__version__}",
-        "licence": LICENCE,
-        "source": source_offer(),
         "measurements": str(measured.path),
         "measured_with": report.get("software"),
         "config_sha256": report.get("config_sha256"),
@@ -77,6 +75,14 @@ def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
         "calibration": (report.get("calibration") or {}).get("tag"),
         "truth": str(truth.path),
         "truth_sha256": truth.sha256,
+    }
+
+
+def _software() -> dict[str, Any]:
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
         "versions": {"python": platform.python_version(), **installed_versions()},
     }
 

@@ -103,7 +103,10 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
     pairs = match_truth(measured, truth)
     records = own_records(pairs, measured)
     floor = floor_of(truth.lengths)
-    return OwnTruth(records, score_methods(records), floor, _notes(truth, floor, pairs))
+    notes = _notes(truth, floor, pairs)
+    if any(record.details["simulated"] for record in records):
+        notes.append("Simulated captures are among them: drawn, not taken.")
+    return OwnTruth(records, score_methods(records), floor, notes)
 
 
 def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:

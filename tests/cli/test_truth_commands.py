@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.synthesis.demo import bundled_captures
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the real command in a process of its own."""
+    code = "from cucumbervision.cli.app import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run over the bundled captures by the paper's methods, and a table of their threads."""
+    folder = tmp_path_factory.mktemp("truth")
+    done = run(
+        "measure", bundled_captures(), "--out", folder / "run", "--methods", "m3,m5", "--quiet"
+    )
+    assert done.returncode == 0, done.stderr
+    with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(["capture", "fruit", "length_1_cm", "length_2_cm", "kind", "specimen"])
+        for capture in sorted(bundled_captures().iterdir()):
+            for k, true in enumerate(json.loads((capture / "truth.json").read_text()), 1):
+                thread = 100 * true["thread_m"]
+                row = [capture.name, k, f"{thread - 0.05:.2f}", f"{thread + 0.05:.2f}", "thread"]
+                table.writerow([*row, f"{capture.name} {k}"])
+    return folder
+
+
+def test_evaluate_prints_a_table_and_writes_the_report(folder: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    done = run("evaluate", "lengths", folder / "run", folder / "truth.csv", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Errors against hand-measured lengths" in done.stdout
+    # Two measurements 1 mm apart: a standard deviation of 0.71 mm, rounded to 0.1 mm.
+    assert "a standard deviation of 0.7" in done.stdout
+    assert "16 measurements of 8 fruit" in done.stdout
+    assert "Simulated captures are among them" in done.stdout
+    assert {p.name for p in tmp_path.iterdir()} >= {"report.html", "records.jsonl", "scores.json"}
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    m5 = next(s for s in scores["scores"] if s["method"] == "M5")
+    assert (m5["kind"], m5["fruit"], m5["metrics"]["measured"]) == ("thread", 8, 1.0)
+    assert m5["low_percent"] < m5["metrics"]["mape_percent"] < m5["high_percent"]
+    assert "Your own fruit" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_calibrate_and_measure_with_it(folder: Path, tmp_path: Path) -> None:
+    site = tmp_path / "house-3.json"
+    done = run("calibrate", folder / "run", folder / "truth.csv", "--out", site)
+    assert done.returncode == 0, done.stderr
+    assert "scale+offset needs 10 fruit, there are 8" in done.stdout
+    assert "90 % needs 9 fruit, there are 8" in done.stdout
+    arguments = ("--methods", "m3,m5", "--calibration", site, "--json")
+    done = run("measure", bundled_captures(), "--out", tmp_path / "out", *arguments)
+    rows = json.loads(done.stdout)
+    scale = next(
+        e["scale"] for e in json.loads(site.read_text())["corrections"] if e["method"] == "M5"
+    )
+    for row in rows:
+        assert row["calibration"].startswith("house-3@")
+        assert row["length_cm"] == pytest.approx(scale * row["m5_cm"], abs=2e-3)
+        assert (row["raw_length_cm"], row["raw_length_kind"]) == (row["m5_cm"], "surface-arc")
+        assert row["length_kind"] == "thread"
+        assert row["interval_basis"] is None
+    mixed = run("measure", bundled_captures(), "--out", tmp_path / "m1", "--methods", "m1",
+                "--calibration", site, "--json")  # fmt: skip
+    assert {r["flags"] for r in json.loads(mixed.stdout)} == {"calibration-not-covered"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("calibrate", "{run}", "--out", "{tmp}/a.json"), "nothing to calibrate with"),
+        (("calibrate", "{tmp}", "{truth}", "--out", "{tmp}/a.json"), "holds no measurements"),
+        (("calibrate", "{run}", "--reference-length", "0.5", "--out", "{tmp}/a.json"), "rows of"),
+        (("evaluate", "lengths", "{run}", "{tmp}/no.csv", "--out", "{tmp}"), "no.csv: cannot be"),
+        (
+            ("measure", "{run}", "--out", "{tmp}/o", "--calibration", "{tmp}/no.json"),
+            "no.json: cannot be read",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_exit_code_2(
+    folder: Path, tmp_path: Path, arguments: tuple[str, ...], text: str
+) -> None:
+    places = {"run": folder / "run", "truth": folder / "truth.csv", "tmp": tmp_path}
+    done = run(*(argument.format(**places) for argument in arguments))
+    assert done.returncode == 2
+    assert text in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "a.json").exists()

@@ -10,8 +10,8 @@ by s vanishes, so Gauss-Newton needs only that ball's centre and radius.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from cucumbervision.geometry.tube_shape import (
     Gaps,
     TubeShape,
     bases,
+    depth_gaps,
     gaps,
 )
 
@@ -37,13 +38,18 @@ TUKEY, CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981
 # What is believed of fruit before looking, in shares of the length L and the radius r.
 TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
 SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
-WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
-WIDTH_TAIL = 2.0
+WIDTH_SD = 0.1  # the radius' second difference; with heavy tails, so that shoulders may stand
+WIDTH_TAIL = 1.0
 # How far, in radii, an end may be from where it was guessed: one that the outline shows (where
 # this must not matter), and one that a leaf or the picture's edge hides.
 ANCHOR_SD, HIDDEN_ANCHOR_SD = 1.5, 0.15
-TIP_COSINE, TIP_RAYS = 0.8, 3
+TIP_COSINE, TIP_RAYS = 0.7, 2
 GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: warts, ribs
+# Colour and depth are registered to about a pixel; masks are drawn too wide or too narrow. More
+# room for the latter would win on masks 3 px too wide, but a real sensor's depth does not know a
+# body's roundness well enough: on rigid bodies seen anew the length then wanders.
+SLIP_SD_PX = (1.0, 1.0, 0.1)
+SLIPS = len(SLIP_SD_PX)
 ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
 SCATTER_RAYS, SCATTER_POINTS = (0.5, 2.0), (0.7, 3.0)
 
@@ -62,6 +68,8 @@ class Evidence:
         Unit directions through the outline.
     rays_sd_rad : float
         Their standard deviation across, radians.
+    pixel_rad : float
+        What a pixel spans, radians.
     points_share, rays_share : float
         How many independent readings one of them counts for, at most 1: neighbouring pixels
         err together.
@@ -71,8 +79,24 @@ class Evidence:
     points_sd_m: NDArray[np.float64]
     rays: NDArray[np.float64]
     rays_sd_rad: float
+    pixel_rad: float
     points_share: float
     rays_share: float
+
+    @cached_property
+    def directions(self) -> NDArray[np.float64]:
+        """Unit directions to the depth points, shape (N, 3)."""
+        return np.asarray(self.points_m / self.points_far_m[:, None], dtype=np.float64)
+
+    @cached_property
+    def points_far_m(self) -> NDArray[np.float64]:
+        """Distances of the depth points from the camera, shape (N,), metres."""
+        return np.asarray(np.linalg.norm(self.points_m, axis=1), dtype=np.float64)
+
+    @cached_property
+    def far_m(self) -> float:
+        """Median distance of the depth points, metres."""
+        return float(np.median(self.points_far_m))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +107,14 @@ class TubeFitting:
     ----------
     shape : TubeShape
         The body.
-    covariance : ndarray of float64, shape (36, 36)
-        Of the shape's control points row by row, then of its control radii; square metres.
+    covariance : ndarray of float64, shape (39, 39)
+        Of the shape's control points row by row, of its control radii, and of `slip_px` at the
+        fruit's distance; square metres.
     points, rays : Gaps
         What remains at the depth points and at the outline's rays.
+    slip_px : ndarray of float64, shape (3,)
+        How far the outline was found to lie beside the depth picture's, right and down, and
+        how much too far out all round, pixels.
     points_scatter, rays_scatter : float
         Their scatter in units of the errors that the evidence states.
     ends_seen : tuple of bool
@@ -97,6 +125,7 @@ class TubeFitting:
     covariance: NDArray[np.float64]
     points: Gaps
     rays: Gaps
+    slip_px: NDArray[np.float64]
     points_scatter: float
     rays_scatter: float
     ends_seen: tuple[bool, bool]
@@ -109,7 +138,7 @@ class TubeFitting:
         steps = np.diff(centres, axis=0)
         steps /= np.maximum(np.linalg.norm(steps, axis=1), 1e-12)[:, None]
         by_bend = np.diff(bend, axis=0).T @ steps
-        slope = np.concatenate([by_bend.ravel(), width[0] + width[-1]])
+        slope = np.concatenate([by_bend.ravel(), width[0] + width[-1], np.zeros(SLIPS)])
         return float(np.sqrt(slope @ self.covariance @ slope))
 
 
@@ -140,28 +169,60 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 60), np.linspace(0.3, 2.8, 9)))
     >>> cloud = np.stack([x, 0.02 * np.cos(a), 0.5 - 0.02 * np.sin(a)], axis=1)
     >>> curve = np.stack([np.linspace(0.02, 0.18, 9), np.zeros(9), np.full(9, 0.505)], axis=1)
-    >>> evidence = Evidence(cloud, np.full(540, 1e-3), np.empty((0, 3)), 1e-3, 1.0, 1.0)
+    >>> evidence = Evidence(cloud, np.full(540, 1e-3), np.empty((0, 3)), 1e-3, 1e-3, 1.0, 1.0)
     >>> centres, radii = fit_shape(evidence, shape_from_curve(curve, 0.015)).shape.balls(5)
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
     (0.5, 0.02)
     """
-    shape, scatter, ends_seen = guess, (1.0, 1.0), (True, True)
+    shape, slip_m = guess, np.zeros(SLIPS)
+    scatter, hold = (1.0, 1.0), np.full(2, ANCHOR_SD)
     anchors = guess.balls(2)[0]
-    directions = evidence.points_m / np.linalg.norm(evidence.points_m, axis=1)[:, None]
     for step, scale in enumerate(SCHEDULE):
-        seen = _look(evidence, shape, directions)
+        points = _look_at_points(evidence, shape)
+        rays = _look_at_rays(evidence, shape, slip_m)
         if step >= SETTLED:
-            scatter = _scatter(seen[0], SCATTER_POINTS), _scatter(seen[1], SCATTER_RAYS)
-            ends_seen = _ends_seen(shape, seen[1][0], evidence.rays)
-        hold_m = [ANCHOR_SD if end else HIDDEN_ANCHOR_SD for end in ends_seen]
-        normal, target = _normal(evidence, shape, (anchors, np.array(hold_m)), seen, scatter, scale)
-        shape = _moved(shape, np.linalg.solve(normal, target))
-    points, rays = _look(evidence, shape, directions)
+            scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
+            seen = _ends_seen(shape, rays.found, evidence.rays)
+            hold = np.where(seen, ANCHOR_SD, HIDDEN_ANCHOR_SD)
+        shares = evidence.points_share, evidence.rays_share
+        normal, target = _normal((points, rays), shares, scatter, scale)
+        _add_prior(normal, target, shape, (anchors, hold))
+        _add_slip_prior(normal, target, slip_m, evidence)
+        move = np.linalg.solve(normal, target)
+        # A step beyond the body's own width would leave the readings that led it.
+        limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
+        move *= min(1.0, limit / max(float(np.abs(move).max()), 1e-12))
+        shape, slip_m = _moved(shape, move), slip_m + move[-SLIPS:]
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return TubeFitting(shape, covariance, points[0], rays[0], *scatter, ends_seen)
+    points, rays = _look_at_points(evidence, shape), _look_at_rays(evidence, shape, slip_m)
+    ends_seen = _ends_seen(shape, rays.found, evidence.rays)
+    return TubeFitting(
+        shape,
+        covariance,
+        replace(points.found, gap_m=points.gap_m),
+        replace(rays.found, gap_m=rays.gap_m),
+        slip_m / (evidence.far_m * evidence.pixel_rad),
+        *scatter,
+        ends_seen,
+    )
 
 
-_Seen = tuple[Gaps, "NDArray[np.float64]"]
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """One kind of readings against the present body: gaps, their errors, their derivatives."""
+
+    gap_m: NDArray[np.float64]
+    sd_m: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    found: Gaps
+
+    def scatter(self, limits: tuple[float, float]) -> float:
+        if not len(self.sd_m):
+            return 1.0
+        spread = 1.4826 * float(np.median(np.abs(self.gap_m / self.sd_m)))
+        return min(max(spread, limits[0]), limits[1])
+
+
 _Anchors = tuple["NDArray[np.float64]", "NDArray[np.float64]"]  # where, and sd in radii
 
 
@@ -180,65 +241,58 @@ def _ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tupl
     return seen[0], seen[1]
 
 
-def _look(
-    evidence: Evidence, shape: TubeShape, directions: NDArray[np.float64]
-) -> tuple[_Seen, _Seen]:
-    points = gaps(shape, evidence.points_m, rays=False)
-    # Depth errs along the ray, and only the part across the surface changes the gap.
-    facing = np.einsum("ij,ij->i", directions, points.away)
+def _look_at_points(evidence: Evidence, shape: TubeShape) -> _Readings:
+    # Depth errs along its ray, so the gap is the one along the ray, times how squarely that
+    # meets the surface. A gap across the surface, taken at the erring point, favours small radii.
+    found, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
     across = ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
-    points_sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + GROUND_M**2)
-    rays = gaps(shape, evidence.rays, rays=True)
-    far = np.sqrt(np.einsum("ij,ij->i", rays.centres_m, rays.centres_m))
-    rays_sd = np.hypot(evidence.rays_sd_rad * far, GROUND_M)
-    return (points, points_sd), (rays, rays_sd)
+    sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + GROUND_M**2)
+    return _Readings(found.gap_m, sd, _slope(found, np.zeros((len(sd), SLIPS))), found)
 
 
-def _scatter(seen: _Seen, limits: tuple[float, float]) -> float:
-    found, sd = seen
-    if not len(sd):
-        return 1.0
-    spread = 1.4826 * float(np.median(np.abs(found.gap_m / sd)))
-    return min(max(spread, limits[0]), limits[1])
+def _look_at_rays(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float64]) -> _Readings:
+    found = gaps(shape, evidence.rays, rays=True)
+    far = np.sqrt(np.einsum("ij,ij->i", found.centres_m, found.centres_m))
+    sd = np.hypot(evidence.rays_sd_rad * far, GROUND_M)
+    # The whole outline may lie beside the depth picture's, and too wide or too narrow.
+    slip = (far / evidence.far_m)[:, None] * np.column_stack(
+        [found.away[:, :2], np.full(len(far), -1.0)]
+    )
+    return _Readings(found.gap_m + slip @ slip_m, sd, _slope(found, slip), found)
+
+
+def _slope(found: Gaps, slip: NDArray[np.float64]) -> NDArray[np.float64]:
+    by_bend = found.bend_basis[:, :, None] * found.away[:, None, :]
+    return np.concatenate(
+        [by_bend.reshape(len(slip), 3 * found.bend_basis.shape[1]), -found.width_basis, slip],
+        axis=1,
+    )
 
 
 def _normal(
-    evidence: Evidence,
-    shape: TubeShape,
-    anchors: _Anchors,
-    seen: tuple[_Seen, _Seen],
+    readings: tuple[_Readings, _Readings],
+    shares: tuple[float, float],
     scatter: tuple[float, float],
     scale: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    normal, target = _prior(shape, anchors)
+    size = readings[0].slope.shape[1]
+    normal, target = np.zeros((size, size)), np.zeros(size)
     # A rough outline is rough over longer runs: it counts for fewer independent readings.
-    shares = evidence.points_share, evidence.rays_share / max(1.0, scatter[1])
-    trusts, split = (_tukey, _cauchy), shape.bend_m.size
-    for (found, sd), by, share, trust in zip(seen, scatter, shares, trusts, strict=True):
-        error = sd * by * scale
-        weight = share * trust(found.gap_m / error) / error**2
-        slope = np.concatenate(
-            [
-                (found.bend_basis[:, :, None] * found.away[:, None, :]).reshape(len(sd), split),
-                -found.width_basis,
-            ],
-            axis=1,
-        )
-        weighted = slope * weight[:, None]
-        normal += weighted.T @ slope
-        target -= weighted.T @ found.gap_m
-    normal[np.diag_indices(len(normal))] += 1e-9 * np.trace(normal) / len(normal)
+    shares = shares[0], shares[1] / max(1.0, scatter[1])
+    for seen, by, share, trust in zip(readings, scatter, shares, (_tukey, _cauchy), strict=True):
+        error = seen.sd_m * by * scale
+        weight = share * trust(seen.gap_m / error) / error**2
+        weighted = seen.slope * weight[:, None]
+        normal += weighted.T @ seen.slope
+        target -= weighted.T @ seen.gap_m
     return normal, target
 
 
-def _moved(shape: TubeShape, move: NDArray[Any]) -> TubeShape:
-    # A step beyond the body's own width would leave the readings that led it.
-    limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
-    move = move * min(1.0, limit / max(float(np.abs(move).max()), 1e-12))
-    return replace(
-        shape,
-        bend_m=shape.bend_m + move[: shape.bend_m.size].reshape(-1, 3),
-        width_m=shape.width_m + move[shape.bend_m.size :],
+def _moved(shape: TubeShape, move: NDArray[np.float64]) -> TubeShape:
+    split = shape.bend_m.size
+    return TubeShape(
+        shape.bend_m + move[:split].reshape(-1, 3),
+        shape.width_m + move[split : split + shape.width_m.size],
     )
 
 
@@ -247,7 +301,9 @@ def _differences(count: int, order: int) -> NDArray[np.float64]:
     return differences(count, order)
 
 
-def _prior(shape: TubeShape, anchors: _Anchors) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _add_prior(
+    normal: NDArray[np.float64], target: NDArray[np.float64], shape: TubeShape, anchors: _Anchors
+) -> None:
     bend, width = shape.bend_m, shape.width_m
     count, split = len(bend), bend.size
     steps = bend[1:] - bend[:-1]
@@ -261,17 +317,28 @@ def _prior(shape: TubeShape, anchors: _Anchors) -> tuple[NDArray[np.float64], ND
     tangent = bend[2:] - bend[:-2]
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)[:, None]
     even = (second[:, :, None] * tangent[:, None, :]).reshape(count - 2, -1) / (SPEED_SD * step)
-    normal, target = np.zeros((split + len(width),) * 2), np.zeros(split + len(width))
-    normal[:split, :split] = even.T @ even
+    normal[:split, :split] += even.T @ even
     for axis in range(3):
         normal[axis:split:3, axis:split:3] += same
     pull = same @ bend - hold.T @ (anchors[0] / (anchors[1] * radius)[:, None])
-    target[:split] = -pull.ravel() - even.T @ (even @ bend.ravel())
+    target[:split] -= pull.ravel() + even.T @ (even @ bend.ravel())
     rough = _differences(len(width), 2) / (WIDTH_SD * radius)
     rough = rough / np.sqrt(1 + (rough @ width / WIDTH_TAIL) ** 2)[:, None]
-    normal[split:, split:] = rough.T @ rough
-    target[split:] = -rough.T @ (rough @ width)
-    return normal, target
+    widths = slice(split, split + len(width))
+    normal[widths, widths] += rough.T @ rough
+    target[widths] -= rough.T @ (rough @ width)
+
+
+def _add_slip_prior(
+    normal: NDArray[np.float64],
+    target: NDArray[np.float64],
+    slip_m: NDArray[np.float64],
+    evidence: Evidence,
+) -> None:
+    weight = 1 / (np.array(SLIP_SD_PX) * evidence.pixel_rad * evidence.far_m) ** 2
+    last = np.arange(len(target) - SLIPS, len(target))
+    normal[last, last] += weight
+    target[last] -= weight * slip_m
 
 
 def _tukey(u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,12 +13,23 @@ from cucumbervision.geometry.bspline import cubic_basis
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["BALLS", "BEND_SEGMENTS", "Gaps", "TubeShape", "bases", "gaps", "shape_from_curve"]
+__all__ = [
+    "BALLS",
+    "BEND_SEGMENTS",
+    "Gaps",
+    "TubeShape",
+    "bases",
+    "depth_gaps",
+    "gaps",
+    "shape_from_curve",
+]
 
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12
 BALLS = 64
 FINE = 1024  # positions along the curve to which a nearest ball is rounded
+GRAZING = 0.2  # the cosine below which a ray only grazes the body
+MISSED_M = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +164,69 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
     far = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
     away /= far[:, None]
     return Gaps(far - width @ shape.width_m, away, bend, width, centre, index / FINE)
+
+
+def depth_gaps(
+    shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
+) -> tuple[Gaps, NDArray[np.float64]]:
+    """Measure how far depth readings are from where their rays enter a shape.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body.
+    rays : ndarray of float64, shape (N, 3)
+        Unit directions from the camera.
+    far_m : ndarray of float64, shape (N,)
+        Distance read along each.
+
+    Returns
+    -------
+    found : Gaps
+        `gap_m` is the distance along the ray times `facing`, positive before the surface; for
+        a ray that misses the body or only grazes it, the point's own gap.
+    facing : ndarray of float64, shape (N,)
+        Cosine between the ray and the surface's normal where it enters.
+
+    Examples
+    --------
+    >>> x = np.linspace(0, 0.2, 33)
+    >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
+    >>> found, facing = depth_gaps(shape, np.array([[0.0, 0.0, 1.0]]), np.array([0.47]))
+    >>> found.gap_m.round(6).tolist(), facing.round(6).tolist()
+    ([0.01], [1.0])
+    """
+    centres, radii = shape.balls()
+    along = rays @ centres.T
+    inside = along * along + (radii * np.abs(radii) - np.einsum("ij,ij->i", centres, centres))
+    entry = np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0.0)), MISSED_M)
+    # Between the balls the place is found by the entry point's distance, which stays smooth where
+    # a ray grazes the body.
+    nearest = np.argmin(entry, axis=1)
+    first = entry[np.arange(len(rays)), nearest]
+    nearest = np.clip(nearest, 1, BALLS - 2)
+    three = nearest[:, None] + np.arange(-1, 2)
+    off = centres[three] - (first[:, None] * rays)[:, None, :]
+    distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off)) - radii[three]
+    place = nearest - 1 + _lowest(distance)
+    index = np.rint(place * (FINE / (BALLS - 1))).astype(np.intp)
+    bend_table, width_table = bases(FINE + 1)
+    bend, width = bend_table[index], width_table[index]
+    centre = bend @ shape.bend_m
+    radius = np.maximum(width @ shape.width_m, 1e-4)
+    along_one = np.einsum("ij,ij->i", centre, rays)
+    beside = np.einsum("ij,ij->i", centre, centre) - along_one**2
+    facing = np.sqrt(np.clip(1 - beside / radius**2, 0.0, 1.0))
+    at = along_one - facing * radius
+    away = (centre - at[:, None] * rays) / radius[:, None]
+    gap = (at - far_m) * facing
+    missed = np.flatnonzero(facing <= GRAZING)
+    if len(missed):
+        own = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
+        gap[missed], away[missed], centre[missed] = own.gap_m, own.away, own.centres_m
+        bend[missed], width[missed] = own.bend_basis, own.width_basis
+        index[missed] = np.rint(own.share * FINE)
+    return Gaps(gap, away, bend, width, centre, index / FINE), facing
 
 
 def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -118,11 +118,12 @@ def measure_m6(
         view.points_sd_m,
         view.rays,
         OUTLINE_SD_PX / intrinsics.fx_px,
+        1 / intrinsics.fx_px,
         view.points_share,
         view.rays_share,
     )
     try:
-        fitting = fit_shape(evidence, guess_shape(view.points_m))
+        fitting = fit_shape(evidence, guess_shape(view.surface_m))
     except np.linalg.LinAlgError:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
     return _judged(view, fitting)

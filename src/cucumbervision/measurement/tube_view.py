@@ -74,6 +74,26 @@ class TubeView:
     fill: float
     focal_px: float
 
+    @property
+    def surface_m(self) -> NDArray[np.float64]:
+        """Points over the whole mask, to start from: where depth is missing, a plane's.
+
+        Shape (K, 3), camera coordinates, metres.
+        """
+        bare = self.grid_rays[self.grid_mask & (self.grid_depth_m <= 0)]
+        if not len(bare):
+            return self.points_m
+        # A plane in space is linear in the inverse depth over the picture.
+        far = self.points_m[:, 2]
+        off = np.abs(far - np.median(far))
+        near = self.points_m[off <= 3.0 * np.median(off) + 0.02]
+        terms = np.column_stack([near[:, :2] / near[:, 2:], np.ones(len(near))])
+        plane = np.linalg.lstsq(terms, 1 / near[:, 2], rcond=None)[0]
+        inverse = (bare / bare[:, 2:])[:, [0, 1]] @ plane[:2] + plane[2]
+        middle = 1 / float(np.median(near[:, 2]))
+        filled = bare / bare[:, 2:] / np.clip(inverse, 0.5 * middle, 2.0 * middle)[:, None]
+        return np.vstack([self.points_m, filled])
+
 
 def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
     """Give a D4xx's RMS depth error at a distance, metres: z² s / (f B).

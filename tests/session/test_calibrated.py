@@ -108,6 +108,16 @@ def test_beyond_the_calibrated_lengths_there_is_no_interval() -> None:
     assert "outside-calibrated-range" in str(nothing["flags"])
 
 
+def test_an_interval_from_elsewhere_does_not_outlive_a_correction() -> None:
+    before = row(interval_low_cm=19.0, interval_high_cm=21.0, interval_basis="simulated")
+    moved = calibrated_row(before, site(entry(half=None)))
+    assert (moved["interval_low_cm"], moved["interval_basis"]) == (None, None)
+    stayed = calibrated_row(before, site(entry(Form.NONE, half=None)))
+    assert (stayed["interval_low_cm"], stayed["interval_basis"]) == (19.0, "simulated")
+    own = calibrated_row(before, site(entry()))
+    assert (own["interval_high_cm"], own["interval_basis"]) == (pytest.approx(24.15), "own truth")
+
+
 def test_no_correction_but_an_interval() -> None:
     done = calibrated_row(row(), site(entry(Form.NONE)))
     assert (done["length_cm"], done["length_kind"]) == (20.0, "thread")

@@ -100,6 +100,8 @@ def calibrated_row(
     done.update(calibration=site.tag, raw_length_cm=raw_cm, raw_length_kind=row["length_kind"])
     length_cm = _corrected_cm(entry, float(raw_cm))
     if entry.form is not Form.NONE:
+        # An interval from before belongs to the length as it was read.
+        done.update(interval_low_cm=None, interval_high_cm=None, interval_basis=None)
         done.update(length_cm=round(length_cm, 3), length_kind=str(entry.truth_kind))
     low, high = (limit * 100 for limit in entry.raw_range_m)
     if not (1 - RANGE_MARGIN) * low <= raw_cm <= (1 + RANGE_MARGIN) * high:

@@ -1,0 +1,31 @@
+"""The page on one's own truth: its examples are run."""
+
+from __future__ import annotations
+
+import doctest
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.session.calibrated import CalibrationFlag
+
+PAGE = Path(__file__).parents[2] / "docs" / "own-truth.md"
+
+
+def test_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testfile(
+        str(PAGE),
+        module_relative=False,
+        optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS,
+        encoding="utf-8",
+    )
+    assert result.attempted > 15
+    assert result.failed == 0
+
+
+def test_every_flag_is_explained() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    flags = [value for name, value in vars(CalibrationFlag).items() if name.isupper()]
+    assert len(flags) == 3
+    assert all(f"`{flag}`" in page for flag in flags)

@@ -28,6 +28,7 @@ from cucumbervision.synthesis.d4xx import D4xx, sense
 from cucumbervision.synthesis.occluders import Plane, plane_depth
 from cucumbervision.synthesis.scenes import Scene, look
 from cucumbervision.synthesis.statistics import (
+    WINDOW_PX,
     EdgeProfile,
     edge_profile,
     fill_inside,
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
 DISTANCES_M = (0.38, 0.47, 0.56)
+OTHER_WINDOWS_PX = (9, 15, 41)
+WALLS = 3
 BALLS = 400
 
 
@@ -114,17 +117,15 @@ def pair_of(capture: Capture, seed: int) -> Pair:
     return Pair((capture.depth_m, level, mask), (reading, level, seen))
 
 
-def wall_residuals(color: Intrinsics, captures: int = 3) -> dict[float, tuple[float, int]]:
-    """Give the simulated camera's plane residuals, on walls through each distance."""
-    found = {}
-    for distance in DISTANCES_M:
-        frames = []
-        for seed in range(captures):
-            wall = Scene((), planes=(Plane.facing(distance, tilt_deg=5.0, turn_deg=5.0),))
-            rng = np.random.default_rng(1000 + seed)
-            frames.append(plane_residuals(sense(wall, D4xx.like(color), rng, frames=1)[0]))
-        found[distance] = residual_at(frames, distance)
-    return found
+def wall_residual(color: Intrinsics, distance_m: float, window_px: int) -> float:
+    """Give the simulated camera's plane residual on a wall at a distance, metres."""
+    frames = []
+    for seed in range(WALLS):
+        wall = Scene((), planes=(Plane.facing(distance_m, tilt_deg=5.0, turn_deg=5.0),))
+        rng = np.random.default_rng(1000 + seed)
+        reading = sense(wall, D4xx.like(color), rng, frames=1)[0]
+        frames.append(plane_residuals(reading, window_px))
+    return residual_at(frames, distance_m)[0]
 
 
 def row(name: str, real: float, twin: float, form: str = "8.2f") -> None:
@@ -146,14 +147,15 @@ def mean_profile(profiles: list[EdgeProfile]) -> EdgeProfile:
 
 def print_residuals(captures: list[Capture], pairs: list[Pair]) -> None:
     """Print noise: on plain ground, and on the body."""
-    real = [plane_residuals(c.depth_m) for c in captures]
-    walls = wall_residuals(captures[0].intrinsics)
-    for distance in DISTANCES_M:
+    cases = [(distance, WINDOW_PX) for distance in DISTANCES_M]
+    cases += [(DISTANCES_M[1], window) for window in OTHER_WINDOWS_PX]
+    for distance, window in cases:
+        real = [plane_residuals(c.depth_m, window) for c in captures]
         measured, count = residual_at(real, distance)
         row(
-            f"plane residual at {distance:.2f} m, mm ({count} real windows)",
+            f"plane residual, {distance:.2f} m, {window} px, mm ({count})",
             1e3 * measured,
-            1e3 * walls[distance][0],
+            1e3 * wall_residual(captures[0].intrinsics, distance, window),
         )
     on_body = np.array(
         [[surface_residual(p.real[0], p.real[2]), surface_residual(p.twin[0], p.twin[2])]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
+    "WINDOW_PX",
     "EdgeProfile",
     "edge_profile",
     "fill_inside",

@@ -78,6 +78,15 @@ def test_metrics_by_hand(tmp_path: Path) -> None:
     assert [r.fruit for r in found.records] == ["s1", "s1", "s2", "s3"]
 
 
+def test_one_fruit_many_times_has_no_interval(tmp_path: Path) -> None:
+    lines = [f"{name},1,20,thread,s1" for name in "abcd"]
+    measured = run_of(*(reading(name, 1, M3=0.19) for name in "abcd"))
+    truth = read_truth(write(tmp_path, HEAD + ",specimen", *lines))
+    (one,) = evaluate_lengths(measured, truth).scores
+    assert (one.fruit, one.metrics.count) == (1, 4)
+    assert math.isnan(one.low_percent)
+
+
 def test_each_kind_has_its_own_methods(tmp_path: Path) -> None:
     truth = write(tmp_path, HEAD, "a,1,20,thread", "a,1,18,chord")
     lengths = {"M3": 0.18, "M6": 0.19, "M6 thread": 0.2, "M6 chord": 0.18, "reported": 0.2}

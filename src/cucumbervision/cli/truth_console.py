@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -96,12 +97,17 @@ def _scores_table(scores: Sequence[MethodScore]) -> Table:
             f"{100 * m.measured:.0f} %",
             f"{m.mae_cm:.2f}",
             f"{m.mape_percent:.2f}",
-            f"{one.low_percent:.2f}–{one.high_percent:.2f}",
+            _range(one),
             f"{m.median_percent:.2f}",
             f"{m.worst_percent:.2f}",
             f"{m.bias_percent:+.2f}" if m.measured else "",
         )
     return table
+
+
+def _range(one: MethodScore) -> str:
+    known = math.isfinite(one.low_percent)
+    return f"{one.low_percent:.2f}–{one.high_percent:.2f}" if known else ""
 
 
 def _show_site(console: Console, site: SiteCalibration) -> None:

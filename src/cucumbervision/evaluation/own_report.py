@@ -88,8 +88,11 @@ def _software() -> dict[str, Any]:
 
 
 def _plain(score: dict[str, Any]) -> dict[str, Any]:
-    metrics = {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in score["metrics"].items()
-    }
-    return {**score, "kind": str(score["kind"]), "metrics": metrics}
+    """Give a score with None in place of NaN, which JSON does not know."""
+    flat = {**score, "kind": str(score["kind"])}
+    metrics = flat.pop("metrics")
+    return {**_without_nan(flat), "metrics": _without_nan(metrics)}
+
+
+def _without_nan(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}

@@ -35,6 +35,7 @@ __all__ = [
 
 KIND_OF = {"M6": Length.CENTRELINE, "M6 thread": Length.THREAD, "M6 chord": Length.CHORD}
 LONGEST_M, SHORTEST_M = 1.0, 0.01
+LEAST_FRUIT = 3
 # Ratio of the written to the measured length, how far around it, what was written, what to do.
 UNITS = (
     (10.0, 1.8, "10 times that: millimetres", "divide by 10"),
@@ -57,7 +58,8 @@ class MethodScore:
     metrics : Metrics
         Over all captures; what was not measured counts as 100 % wrong.
     low_percent, high_percent : float
-        95 % bootstrap interval of the mean error, whole fruit drawn.
+        95 % bootstrap interval of the mean error, whole fruit drawn; NaN below three fruit, of
+        which it would say nothing.
     fruit : int
         Physical fruit.
     """
@@ -209,7 +211,9 @@ def _score(
     lengths = np.array([np.nan if x is None else x for x, _, _ in chosen])
     truth = np.array([true for _, true, _ in chosen])
     fruit = [name for _, _, name in chosen]
-    low, high = bootstrap_mean(percent_errors(lengths, truth), fruit)
+    low, high = math.nan, math.nan
+    if len(set(fruit)) >= LEAST_FRUIT:
+        low, high = bootstrap_mean(percent_errors(lengths, truth), fruit)
     return MethodScore(method, kind, score(lengths, truth), low, high, len(set(fruit)))
 
 

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import calibrate, demo, evaluate, measure, models
+from cucumbervision.cli import benchmark, calibrate, demo, evaluate, measure, models
 from cucumbervision.errors import CucumberVisionError
 
 __all__ = ["app", "main"]
@@ -29,6 +29,7 @@ app = typer.Typer(
 app.command("measure", epilog=measure.EPILOG)(measure.measure)
 app.command("demo")(demo.demo)
 app.command("calibrate")(calibrate.calibrate)
+app.command("benchmark")(benchmark.benchmark)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(models.app, name="models")
 

@@ -77,6 +77,7 @@ def results_table(result: RunResult) -> Table:
     for head in ("capture", "fruit"):
         table.add_column(head, overflow="fold")
     table.add_column("length", justify="right", style="bold")
+    table.add_column("90 % interval", justify="right")
     for head in ("by", "kind"):
         table.add_column(head)
     for method in ran:
@@ -97,11 +98,20 @@ def _cells(row: Mapping[str, Any], ran: Sequence[str]) -> list[str]:
         row["capture"],
         str(row["fruit"]),
         _number(row["length_cm"]),
+        _interval(row),
         row["method"] or "",
         row["length_kind"] or "",
         *(_number(row[f"{method}_cm"]) for method in ran),
         "; ".join(part for part in remarks if part),
     ]
+
+
+def _interval(row: Mapping[str, Any]) -> str:
+    if row["interval_low_cm"] is None:
+        return ""
+    text = f"{row['interval_low_cm']:.1f} – {row['interval_high_cm']:.1f}"
+    # A raw chord or arc has an interval of another length than its own.
+    return text if row["interval_of"] == row["length_kind"] else f"{text} ({row['interval_of']})"
 
 
 def _number(value: float | None) -> str:

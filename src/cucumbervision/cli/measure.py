@@ -42,7 +42,7 @@ def measure(
     pose: Annotated[
         Path | None, typer.Option(help="YOLO pose .onnx for the five keypoints of M4.")
     ] = None,
-    methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5.")] = "all",
+    methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")] = "all",
     selector: Annotated[
         SelectorChoice, typer.Option(help="How one method is chosen.")
     ] = SelectorChoice.best,

@@ -25,7 +25,7 @@ KEYS = ("M1", "M2", "M3", "M4", "M5", "M6", "M6 thread", "M6 chord")
 
 
 def record_truth_m(record: Record, key: str) -> float | None:
-    """Give the true length that a key's interval is to cover: the centreline but for M6's others."""
+    """Give the true length that a key's interval is to cover."""
     if key == "M6 thread":
         return record.thread_m
     return record.chord_m if key == "M6 chord" else record.centreline_m

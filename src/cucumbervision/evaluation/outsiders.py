@@ -68,7 +68,8 @@ def skan_length(
     Notes
     -----
     `skimage.morphology.skeletonize`, then `skan.csr.find_main_branches` (Nunez-Iglesias et al.
-    2018, PeerJ 6:e4312), which marks the branches of the longest shortest path.
+    2018, PeerJ 6:e4312), which marks the branches of the longest shortest path of each connected
+    part; the longest of them is taken.
     """
     skan, morphology = _package("skan"), _package("skimage.morphology", "scikit-image")
     window = _window(mask)
@@ -79,7 +80,12 @@ def skan_length(
         return None
     skeleton = skan.Skeleton(thin)
     with _foreign_warnings_ignored():
-        main = skan.csr.find_main_branches(skan.summarize(skeleton, separator="_"))
+        branches = skan.summarize(skeleton, separator="_")
+        main = skan.csr.find_main_branches(branches)
+    # Each part of a mask that leaves cut in pieces has a main path of its own: the longest counts.
+    part = branches["skeleton_id"].to_numpy()
+    lengths = np.bincount(part[main], branches["branch_distance"].to_numpy()[main])
+    main &= part == lengths.argmax()
     path = _joined([skeleton.path_coordinates(k) for k in np.flatnonzero(main)])
     corner = [window[0].start, window[1].start]
     return lifted_length((path + corner)[:, ::-1], depth_m, mask, intrinsics)

@@ -77,9 +77,8 @@ def predicted_against_truth(records: Sequence[Record], truth: Truth) -> bytes:
         read, (colour, marker, _) = reads[method], _style(method)
         refused = ~np.isfinite(read.lengths_m)
         ax.plot([0, top], [0, top], color="black", linewidth=0.8)
-        ax.scatter(
-            100 * read.truth_m, 100 * np.nan_to_num(read.lengths_m), 16, colour, marker, alpha=0.7
-        )
+        lengths_cm = 100 * np.nan_to_num(read.lengths_m)
+        ax.scatter(100 * read.truth_m, lengths_cm, s=16, c=colour, marker=marker, alpha=0.7)
         title = f"{method}: {refused.sum()} not measured" if refused.any() else method
         ax.set_title(title, fontsize=10)
         ax.set_xlim(0, 1.03 * top)
@@ -137,13 +136,14 @@ def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
         errors = np.maximum(readings(records, method, truth).errors_cm, _SMALLEST_CM)
         colour, _, _ = _style(method)
         jitter = k + rng.uniform(-0.25, 0.25, len(errors))
-        ax.scatter(errors, jitter, 9, colour, alpha=0.5, linewidths=0)
+        ax.scatter(errors, jitter, s=9, c=colour, alpha=0.5, linewidths=0)
         ax.boxplot(
             [errors],
             positions=[k],
             orientation="horizontal",
             widths=0.6,
             showfliers=False,
+            whis=(5, 95),
             manage_ticks=False,
             medianprops={"color": "black", "linewidth": 2},
         )
@@ -243,6 +243,7 @@ def _error_against(
             linewidth=wide,
             label=method,
         )
+    ax.set_xlim(left=-1)
     ax.set_yscale("log")
     ax.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
     ax.set_xlabel(label)

@@ -57,7 +57,7 @@ _SUITE_INTRO = {
     Suite.OWN: "Fruit measured by hand, held against what this program read from their captures.",
 }
 TRACKED_CAPTURES = 120  # beyond, one cannot tell captures apart
-GROUPED_CAPTURES = 10
+GROUPED_CAPTURES = 10  # fewer are shown one by one, and neither tested nor grouped
 GLOSSARY = (
     ("centreline", "Length of the fruit's central axis, from the stem's attachment to the tip."),
     (
@@ -150,9 +150,9 @@ def record_sections(records: Sequence[Record], level: float = 0.9) -> list[Secti
         intro.append(f"{len(chosen)} measurements of {fruit} fruit{_masks_words(suite, masks)}.")
         entries = [*_accuracy(chosen), *_fruit_by_fruit(chosen, suite)]
         entries += _pictures(chosen, suite)
-        if suite is not Suite.VALIDATION and len(chosen) >= GROUPED_CAPTURES:
+        if len(chosen) >= GROUPED_CAPTURES:
             entries += _groups(chosen, suite)
-        entries += _coverage(chosen, level)
+            entries += _coverage(chosen, level)
         title = SUITE_WORDS[suite]
         title += "" if suite is Suite.OWN else f", {MASK_WORDS[masks]}"
         sections.append(Section(title, tuple(intro), tuple(entries)))
@@ -230,14 +230,14 @@ def _accuracy(records: Sequence[Record]) -> list[Table | Picture]:
     entries: list[Table | Picture] = []
     for truth in _truths(records):
         entries.append(accuracy_table(method_rows(records, truth), truth))
-        test = comparison_table(records, truth) if truth is not Truth.CHORD else None
+        tested = truth is not Truth.CHORD and len(records) >= GROUPED_CAPTURES
+        test = comparison_table(records, truth) if tested else None
         entries += [test] if test else []
     return entries
 
 
 def _fruit_by_fruit(records: Sequence[Record], suite: Suite) -> list[Table | Picture]:
-    few = len(records) <= TRACKED_CAPTURES
-    if not (suite is Suite.VALIDATION or (suite is Suite.OWN and few)):
+    if suite not in (Suite.VALIDATION, Suite.OWN) or len(records) > TRACKED_CAPTURES:
         return []
     titles = {
         truth: f"Fruit by fruit, against the {truth}" for truth in _main_truths(records, suite)
@@ -247,15 +247,16 @@ def _fruit_by_fruit(records: Sequence[Record], suite: Suite) -> list[Table | Pic
 
 def _pictures(records: Sequence[Record], suite: Suite) -> list[Table | Picture]:
     pictures: list[Table | Picture] = []
+    if len(records) < GROUPED_CAPTURES:
+        return [_tracked(records, truth) for truth in _main_truths(records, suite)]
     for truth in _main_truths(records, suite):
         caption = f"Measured against true {truth}; on the line, both are the same."
         pictures.append(Picture(caption, plots.predicted_against_truth(records, truth)))
         if len(records) <= TRACKED_CAPTURES:
-            caption = f"Capture by capture: the black steps are the true {truth}."
-            pictures.append(Picture(caption, plots.tracking(records, truth)))
+            pictures.append(_tracked(records, truth))
         caption = (
-            f"Absolute errors against the {truth}: the box holds the middle half, the black bar is "
-            "the median, each dot a capture."
+            f"Absolute errors against the {truth}: the box holds the middle half, the whiskers 90 "
+            "of 100, the black bar is the median, each dot a capture."
         )
         pictures.append(Picture(caption, plots.error_spread(records, truth)))
     if suite is Suite.STRESS:
@@ -265,6 +266,11 @@ def _pictures(records: Sequence[Record], suite: Suite) -> list[Table | Picture]:
         caption = "Mean error by how much of the fruit is hidden; the same scale."
         pictures.append(Picture(caption, plots.error_against_hidden(records, truth)))
     return pictures
+
+
+def _tracked(records: Sequence[Record], truth: Truth) -> Picture:
+    caption = f"Capture by capture: the black steps are the true {truth}."
+    return Picture(caption, plots.tracking(records, truth))
 
 
 def _groups(records: Sequence[Record], suite: Suite) -> list[Table | Picture]:

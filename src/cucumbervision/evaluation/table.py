@@ -91,7 +91,7 @@ class Table:
         cls,
         title: str,
         heads: Sequence[str],
-        rows: Sequence[Sequence[Cell]],
+        rows: Sequence[Sequence[Any]],
         comment: str = "",
         decimals: int = 2,
     ) -> Table:

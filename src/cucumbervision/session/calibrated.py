@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["CalibrationFlag", "calibrated_capture", "calibrated_row"]
 
 RANGE_MARGIN = 0.10
+INTERVAL_COLUMNS = ("interval_low_cm", "interval_high_cm", "interval_of", "interval_basis")
 TUBE_KEYS = {
     str(Length.CENTRELINE): "M6",
     str(Length.THREAD): "M6 thread",
@@ -101,7 +102,7 @@ def calibrated_row(
     length_cm = _corrected_cm(entry, float(raw_cm))
     if entry.form is not Form.NONE:
         # An interval from before belongs to the length as it was read.
-        done.update(interval_low_cm=None, interval_high_cm=None, interval_basis=None)
+        done.update(dict.fromkeys(INTERVAL_COLUMNS))
         done.update(length_cm=round(length_cm, 3), length_kind=str(entry.truth_kind))
     low, high = (limit * 100 for limit in entry.raw_range_m)
     if not (1 - RANGE_MARGIN) * low <= raw_cm <= (1 + RANGE_MARGIN) * high:
@@ -112,6 +113,7 @@ def calibrated_row(
             length_kind=str(entry.truth_kind),
             interval_low_cm=round(length_cm * (1 - half), 3),
             interval_high_cm=round(length_cm * (1 + half), 3),
+            interval_of=str(entry.truth_kind),
             interval_basis=OWN_TRUTH,
         )
     return done

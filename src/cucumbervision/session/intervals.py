@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.measurement.interval_book import BASIS, IntervalBook
+from cucumbervision.measurement.interval_book import BASIS, IntervalBook, shipped_book
 from cucumbervision.measurement.interval_features import raw_features, tube_features
 from cucumbervision.measurement.results import Length, Method
 
@@ -21,9 +21,9 @@ def with_simulated_interval(
     row: dict[str, Cell],
     fruit: Fruit,
     length: Length,
-    book: IntervalBook,
     *,
     scale_known: bool,
+    book: IntervalBook | None = None,
 ) -> dict[str, Cell]:
     """Give a row its interval.
 
@@ -35,10 +35,10 @@ def with_simulated_interval(
         The fruit of the row.
     length : Length
         The length that the run was asked for.
-    book : IntervalBook
-        The models.
     scale_known : bool
         Whether the camera's depth scale was measured with a bar of known length.
+    book : IntervalBook, optional
+        The models; the package's own by default.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def with_simulated_interval(
             return row
         key, about, measured = str(method), Length.CENTRELINE, chosen.length_m
         features = raw_features(measured, distance / 100, float(fill))
-    found = book.interval(key, measured, features, scale_known=scale_known)
+    found = (book or shipped_book()).interval(key, measured, features, scale_known=scale_known)
     if found is None:
         return row
     low, high = found

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "Column", "defused", "fruit_row"]
 
 Cell = str | int | float | bool | None
+DENSITY_KG_M3 = 960.0  # an assumption for cucumbers, until a crop profile says better
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,16 @@ COLUMNS = (
     Column("chord_cm", "cm", "straight from end to end"),
     *(Column(f"{m.value.lower()}_cm", "cm", f"length by {m.value}") for m in Method),
     Column("flags", "", "what else to know of the measurement"),
+    Column("interval_of", "", "which length the interval is about"),
+    Column("interval_basis", "", "what the interval rests on"),
+    Column("inner_arc_mm", "mm", "largest distance from the chord to the inner edge"),
+    Column("inner_arc_mm_per_10cm", "mm", "the same for each 10 cm of chord (UNECE FFV-15)"),
+    Column("diameter_max_mm", "mm", "largest diameter"),
+    Column("diameter_mean_mm", "mm", "mean diameter along the axis"),
+    Column("volume_ml", "ml", "volume of the fitted tube"),
+    Column("mass_g", "g", f"volume at {DENSITY_KG_M3:.0f} kg per cubic metre"),
+    Column("tilt_deg", "deg", "angle of the chord out of the picture plane"),
+    Column("hidden_share", "", "share of the fitted tube that something nearer hides"),
     Column("label", "", "detector's class"),
     Column("mask_source", "", "who drew the mask that was measured"),
     Column("mask_px", "px", "pixels of that mask"),
@@ -66,7 +77,6 @@ COLUMNS = (
     Column("source", "", "where the capture was read from"),
     Column("raw_length_cm", "cm", "length before the site's calibration, as it was read"),
     Column("raw_length_kind", "", "what that is the length of"),
-    Column("interval_basis", "", "what the interval rests on"),
     Column("calibration", "", "site's calibration that was applied: name and hash"),
 )
 
@@ -146,7 +156,24 @@ def _lengths(chosen: Measurement, length: Length) -> dict[str, Cell]:
         "thread_cm": _cm(chosen.tube.thread_m),
         "chord_cm": _cm(chosen.tube.chord_m),
     }
-    return {"length_cm": all_three[f"{length}_cm"], "length_kind": str(length), **all_three}
+    chosen_one = {"length_cm": all_three[f"{length}_cm"], "length_kind": str(length)}
+    return {**chosen_one, **all_three, **_traits(chosen)}
+
+
+def _traits(chosen: Measurement) -> dict[str, Cell]:
+    if chosen.fit is None:
+        return {}
+    traits = chosen.fit.traits
+    return {
+        "inner_arc_mm": round(1e3 * traits.inner_arc_m, 2),
+        "inner_arc_mm_per_10cm": round(traits.inner_arc_mm_per_10cm, 2),
+        "diameter_max_mm": round(1e3 * traits.diameter_max_m, 2),
+        "diameter_mean_mm": round(1e3 * traits.diameter_mean_m, 2),
+        "volume_ml": round(1e6 * traits.volume_m3, 1),
+        "mass_g": round(1e3 * traits.mass_kg(DENSITY_KG_M3), 1),
+        "tilt_deg": round(traits.tilt_deg, 2),
+        "hidden_share": round(chosen.fit.hidden_share, 3),
+    }
 
 
 def _region(capture: Capture, fruit: Fruit) -> dict[str, Cell]:

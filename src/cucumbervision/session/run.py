@@ -14,6 +14,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.session.exports import FAILURE_COLUMNS, CsvSink
 from cucumbervision.session.finders import Finder, make_finder
+from cucumbervision.session.intervals import with_simulated_interval
 from cucumbervision.session.report import capture_json, write_reports
 from cucumbervision.session.results import Failure, RunResult
 from cucumbervision.session.rows import COLUMNS, fruit_row
@@ -135,7 +136,13 @@ def _rows(
     options: MeasureOptions,
     site: SiteCalibration | None,
 ) -> list[dict[str, Cell]]:
-    rows = [fruit_row(capture, n, one, options.length) for n, one in enumerate(fruit, 1)]
+    scale_known = site is not None and site.depth_scale is not None
+    rows = [
+        with_simulated_interval(
+            fruit_row(capture, n, one, options.length), one, options.length, scale_known=scale_known
+        )
+        for n, one in enumerate(fruit, 1)
+    ]
     if site is None:
         return rows
     from cucumbervision.session.calibrated import calibrated_row

@@ -75,6 +75,18 @@ def test_a_skeleton_follows_a_bend(measure: Outsider) -> None:
 
 
 @pytest.mark.parametrize("measure", SKELETONS)
+def test_of_a_fruit_cut_in_two_the_longer_part_counts(measure: Outsider) -> None:
+    # Hidden from 2 to 6 cm right of the middle: left of it 12 cm are seen, right of it 4 cm. What
+    # joined the two would read more than the left part's 12 cm.
+    depth, mask, camera = view(arc_tube(0.2, RADIUS_M))
+    cut = mask.copy()
+    cut[:, 640 + round(0.02 / PIXEL_M) : 640 + round(0.06 / PIXEL_M)] = False
+    length = measure(depth, cut, camera)
+    assert length is not None
+    assert 0.12 - 2 * RADIUS_M - 2 * SHORT_M < length < 0.12 + 3 * PIXEL_M
+
+
+@pytest.mark.parametrize("measure", SKELETONS)
 def test_a_skeleton_is_lifted_by_depth(measure: Outsider) -> None:
     # Tilted by 40 degrees the picture shows cos 40° = 77 % of the length. Lifted, at least the
     # run between the cap centres less the nearer surface and the far cap's hidden part (r sin 40°)

@@ -30,6 +30,7 @@ __all__ = [
 
 DPI = 110
 WIDTH_IN = 10.0
+FEW_CAPTURES = 200  # drawn as larger dots
 # Okabe and Ito's colours, told apart by colour-blind eyes too; each method also has its marker.
 STYLES: dict[str, tuple[str, str, str]] = {
     "M1": ("#E69F00", "v", "-"),
@@ -136,7 +137,8 @@ def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
         errors = np.maximum(readings(records, method, truth).errors_cm, _SMALLEST_CM)
         colour, _, _ = _style(method)
         jitter = k + rng.uniform(-0.25, 0.25, len(errors))
-        ax.scatter(errors, jitter, s=9, c=colour, alpha=0.5, linewidths=0)
+        size = 24 if len(errors) <= FEW_CAPTURES else 9
+        ax.scatter(errors, jitter, s=size, c=colour, alpha=0.6, linewidths=0, zorder=3)
         ax.boxplot(
             [errors],
             positions=[k],
@@ -145,7 +147,7 @@ def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
             showfliers=False,
             whis=(5, 95),
             manage_ticks=False,
-            medianprops={"color": "black", "linewidth": 2},
+            medianprops={"color": "black", "linewidth": 2, "zorder": 4},
         )
     ax.set_yticks(range(len(methods)), reversed(methods))
     ax.set_xscale("log")

@@ -61,15 +61,10 @@ def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.floa
     >>> axis_path(centres, np.full(3, 0.02))[[0, -1], 0].round(3).tolist()
     [-0.02, 0.22]
     """
-    along = arc_positions(centres_m)
-    radii = np.maximum(radii_m, 0.0)
-    first, last = int(np.argmin(along - radii)), int(np.argmax(along + radii))
-    if last <= first:
-        first, last = 0, len(along) - 1
-    kept = np.asarray(centres_m[first : last + 1], dtype=np.float64)
+    kept, radii = _reaching(centres_m, radii_m)
     start = _unit(kept[1] - kept[0])
     end = _unit(kept[-1] - kept[-2])
-    return np.vstack([kept[0] - radii[first] * start, kept, kept[-1] + radii[last] * end])
+    return np.vstack([kept[0] - radii[0] * start, kept, kept[-1] + radii[-1] * end])
 
 
 def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
@@ -129,16 +124,17 @@ def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArr
     >>> round(length, 6), round(0.2 + np.pi * 0.02, 6)
     (0.262828, 0.262832)
     """
-    contact, slope, tangents, across = _contacts(centres_m, radii_m, outward)
-    last = len(radii_m) - 1
+    centres, radii = _reaching(centres_m, radii_m)
+    contact, slope, tangents, across = _contacts(centres, radii, outward)
+    last = len(radii) - 1
     caps = []
     for end, sign, angle in ((0, -1.0, np.arccos(slope[0])), (last, 1.0, np.arccos(-slope[-1]))):
         turn = np.linspace(0.0, angle, CAP_STEPS)[:, None]
         step = sign * np.cos(turn) * tangents[end] + np.sin(turn) * across[end]
-        caps.append(centres_m[end] + radii_m[end] * step)
+        caps.append(centres[end] + radii[end] * step)
     line = np.vstack([caps[0], contact[1:-1], caps[1][::-1]])
     # Where a ball is swallowed by others its contact lies inside the body: no thread runs there.
-    gap = np.sqrt(_squared_distances(line, centres_m)) - radii_m
+    gap = np.sqrt(_squared_distances(line, centres)) - radii
     line = line[gap.min(axis=1) > -SWALLOWED_M]
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) if len(line) > 1 else 0.0
 
@@ -224,6 +220,18 @@ def volume_of_profile(along_m: NDArray[Any], diameter_m: NDArray[Any]) -> float:
     True
     """
     return float(np.trapezoid(np.pi / 4 * np.asarray(diameter_m) ** 2, along_m))
+
+
+def _reaching(
+    centres_m: NDArray[Any], radii_m: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # The balls between the two that reach farthest along the axis: beyond them all is swallowed.
+    along, radii = arc_positions(centres_m), np.maximum(radii_m, 0.0)
+    first, last = int(np.argmin(along - radii)), int(np.argmax(along + radii))
+    if last <= first:
+        first, last = 0, len(along) - 1
+    kept = np.asarray(centres_m[first : last + 1], dtype=np.float64)
+    return kept, np.asarray(radii[first : last + 1], dtype=np.float64)
 
 
 def _contacts(

@@ -188,22 +188,26 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
         normal, target = _normal((points, rays), shares, scatter, scale)
         _add_prior(normal, target, shape, (anchors, hold))
         _add_slip_prior(normal, target, slip_m, evidence)
-        move = np.linalg.solve(normal, target)
-        # A step beyond the body's own width would leave the readings that led it.
-        limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
-        move *= min(1.0, limit / max(float(np.abs(move).max()), 1e-12))
-        shape, slip_m = _moved(shape, move), slip_m + move[-SLIPS:]
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        shape, slip_m = _moved(shape, slip_m, np.asarray(np.linalg.solve(normal, target)))
+    return _fitting(evidence, shape, slip_m, normal, scatter)
+
+
+def _fitting(
+    evidence: Evidence,
+    shape: TubeShape,
+    slip_m: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    scatter: tuple[float, float],
+) -> TubeFitting:
     points, rays = _look_at_points(evidence, shape), _look_at_rays(evidence, shape, slip_m)
-    ends_seen = _ends_seen(shape, rays.found, evidence.rays)
     return TubeFitting(
         shape,
-        covariance,
+        np.asarray(np.linalg.inv(normal), dtype=np.float64),
         replace(points.found, gap_m=points.gap_m),
         replace(rays.found, gap_m=rays.gap_m),
         slip_m / (evidence.far_m * evidence.pixel_rad),
         *scatter,
-        ends_seen,
+        _ends_seen(shape, rays.found, evidence.rays),
     )
 
 
@@ -288,12 +292,15 @@ def _normal(
     return normal, target
 
 
-def _moved(shape: TubeShape, move: NDArray[np.float64]) -> TubeShape:
+def _moved(
+    shape: TubeShape, slip_m: NDArray[np.float64], move: NDArray[np.float64]
+) -> tuple[TubeShape, NDArray[np.float64]]:
+    # A step beyond the body's own width would leave the readings that led it.
+    limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
+    move = move * min(1.0, limit / max(float(np.abs(move).max()), 1e-12))
     split = shape.bend_m.size
-    return TubeShape(
-        shape.bend_m + move[:split].reshape(-1, 3),
-        shape.width_m + move[split : split + shape.width_m.size],
-    )
+    bend = shape.bend_m + move[:split].reshape(-1, 3)
+    return TubeShape(bend, shape.width_m + move[split:-SLIPS]), slip_m + move[-SLIPS:]
 
 
 @lru_cache(maxsize=4)

@@ -17,8 +17,8 @@ def body() -> TubeShape:
 
 
 def surface(count: int = 40) -> NDArray[np.float64]:
-    x, across = np.meshgrid(np.linspace(-LONG / 2, LONG / 2, count), np.linspace(-0.9, 0.9, 15))
-    x, across = x.ravel(), across.ravel()
+    grid = np.meshgrid(np.linspace(-LONG / 2, LONG / 2, count), np.linspace(-0.9, 0.9, 15))
+    x, across = (m.ravel() for m in grid)
     z = FAR - RADIUS * np.sqrt(1 - across**2)
     return np.stack([x, RADIUS * across, z], axis=1)
 

@@ -159,10 +159,16 @@ def test_the_paper_stands_beside_its_protocol_alone(make_record: MakeRecord) -> 
     disturbed = make_record(masks=Masks.DISTURBED, lengths_m={"M1": 0.11, "M6 thread": 0.22})
     table = paper_table([stress, disturbed])
     assert table is not None
-    assert cell(table, "M1", "the paper's MAPE (%)") == 9.68
-    assert cell(table, "M1", "MAPE (%) here, disturbed masks") == pytest.approx(50.0)
-    assert cell(table, "M5", "MAPE (%) here, disturbed masks") is None
-    assert cell(table, "M6 thread", "the paper's MAPE (%)") is None
+    rows = {(row[0], row[1]): row[2:] for row in table.rows}
+    # Half of 22 cm: 11 cm, 50 %. One truth only has no R².
+    here = rows["M1", "here, disturbed outlines"]
+    assert here[:3] == pytest.approx((11.0, 11.0, 50.0))
+    assert here[3] == "50.00 to 50.00"
+    assert here[4] == pytest.approx(11.0)
+    assert rows["M1", "the paper"][:3] == (1.63, 2.26, 9.68)
+    assert rows["M2", "the paper"] == (0.83, 1.12, 5.31, "3.97 to 6.60", 0.59, 0.95)
+    assert ("M5", "here, disturbed outlines") not in rows
+    assert ("M6 thread", "the paper") not in rows
     # Intervals that contradict themselves are not passed on.
-    assert cell(table, "M1", "the paper's 95 % (%)") is None
-    assert cell(table, "M5", "the paper's 95 % (%)") is None
+    assert rows["M1", "the paper"][3] is None
+    assert rows["M5", "the paper"][3] is None

@@ -125,6 +125,8 @@ def group_table(
 ) -> Table | None:
     """Give each method's MAPE by group, and M6's median, worst and share measured.
 
+    The selectors are left out: what they choose is in the table already.
+
     Returns
     -------
     Table or None
@@ -132,6 +134,11 @@ def group_table(
     """
     methods = methods_against(records, truth)
     own = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
+    methods = [
+        m
+        for m in methods
+        if m != "reported" and not m.startswith("selector") and not (m == "M6" != own)
+    ]
     columns = [Column(factor.head), Column("captures"), Column("fruit")]
     columns += [Column(f"{method} MAPE (%)") for method in methods]
     if own in methods:

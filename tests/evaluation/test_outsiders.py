@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.evaluation.outsiders import (
     OUTSIDERS,
     Outsider,
@@ -132,3 +135,13 @@ def test_a_hole_under_the_path_is_bridged() -> None:
     depth = np.full((720, 1280), 0.9, np.float32)
     depth[:, 250:300] = 0
     assert lifted_length(path, depth, depth >= 0, CAMERA) == pytest.approx(0.2, abs=1e-6)
+
+
+def test_without_its_package_a_tool_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    mask, depth = np.ones((9, 9), bool), np.ones((9, 9), np.float32)
+    monkeypatch.setitem(sys.modules, "skan", None)
+    monkeypatch.setitem(sys.modules, "plantcv", None)
+    with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
+        skan_length(depth, mask, CAMERA)
+    with pytest.raises(CucumberVisionError, match="--no-deps plantcv"):
+        plantcv_length(depth, mask, CAMERA)

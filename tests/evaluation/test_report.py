@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.about import source_offer
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.evaluation.records import Masks, Record, Suite
 from cucumbervision.evaluation.table import Table
 
@@ -224,4 +225,14 @@ def test_own_fruit_are_not_called_simulated(make_record: MakeRecord, tmp_path: P
 def test_nothing_to_report_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CucumberVisionError, match="nothing to report"):
         write_report([], tmp_path / "out", title="x")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("package", ["matplotlib.figure", "jinja2"])
+def test_without_its_packages_the_report_says_what_to_install(
+    package: str, make_record: MakeRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
+        write_report([make_record(lengths_m={"M1": 0.2})], tmp_path / "out", title="x")
     assert not (tmp_path / "out").exists()

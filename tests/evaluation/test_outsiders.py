@@ -140,7 +140,7 @@ def test_a_hole_under_the_path_is_bridged() -> None:
 def test_without_its_package_a_tool_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     mask, depth = np.ones((9, 9), bool), np.ones((9, 9), np.float32)
     monkeypatch.setitem(sys.modules, "skan", None)
-    monkeypatch.setitem(sys.modules, "plantcv", None)
+    monkeypatch.setitem(sys.modules, "plantcv.plantcv", None)
     with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
         skan_length(depth, mask, CAMERA)
     with pytest.raises(CucumberVisionError, match="--no-deps plantcv"):

@@ -11,7 +11,7 @@ Examples
 >>> instances = cv.dataset_instances(capture)
 >>> fruit = cv.measure_fruit(capture, instances[0])
 >>> f"{capture.name}: {fruit.selected.length_m:.2f} m by {fruit.selected.method}"
-'simulated-bench: 0.17 m by M5'
+'simulated-bench: 0.16 m by M6'
 """
 
 from importlib import import_module

@@ -37,8 +37,9 @@ SETTLED = 6  # from this step on the outline's and the depth's own scatter is us
 TUKEY, CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
 # What is believed of fruit before looking, in shares of the length L and the radius r.
 TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
+BEND_SD, BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2
 SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
-WIDTH_SD = 0.1  # the radius' second difference; with heavy tails, so that shoulders may stand
+WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
 WIDTH_TAIL = 1.0
 # How far, in radii, an end may be from where it was guessed: one that the outline shows (where
 # this must not matter), and one that a leaf or the picture's edge hides.
@@ -51,6 +52,7 @@ GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: 
 SLIP_SD_PX = (1.0, 1.0, 0.1)
 SLIPS = len(SLIP_SD_PX)
 ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
+LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
 SCATTER_RAYS, SCATTER_POINTS = (0.5, 2.0), (0.7, 3.0)
 
 
@@ -139,7 +141,7 @@ class TubeFitting:
         steps /= np.maximum(np.linalg.norm(steps, axis=1), 1e-12)[:, None]
         by_bend = np.diff(bend, axis=0).T @ steps
         slope = np.concatenate([by_bend.ravel(), width[0] + width[-1], np.zeros(SLIPS)])
-        return float(np.sqrt(slope @ self.covariance @ slope))
+        return float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
 
 
 def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
@@ -188,6 +190,7 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
         normal, target = _normal((points, rays), shares, scatter, scale)
         _add_prior(normal, target, shape, (anchors, hold))
         _add_slip_prior(normal, target, slip_m, evidence)
+        normal[np.diag_indices(len(normal))] += LEAST_HOLD * np.trace(normal) / len(normal)
         shape, slip_m = _moved(shape, slip_m, np.asarray(np.linalg.solve(normal, target)))
     return _fitting(evidence, shape, slip_m, normal, scatter)
 
@@ -282,7 +285,7 @@ def _normal(
     size = readings[0].slope.shape[1]
     normal, target = np.zeros((size, size)), np.zeros(size)
     # A rough outline is rough over longer runs: it counts for fewer independent readings.
-    shares = shares[0], shares[1] / max(1.0, scatter[1])
+    shares = shares[0], shares[1] / max(1.0, scatter[1]) ** 2
     for seen, by, share, trust in zip(readings, scatter, shares, (_tukey, _cauchy), strict=True):
         error = seen.sd_m * by * scale
         weight = share * trust(seen.gap_m / error) / error**2
@@ -316,9 +319,12 @@ def _add_prior(
     steps = bend[1:] - bend[:-1]
     step = float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).mean())
     radius = max(float(np.median(width)), 0.002)
-    third = _differences(count, 3) * (BEND_SEGMENTS**2 / (TWIST_SD * step))
+    third = _differences(count, 3) / min(
+        TWIST_SD * step / BEND_SEGMENTS**2, BEND_CHANGE_SD * step**3
+    )
+    bow = _differences(count, 2) / (BEND_SD * step**2)
     hold = shape.ends_basis / (anchors[1] * radius)[:, None]
-    same = third.T @ third + hold.T @ hold  # for each coordinate alike
+    same = third.T @ third + bow.T @ bow + hold.T @ hold  # for each coordinate alike
     # Control points keep their distances: nothing else tells where along the curve they sit.
     second = _differences(count, 2)
     tangent = bend[2:] - bend[:-2]

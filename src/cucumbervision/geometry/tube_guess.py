@@ -12,19 +12,37 @@ from cucumbervision.geometry.tube_shape import TubeShape, shape_from_curve
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["guess_shape"]
+__all__ = ["guess_shape", "near_depths"]
 
 ROUNDS = 4
 DEEP_M = 0.02  # no fruit is so thin that this cuts it
 
 
-def guess_shape(points_m: NDArray[np.float64]) -> TubeShape:
+def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Say which points are not so deep before or behind the middle one that they may be others'.
+
+    An even spread of depths, as of a tilted fruit, ends at twice its median deviation; beyond
+    three is background, or a part of the fruit of which little is seen.
+
+    Examples
+    --------
+    >>> near_depths(np.array([[0, 0, 0.50], [0, 0, 0.55], [0, 0, 0.60], [0, 0, 0.95]])).tolist()
+    [True, True, True, False]
+    """
+    far = np.abs(points_m[:, 2] - np.median(points_m[:, 2]))
+    near: NDArray[np.bool_] = far <= 3.0 * np.median(far) + DEEP_M
+    return near
+
+
+def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeShape:
     """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
 
     Parameters
     ----------
     points_m : ndarray of float64, shape (N, 3)
         Points of the visible surface, camera coordinates, metres.
+    gated : bool
+        Whether to start from the depths about the middle one, as `near_depths` tells them.
 
     Returns
     -------
@@ -39,9 +57,7 @@ def guess_shape(points_m: NDArray[np.float64]) -> TubeShape:
     >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
     (True, True)
     """
-    # An even spread of depths ends at twice its median deviation: beyond three is background.
-    far = np.abs(points_m[:, 2] - np.median(points_m[:, 2]))
-    near = far <= 3.0 * np.median(far) + DEEP_M
+    near = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
     for _ in range(ROUNDS):
         centroid, axis = principal_axis(points_m[near])
         along = (points_m - centroid) @ axis

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape
-from cucumbervision.geometry.tube_guess import guess_shape
+from cucumbervision.geometry.tube_guess import guess_shape, near_depths
 from cucumbervision.geometry.tube_shape import TubeShape, gaps
 from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
 from cucumbervision.measurement.traits import TubeTraits, tube_traits
@@ -28,7 +28,10 @@ RANGE_M = (0.02, 1.0)
 OUTLINE_SD_PX = 0.7
 MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
 GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
+ON_SURFACE_SD, ON_SURFACE_M, GOOD_ON_SURFACE = 4.0, 0.002, 0.8
+MAY_BE_FRUIT = 0.01  # share of deep points worth a second attempt
 END_ON_DEG = 70.0
+PART_HIDDEN, UNCERTAIN = 0.1, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +58,7 @@ class TubeFit:
         Whether the outline shows the first and the last end of `traits.axis_m`.
     flags : tuple of str
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
-        'part-hidden', 'poor-fit'.
+        'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
     """
 
     traits: TubeTraits
@@ -123,10 +126,23 @@ def measure_m6(
         view.rays_share,
     )
     try:
-        fitting = fit_shape(evidence, guess_shape(view.surface_m))
+        fitting = _best_fit(view, evidence)
     except np.linalg.LinAlgError:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
     return _judged(view, fitting)
+
+
+def _best_fit(view: TubeView, evidence: Evidence) -> TubeFitting:
+    surface = view.surface_m
+    fitting = fit_shape(evidence, guess_shape(surface))
+    left_out = 1.0 - float(near_depths(surface).mean())
+    if left_out < MAY_BE_FRUIT:
+        return fitting
+    # What lies deeper is background, or the far part of a steep fruit: the mask decides.
+    other = fit_shape(evidence, guess_shape(surface, gated=False))
+    return max(
+        fitting, other, key=lambda one: _coverage(view, one.shape)[2] * _on_surface(view, one)
+    )
 
 
 def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:
@@ -151,7 +167,7 @@ def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:
 
 
 def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
-    explained, hidden = _coverage(view, fitting.shape)
+    explained, hidden, _ = _coverage(view, fitting.shape)
     rays = fitting.rays
     far = np.linalg.norm(rays.centres_m, axis=1)
     outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / far)) * view.focal_px
@@ -161,12 +177,15 @@ def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
         flags.append("end-hidden")
     if _end_on(traits.axis_m):
         flags.append("end-on")
-    if hidden > 0.1:
+    if hidden > PART_HIDDEN:
         flags.append("part-hidden")
     rough = outline_px * float(np.median(far)) / view.focal_px / traits.diameter_max_m
-    if explained < GOOD_EXPLAINED or rough > GOOD_OUTLINE:
+    on_it = _on_surface(view, fitting)
+    if explained < GOOD_EXPLAINED or rough > GOOD_OUTLINE or on_it < GOOD_ON_SURFACE:
         flags.append("poor-fit")
     sd = fitting.centreline_sd_m
+    if sd > UNCERTAIN * traits.lengths.centreline_m:
+        flags.append("uncertain")
     return TubeFit(
         traits,
         sd,
@@ -181,15 +200,23 @@ def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
     )
 
 
-def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float]:
-    # The window's own rays: which of them meet the tube, and what the picture shows there.
+def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
+    # The window's own rays: which of them meet the tube, and what the picture shows there. The
+    # last figure is the overlap of tube and mask where nothing nearer hides the tube.
     met = gaps(shape, view.grid_rays, rays=True)
     inside = met.gap_m < 0
     own = view.grid_mask
-    explained = float((inside & own).sum() / max(own.sum(), 1))
+    both = int((inside & own).sum())
     nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
-    hidden = float((inside & ~own & nearer).sum() / max(inside.sum(), 1))
-    return explained, hidden
+    covered = int((inside & ~own & nearer).sum())
+    either = int((inside | own).sum()) - covered
+    return both / max(int(own.sum()), 1), covered / max(int(inside.sum()), 1), both / max(either, 1)
+
+
+def _on_surface(view: TubeView, fitting: TubeFitting) -> float:
+    # Share of the depth points that lie on the tube, within what the sensor may err.
+    within = np.abs(fitting.points.gap_m) <= ON_SURFACE_SD * view.points_sd_m + ON_SURFACE_M
+    return float(within.mean())
 
 
 def _end_on(axis_m: NDArray[np.float64]) -> bool:

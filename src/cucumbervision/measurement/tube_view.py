@@ -31,7 +31,7 @@ QUANTUM_M = 0.001
 POINT_AREA_PX = 100.0
 OUTLINE_RUN_PX = 6.0
 CRACKS_A_PIXEL = 4 / np.pi  # of outline, averaged over its directions
-NEARER_M, NEARER_SD = 0.003, 4.0  # what across the outline is an occluder, and no noise
+NEARER_M, NEARER_SD = 0.003, 2.0  # what across the outline is an occluder, and no noise
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,114 @@
+"""Time M1 to M5 on a mask of 30,000 pixels against a plain NumPy floor, and M6 by itself.
+
+The floor deprojects the mask's window, takes its principal axis, 25 centroids and a spline: what
+the paper's M5 cannot do without. Floor and methods run in turns, so that the machine's moods
+hit both; the ratio is the median of the pairs'.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_methods.py
+"""
+
+from __future__ import annotations
+
+import argparse
+from statistics import median
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from cucumbervision.capture.burst import median_depth
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.methods import Region, run_methods
+from cucumbervision.measurement.results import Method
+from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.synthesis.render import render
+from cucumbervision.synthesis.sensor import noisy_depth
+from cucumbervision.synthesis.tube import arc_tube, rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
+PAPERS = (Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
+BINS, SAMPLES = 25, 1000
+TIMES_THE_FLOOR = 4.0
+M6_MS = 25.0
+
+
+def draw_region() -> Region:
+    """Draw a fruit whose mask has about 30,000 pixels, with its keypoints."""
+    tube = arc_tube(0.25, 0.0205, 0.5, neck=0.2).moved(rotation(8, 10), (0.0, 0.0, 0.52))
+    scene = render([tube], CAMERA, 0.9)
+    depth = median_depth(noisy_depth(scene.depth_m, CAMERA.fx_px, 5, np.random.default_rng(1)))
+    axis = tube.axis_m[np.linspace(12, len(tube.axis_m) - 13, 5).astype(int)]
+    pixels = axis[:, :2] / axis[:, 2:] * CAMERA.fx_px + (CAMERA.cx_px, CAMERA.cy_px)
+    keypoints = np.column_stack([pixels, np.ones(5)])
+    mask = scene.mask(0)
+    return Region(depth, CAMERA, box_of_mask(mask), mask, keypoints)
+
+
+def floor(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], box: NDArray[Any]) -> float:
+    """Measure along 25 centroids in plain NumPy, without a gate, anchors or checks."""
+    left, top, right, bottom = (int(x + 0.5) for x in box)
+    part = depth_m[top:bottom, left:right]
+    v, u = np.nonzero(mask[top:bottom, left:right] & (part > 0))
+    z = part[v, u].astype(np.float64)
+    x = (u + (left - CAMERA.cx_px)) / CAMERA.fx_px * z
+    y = (v + (top - CAMERA.cy_px)) / CAMERA.fy_px * z
+    points = np.stack([x, y, z], axis=1)
+    centred = points - points.mean(axis=0)
+    along = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -1]
+    low, high = along.min(), along.max()
+    which = np.minimum(((along - low) * (BINS / (high - low))).astype(np.intp), BINS - 1)
+    count = np.bincount(which, minlength=BINS)
+    spine = np.stack([np.bincount(which, points[:, k], BINS) / count for k in range(3)], axis=1)
+    parameter = np.linspace(0.0, 1.0, BINS)
+    speed = CubicSpline(parameter, spine, bc_type="natural")(np.linspace(0, 1, SAMPLES), 1)
+    return float(np.trapezoid(np.linalg.norm(speed, axis=1), dx=1 / (SAMPLES - 1)))
+
+
+def milliseconds(task: Callable[[], object]) -> float:
+    """Give one call's time."""
+    start = perf_counter()
+    task()
+    return 1e3 * (perf_counter() - start)
+
+
+def main() -> None:
+    """Time everything and say whether the targets hold."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=60)
+    rounds = parser.parse_args().rounds
+    cv2.setNumThreads(1)
+    drawn = draw_region()
+
+    def fresh() -> Region:
+        # A region keeps its clouds: each timing must build them anew.
+        return Region(drawn.depth_m, CAMERA, drawn.box, drawn.mask, drawn.keypoints)
+
+    assert drawn.mask is not None
+    mask = drawn.mask
+    floors, papers, tubes = [], [], []
+    for _ in range(rounds + 5):
+        floors.append(milliseconds(lambda: floor(drawn.depth_m, mask, drawn.box)))
+        papers.append(milliseconds(lambda: run_methods(fresh(), PAPERS)))
+        tubes.append(milliseconds(lambda: run_methods(fresh(), [Method.M6])))
+    floors, papers, tubes = floors[5:], papers[5:], tubes[5:]
+    ratio = median(p / f for p, f in zip(papers, floors, strict=True))
+    print(f"mask of {int(mask.sum())} px; medians of {rounds} rounds")
+    print(f"floor          {median(floors):6.2f} ms")
+    print(f"M1 to M5       {median(papers):6.2f} ms, {ratio:.2f} times the floor", end="")
+    print(f" (target {TIMES_THE_FLOOR:.0f}: {'kept' if ratio <= TIMES_THE_FLOOR else 'missed'})")
+    for method in PAPERS:
+        alone = [milliseconds(lambda: run_methods(fresh(), [method])) for _ in range(rounds)]  # noqa: B023
+        print(f"  {method} alone     {median(alone):6.2f} ms")
+    kept = "kept" if median(tubes) <= M6_MS else "missed"
+    print(f"M6             {median(tubes):6.2f} ms a fruit (target {M6_MS:.0f}: {kept})")
+
+
+if __name__ == "__main__":
+    main()

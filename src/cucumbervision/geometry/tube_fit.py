@@ -38,6 +38,7 @@ TUKEY, CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981
 # What is believed of fruit before looking, in shares of the length L and the radius r.
 TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
 BEND_SD, BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2
+TILT_SD = 0.6  # the far end beyond the near one, along the view
 SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
 WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
 WIDTH_TAIL = 1.0
@@ -334,6 +335,12 @@ def _add_prior(
     tangent = bend[2:] - bend[:-2]
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)[:, None]
     even = (second[:, :, None] * tangent[:, None, :]).reshape(count - 2, -1) / (SPEED_SD * step)
+    # Where depth hardly tells, a fruit rather lies across the view than along it.
+    middle = bend.mean(axis=0)
+    ends = shape.ends_basis[1] - shape.ends_basis[0]
+    deep = np.outer(ends, middle / np.linalg.norm(middle)).ravel()
+    deep /= TILT_SD * step * BEND_SEGMENTS
+    even = np.vstack([even, deep])
     normal[:split, :split] += even.T @ even
     for axis in range(3):
         normal[axis:split:3, axis:split:3] += same

@@ -15,22 +15,44 @@ if TYPE_CHECKING:
 __all__ = ["guess_shape", "near_depths"]
 
 ROUNDS = 4
-DEEP_M = 0.02  # no fruit is so thin that this cuts it
+DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
+PLANE_ROUNDS, PLANE_RIDGE, LEAST_OFF_M = 6, 1e-6, 0.002
 
 
 def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Say which points are not so deep before or behind the middle one that they may be others'.
+    """Say which points are near the plane that most of them lie along.
 
-    An even spread of depths, as of a tilted fruit, ends at twice its median deviation; beyond
-    three is background, or a part of the fruit of which little is seen.
+    A tilted fruit lies along a plane however steep it is and whatever hides its middle; what
+    the mask caught of the background does not, nor what the sensor blends between the two.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Camera coordinates, metres.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        Within three median deviations and `DEEP_M` in depth.
 
     Examples
     --------
-    >>> near_depths(np.array([[0, 0, 0.50], [0, 0, 0.55], [0, 0, 0.60], [0, 0, 0.95]])).tolist()
-    [True, True, True, False]
+    >>> x = np.linspace(-0.1, 0.1, 9)
+    >>> steep = np.stack([x, 0.1 * x, 0.6 + x], axis=1)
+    >>> near_depths(np.vstack([steep, [[0.05, 0.0, 0.9]]])).tolist()[-2:]
+    [True, False]
     """
-    far = np.abs(points_m[:, 2] - np.median(points_m[:, 2]))
-    near: NDArray[np.bool_] = far <= 3.0 * np.median(far) + DEEP_M
+    far = points_m[:, 2]
+    # A plane in space is linear in the inverse depth over the picture.
+    terms = np.column_stack([points_m[:, :2] / far[:, None], np.ones(len(far))])
+    weight = np.ones(len(far))
+    for _ in range(PLANE_ROUNDS):  # towards the least sum of absolute deviations
+        weighted = terms * weight[:, None]
+        ridge = PLANE_RIDGE * np.diag([1.0, 1.0, 0.0]) * weight.sum()
+        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / far))
+        off = np.abs(1 / far - terms @ plane) * far**2
+        weight = 1 / np.maximum(off, LEAST_OFF_M)
+    near: NDArray[np.bool_] = off <= 3.0 * np.median(off) + DEEP_M
     return near
 
 
@@ -42,7 +64,7 @@ def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeSha
     points_m : ndarray of float64, shape (N, 3)
         Points of the visible surface, camera coordinates, metres.
     gated : bool
-        Whether to start from the depths about the middle one, as `near_depths` tells them.
+        Whether to leave out what `near_depths` does.
 
     Returns
     -------
@@ -57,7 +79,8 @@ def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeSha
     >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
     (True, True)
     """
-    near = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
+    level = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
+    near = level
     for _ in range(ROUNDS):
         centroid, axis = principal_axis(points_m[near])
         along = (points_m - centroid) @ axis
@@ -66,7 +89,7 @@ def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeSha
         bow = np.linalg.lstsq(power[near], off[near], rcond=None)[0]
         rest = off - power @ bow
         left = np.linalg.norm(rest, axis=1)
-        near = left <= 3.0 * np.median(left[near]) + 1e-6
+        near = level & (left <= 3.0 * np.median(left[near]) + 1e-6)
     view = centroid / np.linalg.norm(centroid)
     side = np.cross(axis, view)
     norm = float(np.linalg.norm(side))

@@ -29,7 +29,7 @@ OUTLINE_SD_PX = 0.7
 MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
 GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
 ON_SURFACE_SD, ON_SURFACE_M, GOOD_ON_SURFACE = 4.0, 0.002, 0.8
-MAY_BE_FRUIT = 0.01  # share of deep points worth a second attempt
+MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
 END_ON_DEG = 70.0
 PART_HIDDEN, UNCERTAIN = 0.1, 0.05
 
@@ -138,11 +138,11 @@ def _best_fit(view: TubeView, evidence: Evidence) -> TubeFitting:
     left_out = 1.0 - float(near_depths(surface).mean())
     if left_out < MAY_BE_FRUIT:
         return fitting
-    # What lies deeper is background, or the far part of a steep fruit: the mask decides.
+    # What lies off the plane is background, or the far part of a hook: only a mask that is
+    # clearly better covered speaks for the latter.
     other = fit_shape(evidence, guess_shape(surface, gated=False))
-    return max(
-        fitting, other, key=lambda one: _coverage(view, one.shape)[2] * _on_surface(view, one)
-    )
+    gain = _coverage(view, other.shape)[2] - _coverage(view, fitting.shape)[2]
+    return other if gain > CLEARLY_BETTER else fitting
 
 
 def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:

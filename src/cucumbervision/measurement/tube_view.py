@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TubeView", "depth_noise", "view_tube"]
 
-DEPTH_POINTS = 700
+DEPTH_POINTS = 500
 OUTLINE_POINTS = 200
 GRID_POINTS = 800
 MARGIN_PX = 5

@@ -152,6 +152,33 @@ def test_an_end_behind_a_leaf_is_no_end(camera: Intrinsics) -> None:
     assert whole.centreline_m > lengths.centreline_m
 
 
+def test_a_leaf_that_touches_the_fruit_hides_its_end_too(camera: Intrinsics) -> None:
+    # 4 mm before the fruit's surface: less than the border test can tell from noise.
+    tube = arc_tube(0.25, 0.018).moved(rotation(), (0, 0, 0.55))
+    backdrop = np.full((camera.height, camera.width), BACK_M)
+    backdrop[:, :350] = 0.55 - 0.018 - 0.004
+    _, fit = fitted(measure_m6(*seen(tube, camera, backdrop), camera))
+    assert "end-hidden" in fit.flags
+    assert sum(fit.ends_seen) == 1
+
+
+def test_a_bench_behind_the_fruit_hides_nothing(camera: Intrinsics) -> None:
+    tube = arc_tube(0.22, 0.02, 0.4).moved(rotation(20), (0, 0, 0.5))
+    lengths, fit = fitted(measure_m6(*seen(tube, camera, 0.521), camera))
+    assert fit.ends_seen == (True, True)
+    assert fit.hidden_share < 0.01
+    assert lengths.centreline_m == pytest.approx(0.22, rel=0.01)
+
+
+def test_what_the_mask_caught_of_the_background_is_left_out(camera: Intrinsics) -> None:
+    tube = arc_tube(0.20, 0.02).moved(rotation(10, 50), (0, 0, 0.55))
+    depth, mask = noisy(tube, camera, 9)
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    lengths, _ = fitted(measure_m6(depth, wide, camera))
+    # A pixel all round: 0.9 mm at either end, longer by 1/cos 50 along the axis.
+    assert lengths.centreline_m == pytest.approx(0.20 + 2 * 0.0014, rel=0.015)
+
+
 def test_a_fruit_cut_by_the_frame_has_one_end(camera: Intrinsics) -> None:
     tube = arc_tube(0.30, 0.02).moved(rotation(), (0.30, 0, 0.5))
     lengths, fit = fitted(measure_m6(*seen(tube, camera), camera))

@@ -31,6 +31,7 @@ GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
 ON_SURFACE_SD, ON_SURFACE_M, GOOD_ON_SURFACE = 4.0, 0.002, 0.8
 MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
 END_ON_DEG = 70.0
+BEYOND, BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
 PART_HIDDEN, UNCERTAIN = 0.1, 0.05
 
 
@@ -172,8 +173,10 @@ def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
     far = np.linalg.norm(rays.centres_m, axis=1)
     outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / far)) * view.focal_px
     depth_m = 1.4826 * float(np.median(np.abs(fitting.points.gap_m)))
+    covered = _covered_ends(view, fitting.shape)
+    first, last = (s and not c for s, c in zip(fitting.ends_seen, covered, strict=True))
     flags = []
-    if not all(fitting.ends_seen):
+    if not (first and last):
         flags.append("end-hidden")
     if _end_on(traits.axis_m):
         flags.append("end-on")
@@ -195,7 +198,7 @@ def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
         view.fill,
         outline_px,
         depth_m,
-        fitting.ends_seen,
+        (first, last),
         tuple(flags),
     )
 
@@ -211,6 +214,26 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     covered = int((inside & ~own & nearer).sum())
     either = int((inside | own).sum()) - covered
     return both / max(int(own.sum()), 1), covered / max(int(inside.sum()), 1), both / max(either, 1)
+
+
+def _covered_ends(view: TubeView, shape: TubeShape) -> tuple[bool, bool]:
+    # Whether what lies beyond an end in the picture is nearer than the end: then it covers it.
+    centres, radii = shape.balls()
+    beside = view.grid_rays[~view.grid_mask & (view.grid_depth_m > 0)]
+    depth = view.grid_depth_m[~view.grid_mask & (view.grid_depth_m > 0)]
+    covered = []
+    for tip, inner in ((0, 1), (-1, -2)):
+        far = float(np.linalg.norm(centres[tip]))
+        ray = centres[tip] / far
+        ahead = centres[tip] - centres[inner]
+        ahead -= (ahead @ ray) * ray
+        ahead /= max(float(np.linalg.norm(ahead)), 1e-12)
+        off = beside * far - centres[tip]
+        reach = BEYOND * max(float(radii[tip]), 0.0) + BEYOND_PX * far / view.focal_px
+        beyond = (off @ ahead > 0) & (np.linalg.norm(off, axis=1) < reach)
+        z = depth[beyond]
+        covered.append(len(z) > 1 and float(np.median(z)) < centres[tip, 2])
+    return covered[0], covered[1]
 
 
 def _on_surface(view: TubeView, fitting: TubeFitting) -> float:

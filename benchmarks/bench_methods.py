@@ -10,6 +10,7 @@ hit both; the ratio is the median of the pairs'.
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from statistics import median
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -78,6 +79,28 @@ def milliseconds(task: Callable[[], object]) -> float:
     return 1e3 * (perf_counter() - start)
 
 
+def fresh(drawn: Region) -> Region:
+    """Give the region without its clouds, which each timing must build anew."""
+    return Region(drawn.depth_m, CAMERA, drawn.box, drawn.mask, drawn.keypoints)
+
+
+def timed(drawn: Region, rounds: int) -> tuple[list[float], list[float], list[float]]:
+    """Give the milliseconds of the floor, of M1 to M5 and of M6, taken in turns."""
+    mask = drawn.mask
+    assert mask is not None
+    floors, papers, tubes = [], [], []
+    for _ in range(rounds + 5):
+        floors.append(milliseconds(lambda: floor(drawn.depth_m, mask, drawn.box)))
+        papers.append(milliseconds(lambda: run_methods(fresh(drawn), PAPERS)))
+        tubes.append(milliseconds(lambda: run_methods(fresh(drawn), [Method.M6])))
+    return floors[5:], papers[5:], tubes[5:]
+
+
+def times_the_floor(floors: list[float], papers: list[float]) -> float:
+    """Give the median ratio of the pairs."""
+    return median(p / f for p, f in zip(papers, floors, strict=True))
+
+
 def main() -> None:
     """Time everything and say whether the targets hold."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -85,26 +108,15 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     cv2.setNumThreads(1)
     drawn = draw_region()
-
-    def fresh() -> Region:
-        # A region keeps its clouds: each timing must build them anew.
-        return Region(drawn.depth_m, CAMERA, drawn.box, drawn.mask, drawn.keypoints)
-
-    assert drawn.mask is not None
-    mask = drawn.mask
-    floors, papers, tubes = [], [], []
-    for _ in range(rounds + 5):
-        floors.append(milliseconds(lambda: floor(drawn.depth_m, mask, drawn.box)))
-        papers.append(milliseconds(lambda: run_methods(fresh(), PAPERS)))
-        tubes.append(milliseconds(lambda: run_methods(fresh(), [Method.M6])))
-    floors, papers, tubes = floors[5:], papers[5:], tubes[5:]
-    ratio = median(p / f for p, f in zip(papers, floors, strict=True))
-    print(f"mask of {int(mask.sum())} px; medians of {rounds} rounds")
+    floors, papers, tubes = timed(drawn, rounds)
+    ratio = times_the_floor(floors, papers)
+    print(f"mask of {np.count_nonzero(drawn.mask)} px; medians of {rounds} rounds")
     print(f"floor          {median(floors):6.2f} ms")
     print(f"M1 to M5       {median(papers):6.2f} ms, {ratio:.2f} times the floor", end="")
     print(f" (target {TIMES_THE_FLOOR:.0f}: {'kept' if ratio <= TIMES_THE_FLOOR else 'missed'})")
     for method in PAPERS:
-        alone = [milliseconds(lambda: run_methods(fresh(), [method])) for _ in range(rounds)]  # noqa: B023
+        run = partial(run_methods, methods=[method])
+        alone = [milliseconds(lambda: run(fresh(drawn))) for _ in range(rounds)]  # noqa: B023
         print(f"  {method} alone     {median(alone):6.2f} ms")
     kept = "kept" if median(tubes) <= M6_MS else "missed"
     print(f"M6             {median(tubes):6.2f} ms a fruit (target {M6_MS:.0f}: {kept})")

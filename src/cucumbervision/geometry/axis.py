@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +10,58 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["bin_centroids", "depth_gate", "principal_axis", "project"]
+__all__ = [
+    "AlignedCloud",
+    "align_near",
+    "bin_centroids",
+    "depth_gate",
+    "principal_axis",
+    "project",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedCloud:
+    """A cloud with its principal axis.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Camera coordinates in metres.
+    centroid_m, axis : ndarray of float64, shape (3,)
+        From `principal_axis`; not a number below two points.
+    along_m : ndarray of float64, shape (N,)
+        Each point's position along the axis, metres from the centroid.
+    """
+
+    points_m: NDArray[np.float64]
+    centroid_m: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    along_m: NDArray[np.float64]
+
+
+def align_near(points_m: NDArray[Any], half_width_m: float) -> AlignedCloud:
+    """Gate a cloud by depth and find its principal axis: what M2, M3 and M5 begin with.
+
+    Parameters
+    ----------
+    points_m : ndarray of float, shape (N, 3)
+        Camera coordinates in metres.
+    half_width_m : float
+        As `depth_gate` takes it.
+
+    Examples
+    --------
+    >>> cloud = align_near(np.array([[0.0, 0, 0.5], [0.2, 0, 0.5], [0.4, 0, 0.9]]), 0.035)
+    >>> cloud.along_m.tolist()
+    [-0.1, 0.1]
+    """
+    near = depth_gate(points_m, half_width_m)
+    if len(near) < 2:
+        nowhere = np.full(3, np.nan)
+        return AlignedCloud(near, nowhere, nowhere, np.full(len(near), np.nan))
+    centroid, axis = principal_axis(near)
+    return AlignedCloud(near, centroid, axis, project(near, centroid, axis))
 
 
 def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:

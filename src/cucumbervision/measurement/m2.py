@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.geometry.axis import depth_gate, principal_axis, project
+from cucumbervision.geometry.axis import AlignedCloud, align_near
 from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
 
 if TYPE_CHECKING:
@@ -43,37 +43,35 @@ def measure_m2(box_points_m: NDArray[Any]) -> Measurement:
     >>> round(measure_m2(rod).length_m, 6)
     0.2
     """
-    return principal_chord(box_points_m, Method.M2)
+    if not len(box_points_m):
+        return Measurement(Method.M2, reason=Reason.NO_DEPTH)
+    return principal_chord(align_near(box_points_m, GATE_M), Method.M2)
 
 
-def principal_chord(points_m: NDArray[Any], method: Method) -> Measurement:
-    """Give the chord between the extreme projections on the principal axis, after the gate.
+def principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
+    """Give the chord between the extreme projections on the principal axis.
 
     Parameters
     ----------
-    points_m : ndarray of float, shape (N, 3)
-        Camera coordinates in metres.
+    cloud : AlignedCloud
+        Behind the gate.
     method : Method
         The method in whose name it measures.
 
     Returns
     -------
     Measurement
-        Kind 'surface-chord'; its path runs along the axis through the centroid.
+        Kind 'surface-chord'; its path runs along the axis through the centroid. Reason
+        'too-few-points' below two points.
 
     Examples
     --------
-    >>> points = np.array([[0.0, 0.0, 0.5], [0.3, 0.4, 0.5]])
-    >>> round(principal_chord(points, Method.M3).length_m, 6)
+    >>> cloud = align_near(np.array([[0.0, 0.0, 0.5], [0.3, 0.4, 0.5]]), GATE_M)
+    >>> round(principal_chord(cloud, Method.M3).length_m, 6)
     0.5
     """
-    if not len(points_m):
-        return Measurement(method, reason=Reason.NO_DEPTH)
-    near = depth_gate(points_m, GATE_M)
-    if len(near) < 2:
+    if len(cloud.points_m) < 2:
         return Measurement(method, reason=Reason.TOO_FEW_POINTS)
-    centroid, axis = principal_axis(near)
-    along = project(near, centroid, axis)
-    low, high = float(along.min()), float(along.max())
-    path = centroid + np.array([[low], [high]]) * axis
+    low, high = float(cloud.along_m.min()), float(cloud.along_m.max())
+    path = cloud.centroid_m + np.array([[low], [high]]) * cloud.axis
     return Measurement(method, high - low, LengthKind.SURFACE_CHORD, path_m=path)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.measurement.m2 import principal_chord
+from cucumbervision.geometry.axis import AlignedCloud, align_near
+from cucumbervision.measurement.m2 import GATE_M, principal_chord
 from cucumbervision.measurement.results import Measurement, Method, Reason
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ __all__ = ["MIN_POINTS", "measure_m3"]
 MIN_POINTS = 50
 
 
-def measure_m3(mask_points_m: NDArray[Any]) -> Measurement:
+def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
     """Measure a fruit by the spread of its mask's points along their principal axis.
 
     Parameters
@@ -23,6 +24,8 @@ def measure_m3(mask_points_m: NDArray[Any]) -> Measurement:
     mask_points_m : ndarray of float, shape (N, 3)
         The mask's pixels with a valid reading, deprojected
         (`measurement.cloud.masked_points`), metres.
+    near : AlignedCloud, optional
+        The same points behind the gate, where that is known already.
 
     Returns
     -------
@@ -46,4 +49,4 @@ def measure_m3(mask_points_m: NDArray[Any]) -> Measurement:
     """
     if len(mask_points_m) < MIN_POINTS:
         return Measurement(Method.M3, reason=Reason.TOO_FEW_POINTS)
-    return principal_chord(mask_points_m, Method.M3)
+    return principal_chord(near or align_near(mask_points_m, GATE_M), Method.M3)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.geometry.axis import bin_centroids, depth_gate, principal_axis, project
+from cucumbervision.geometry.axis import AlignedCloud, align_near, bin_centroids
 from cucumbervision.geometry.curve import natural_spline
 from cucumbervision.measurement.m2 import GATE_M
 from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
@@ -24,7 +24,7 @@ MIN_BINS = 2
 RANGE_M = (0.05, 0.80)
 
 
-def measure_m5(mask_points_m: NDArray[Any]) -> Measurement:
+def measure_m5(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
     """Measure a fruit along a cubic spline through the centroids of its cross-sections.
 
     The gate |z - median z| <= 3.5 cm; at least 100 points; first principal axis; 25 equal bins,
@@ -37,6 +37,8 @@ def measure_m5(mask_points_m: NDArray[Any]) -> Measurement:
     mask_points_m : ndarray of float, shape (N, 3)
         The mask's pixels with a valid reading, deprojected
         (`measurement.cloud.masked_points`), metres.
+    near : AlignedCloud, optional
+        The same points behind the gate, where that is known already.
 
     Returns
     -------
@@ -56,16 +58,15 @@ def measure_m5(mask_points_m: NDArray[Any]) -> Measurement:
     >>> round(measure_m5(arc).length_m, 3)  # an arc of 0.2 m radius over 1 rad
     0.2
     """
-    near = depth_gate(mask_points_m, GATE_M)
-    if len(near) < MIN_POINTS:
+    cloud = near or align_near(mask_points_m, GATE_M)
+    points, along = cloud.points_m, cloud.along_m
+    if len(points) < MIN_POINTS:
         return Measurement(Method.M5, reason=Reason.TOO_FEW_POINTS)
-    centroid, axis = principal_axis(near)
-    along = project(near, centroid, axis)
-    spine = bin_centroids(near, along, BINS, MIN_BIN_POINTS)
+    spine = bin_centroids(points, along, BINS, MIN_BIN_POINTS)
     if len(spine) < MIN_BINS:
         return Measurement(Method.M5, reason=Reason.TOO_FEW_BINS)
-    low = near[np.argpartition(along, TIP_POINTS - 1)[:TIP_POINTS]].mean(axis=0)
-    high = near[np.argpartition(along, -TIP_POINTS)[-TIP_POINTS:]].mean(axis=0)
+    low = points[np.argpartition(along, TIP_POINTS - 1)[:TIP_POINTS]].mean(axis=0)
+    high = points[np.argpartition(along, -TIP_POINTS)[-TIP_POINTS:]].mean(axis=0)
     length, path = natural_spline(np.vstack([low, spine, high]))
     if not RANGE_M[0] <= length <= RANGE_M[1]:
         return Measurement(Method.M5, reason=Reason.OUT_OF_RANGE)

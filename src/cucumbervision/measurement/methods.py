@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.geometry.axis import AlignedCloud, align_near
 from cucumbervision.measurement.cloud import box_points, masked_points
 from cucumbervision.measurement.m1 import measure_m1
-from cucumbervision.measurement.m2 import measure_m2
+from cucumbervision.measurement.m2 import GATE_M, measure_m2
 from cucumbervision.measurement.m3 import measure_m3
 from cucumbervision.measurement.m4 import measure_m4
 from cucumbervision.measurement.m5 import measure_m5
@@ -58,6 +59,12 @@ class Region:
         if self.mask is None:
             return None
         return masked_points(self.depth_m, self.mask, self.intrinsics)
+
+    @cached_property
+    def mask_near(self) -> AlignedCloud | None:
+        """The mask's points behind the gate with their principal axis; None without a mask."""
+        points = self.mask_points_m
+        return None if points is None else align_near(points, GATE_M)
 
     @cached_property
     def box_points_m(self) -> NDArray[np.float64]:
@@ -124,7 +131,7 @@ def _m2(region: Region) -> Measurement:
 def _m3(region: Region) -> Measurement:
     if region.mask_points_m is None:
         return Measurement(Method.M3, reason=Reason.NO_MASK)
-    result = measure_m3(region.mask_points_m)
+    result = measure_m3(region.mask_points_m, region.mask_near)
     return _or_else(result, Method.M2, _m2(region)) if not result.own else result
 
 
@@ -138,7 +145,7 @@ def _m4(region: Region) -> Measurement:
 def _m5(region: Region) -> Measurement:
     if region.mask_points_m is None:
         return Measurement(Method.M5, reason=Reason.NO_MASK)
-    return measure_m5(region.mask_points_m)
+    return measure_m5(region.mask_points_m, region.mask_near)
 
 
 def _m6(region: Region) -> Measurement:

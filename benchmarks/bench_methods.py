@@ -110,7 +110,8 @@ def main() -> None:
     drawn = draw_region()
     floors, papers, tubes = timed(drawn, rounds)
     ratio = times_the_floor(floors, papers)
-    print(f"mask of {np.count_nonzero(drawn.mask)} px; medians of {rounds} rounds")
+    pixels = len(drawn.mask_points_m) if drawn.mask_points_m is not None else 0
+    print(f"mask of {pixels} px; medians of {rounds} rounds")
     print(f"floor          {median(floors):6.2f} ms")
     print(f"M1 to M5       {median(papers):6.2f} ms, {ratio:.2f} times the floor", end="")
     print(f" (target {TIMES_THE_FLOOR:.0f}: {'kept' if ratio <= TIMES_THE_FLOOR else 'missed'})")

@@ -256,6 +256,7 @@ def shapes() -> dict[str, NDArray[np.bool_]]:
         "ring": abs(np.hypot(rows - 240, columns - 424) - 90) < 12,
         "cross": (abs(rows - 240) < 15) | (abs(columns - 424) < 15),
         "blobs": noise > np.quantile(noise, 0.9),
+        "salt": rng.random((480, 848)) < 0.01,
         "two-far-pieces": (rows < 40) & (columns < 40) | (rows > 440) & (columns > 808),
     }
 
@@ -271,6 +272,22 @@ def test_what_is_no_fruit_is_measured_sanely_or_refused(name: str, camera: Intri
         across = np.hypot(848, 480) / camera.fx_px * 0.7
         assert 0.02 <= result.tube.centreline_m < 2 * across
         assert np.isfinite([result.tube.thread_m, result.tube.chord_m]).all()
+
+
+def test_nothing_makes_it_raise(camera: Intrinsics) -> None:
+    half = replace(camera, width=424, height=240, fx_px=305, fy_px=305, cx_px=212, cy_px=120)
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        noise = cv2.GaussianBlur(rng.standard_normal((240, 424)), (0, 0), rng.uniform(1, 25))
+        mask = noise > np.quantile(noise, rng.uniform(0.3, 0.995))
+        far = rng.uniform(0.15, 4) + rng.uniform(0, 0.5) * noise + 1e-3 * np.arange(424)
+        far[rng.random(far.shape) < rng.uniform(0, 1)] = rng.choice([0, np.nan, np.inf, 5.5])
+        result = measure_m6(far.astype(np.float32), mask, half)
+        assert (result.tube is None) == (result.reason is not Reason.OK)
+        if result.tube is not None and result.fit is not None:
+            lengths = result.tube
+            numbers = (lengths.centreline_m, lengths.thread_m, result.fit.centreline_sd_m)
+            assert np.isfinite(numbers).all()
 
 
 @pytest.mark.realdata

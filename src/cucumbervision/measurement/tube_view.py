@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.outline import depth_across, outline_cracks
+from cucumbervision.geometry.tube_guess import near_depths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -84,9 +85,7 @@ class TubeView:
         if not len(bare):
             return self.points_m
         # A plane in space is linear in the inverse depth over the picture.
-        far = self.points_m[:, 2]
-        off = np.abs(far - np.median(far))
-        near = self.points_m[off <= 3.0 * np.median(off) + 0.02]
+        near = self.points_m[near_depths(self.points_m)]
         terms = np.column_stack([near[:, :2] / near[:, 2:], np.ones(len(near))])
         plane = np.linalg.lstsq(terms, 1 / near[:, 2], rcond=None)[0]
         inverse = (bare / bare[:, 2:])[:, [0, 1]] @ plane[:2] + plane[2]
@@ -181,7 +180,7 @@ def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if count <= 2:
         return part
     areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
-    kept = areas >= MIN_PIECE * areas[1:].sum()
+    kept = areas >= min(MIN_PIECE * areas[1:].sum(), areas[1:].max())
     kept[0] = False
     return np.asarray(kept[np.asarray(labels)])
 

@@ -27,6 +27,11 @@ def test_a_repeated_vertex_changes_nothing() -> None:
     assert natural_spline(twice)[0] == natural_spline(vertices)[0]
 
 
+def test_vertices_a_rounding_apart_are_one() -> None:
+    vertices = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1 + 1e-17, 1e-17, 0], [0.2, 0, 0]])
+    assert natural_spline(vertices)[0] == pytest.approx(0.2)
+
+
 def test_one_place_is_no_curve() -> None:
     with pytest.raises(ValueError, match="two distinct vertices"):
         natural_spline(np.ones((4, 3)))

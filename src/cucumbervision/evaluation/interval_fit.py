@@ -73,7 +73,7 @@ def _training(records: Sequence[Record], key: str, names: Sequence[str]) -> tupl
         features = record_features(record, key)
         if length is None or truth is None or features is None:
             continue
-        errors.append(length / truth - 1)
+        errors.append(np.log(length / truth))
         rows.append([features[name] for name in names])
         fruit.append(record.fruit)
     return np.array(errors), np.array(rows).reshape(len(rows), len(names)), np.array(fruit)

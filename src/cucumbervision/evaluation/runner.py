@@ -75,8 +75,13 @@ def run_cases(
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(workers, context) as pool:
             jobs = {pool.submit(_work, chunk, options): chunk for chunk in chunks}
-            for job in as_completed(jobs):
-                _keep(job.result(), jobs[job], records, report)
+            try:
+                for job in as_completed(jobs):
+                    _keep(job.result(), jobs[job], records, report)
+            except BaseException:
+                # What is finished is on disk; what waits would only delay the news.
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     names = {case.name for case in cases}
     return [r for r in read_records([records]) if r.case in names] if records.exists() else []
 

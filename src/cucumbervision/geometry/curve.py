@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 __all__ = ["natural_spline", "polyline_length"]
 
+COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters would be
+
 
 def polyline_length(vertices_m: NDArray[Any]) -> float:
     """Give the summed length of the segments.
@@ -66,8 +68,9 @@ def natural_spline(
     from scipy.interpolate import CubicSpline
 
     step = np.linalg.norm(np.diff(vertices_m, axis=0), axis=1)
-    keep = np.concatenate(([True], step > 0))
-    vertices, step = np.asarray(vertices_m, dtype=np.float64)[keep], step[step > 0]
+    apart = step > COINCIDENT * step.sum()
+    keep = np.concatenate(([True], apart))
+    vertices, step = np.asarray(vertices_m, dtype=np.float64)[keep], step[apart]
     if len(vertices) < 2:
         raise ValueError("a curve needs two distinct vertices")
     parameter = np.concatenate(([0.0], np.cumsum(step))) / step.sum()

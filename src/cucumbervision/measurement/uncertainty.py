@@ -2,7 +2,7 @@
 
 A fit's own standard deviation is only as honest as its model, so it is scaled by what simulated
 fruit of known length showed: log sigma = c0 + sum of ck fk over features of the measurement, then
-a conformal quantile of |error| / sigma on fruit that took no part in the fit of sigma
+conformal quantiles of error / sigma on fruit that took no part in the fit of sigma
 (normalised split-conformal prediction; Lei et al. 2018, Romano et al. 2019). Calibration fruit and
 test fruit are disjoint.
 """
@@ -22,12 +22,11 @@ if TYPE_CHECKING:
 __all__ = ["IntervalModel", "conformal_quantile", "fit_interval_model"]
 
 FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
-LEAST = 0.05  # a reading is taken for no less than a twentieth of the truth
 
 
 @dataclass(frozen=True)
 class IntervalModel:
-    """Relative uncertainty of one method's length.
+    """Uncertainty of one method's length, relative to it.
 
     Parameters
     ----------
@@ -40,9 +39,9 @@ class IntervalModel:
     weights : tuple of float
         c0 and one weight a feature, of log(relative sigma).
     bias : float
-        Median relative error on the calibration fruit.
+        Median log error on the calibration fruit.
     low_quantile, high_quantile : float
-        Conformal quantiles of (relative error - bias) / sigma to either side, each missed by half
+        Conformal quantiles of (log error - bias) / sigma to either side, each missed by half
         of 1 - level; a method that reads short has a long lower side. Scale known.
     count : int
         Calibration fruit behind the quantiles.
@@ -85,16 +84,18 @@ class IntervalModel:
         --------
         >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 2.0, 2.0, 500)
         >>> [round(x, 4) for x in model.interval(0.2, {})]
-        [0.1961, 0.2041]
+        [0.196, 0.204]
         """
         sigma = self.sigma(values)
         scale = _normal_quantile(self.level) * scale_sd
         low, high = (
             float(np.hypot(q * sigma, scale)) for q in (self.low_quantile, self.high_quantile)
         )
-        # error = measured / true - 1 lies in [bias - low, bias + high], so
-        # true = measured / (1 + error).
-        return length_m / (1 + self.bias + high), length_m / max(1 + self.bias - low, LEAST)
+        # error = log(measured / true) lies in [bias - low, bias + high].
+        return (
+            length_m * float(np.exp(-self.bias - high)),
+            length_m * float(np.exp(-self.bias + low)),
+        )
 
 
 def _normal_quantile(level: float) -> float:
@@ -146,7 +147,8 @@ def fit_interval_model(
     method : str
         The method's name.
     errors : array_like of float, shape (N,)
-        Relative errors, measured / true - 1, depth scale known.
+        log(measured / true), depth scale known: small ones are the relative error, large ones
+        never reach past nothing.
     features : mapping of str to array_like of float, shape (N,)
         What is known of each measurement at run time.
     fruit : array_like of str, shape (N,)

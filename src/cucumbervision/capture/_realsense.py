@@ -100,6 +100,7 @@ class AlignedStream:
         self._timeout_s = timeout_s
         self._pipeline: Any = None
         self._playback: Any = None
+        self._file: Any = None
         self._align: Any = None
         self._resuming: threading.Thread | None = None
         self._reached_s = 0.0
@@ -112,13 +113,15 @@ class AlignedStream:
         try:
             self._configure(rs, config)
             device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
-            self._playback = device.as_playback() if self._recorded else None
+            self._pipeline, self._reached_s = pipeline, 0.0
+            # A recording may be played as if it were a camera; it is stopped as a recording.
+            self._file = device.as_playback() if device.is_playback() else None
+            self._playback = self._file if self._recorded else None
             if self._playback is not None:
                 # The SDK reads on as soon as its first sensor has started, and drops what the
                 # others should have had. Paused, it waits until all of them have.
                 self._playback.set_real_time(False)
                 self._playback.pause()
-            self._pipeline, self._reached_s = pipeline, 0.0
             self._read_profile(pipeline.start(config))
             if self._playback is not None:
                 self._play()
@@ -154,7 +157,9 @@ class AlignedStream:
                 self._pipeline.stop()
         if self._resuming is not None:
             self._resuming.join(self._timeout_s)
-        self._pipeline = self._playback = self._align = self._resuming = None
+        if self._file is not None:
+            _finish_reading(self._file)
+        self._pipeline = self._playback = self._file = self._align = self._resuming = None
 
     def read(self) -> AlignedFrame | None:
         """Give the next frame that has both pictures; None at a recording's end.
@@ -304,6 +309,16 @@ class AlignedStream:
             source=self._source,
             remedy="copy it again, or record it with RealSense Viewer",
         )
+
+
+def _finish_reading(file: Any) -> None:
+    # Freed while its reading thread has still work, the SDK's playback (2.59) crashes the process:
+    # work that the thread has taken from its queue, but not begun, is done on what is gone
+    # (`dispatcher::stop`, called by `~playback_device`). `pause` returns when all that was queued
+    # before is done; the second time that includes what the first lot queued itself.
+    for _ in range(2):
+        with contextlib.suppress(RuntimeError):
+            file.pause()
 
 
 def camera_fault(error: RuntimeError, source: object) -> CameraError:

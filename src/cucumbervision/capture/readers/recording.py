@@ -103,7 +103,8 @@ def _next_burst(
         try:
             frame = stream.read()
         except CaptureError as fault:
-            return frames, fault
+            # It is kept longer than the pipeline, which its traceback would hold on to.
+            return frames, fault.with_traceback(None)
         if frame is None:
             break
         # A colour stream that is slower than depth comes again with each new depth.

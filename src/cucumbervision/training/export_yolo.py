@@ -16,6 +16,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cucumbervision.errors import MissingExtraError, ModelError
 from cucumbervision.perception.runtime import import_onnxruntime
 from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY
@@ -50,8 +52,10 @@ def import_ultralytics() -> Any:
     # Ultralytics imports it too, and would leave its telemetry on.
     import_onnxruntime()
     try:
-        import ultralytics
-        from ultralytics.utils import SETTINGS, events
+        # It sets how NumPy prints arrays, for everybody.
+        with np.printoptions():
+            import ultralytics
+            from ultralytics.utils import SETTINGS, events
     except ImportError as error:
         raise MissingExtraError("ultralytics", "train") from error
     # In this process only: the user's own settings file stays as it is.

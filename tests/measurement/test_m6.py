@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from cucumbervision.capture.burst import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.measurement.m6 import TubeFit, measure_m6
-from cucumbervision.measurement.results import LengthKind, Measurement, Reason, TubeLengths
+from cucumbervision.measurement.m6 import measure_m6
+from cucumbervision.measurement.results import LengthKind, Measurement, Reason
+from cucumbervision.measurement.tube_types import TubeFit, TubeLengths
 from cucumbervision.synthesis.render import render
 from cucumbervision.synthesis.sensor import noisy_depth
 from cucumbervision.synthesis.tube import Tube, arc_tube, rotation

@@ -13,9 +13,9 @@ from cucumbervision.measurement.results import (
     LengthKind,
     Measurement,
     Method,
-    TubeLengths,
 )
 from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.measurement.tube_types import TubeLengths
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.session.rows import COLUMNS, defused, fruit_row
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,8 @@ from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape
 from cucumbervision.geometry.tube_guess import guess_shape, near_depths
 from cucumbervision.geometry.tube_shape import TubeShape, gaps
 from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
-from cucumbervision.measurement.traits import TubeTraits, tube_traits
+from cucumbervision.measurement.traits import tube_traits
+from cucumbervision.measurement.tube_types import TubeFit, TubeTraits
 from cucumbervision.measurement.tube_view import TubeView, view_tube
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["TubeFit", "measure_m6"]
+__all__ = ["measure_m6"]
 
 MIN_POINTS = 30
 MIN_RAYS = 20
@@ -33,45 +33,6 @@ MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the si
 END_ON_DEG = 70.0
 BEYOND, BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
 PART_HIDDEN, UNCERTAIN = 0.1, 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class TubeFit:
-    """A tube fitted to one fruit: its traits, and how far to trust them.
-
-    Parameters
-    ----------
-    traits : TubeTraits
-        Lengths, bend, diameters, volume, tilt.
-    centreline_sd_m, thread_sd_m : float
-        Standard deviations from the sensor's noise and the outline's error, scaled by what
-        remains after the fit, metres. The camera's unknown depth scale is not in them.
-    hidden_share : float
-        Share of the tube's silhouette that something nearer covers, 0 to 1.
-    explained : float
-        Share of the mask's pixels that the tube's silhouette covers, 0 to 1.
-    fill : float
-        Share of the mask's pixels with a depth reading, 0 to 1.
-    outline_rms_px, depth_rms_m : float
-        Robust scatter of the outline about the tube's, pixels, and of the depth points about
-        its surface, metres.
-    ends_seen : tuple of bool
-        Whether the outline shows the first and the last end of `traits.axis_m`.
-    flags : tuple of str
-        'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
-        'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
-    """
-
-    traits: TubeTraits
-    centreline_sd_m: float
-    thread_sd_m: float
-    hidden_share: float
-    explained: float
-    fill: float
-    outline_rms_px: float
-    depth_rms_m: float
-    ends_seen: tuple[bool, bool]
-    flags: tuple[str, ...] = ()
 
 
 def measure_m6(

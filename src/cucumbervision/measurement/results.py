@@ -10,10 +10,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.m6 import TubeFit
+    from cucumbervision.measurement.tube_types import TubeFit, TubeLengths
     from cucumbervision.perception.instances import Instance, MaskSource
 
-__all__ = ["Fruit", "Length", "LengthKind", "Measurement", "Method", "Reason", "TubeLengths"]
+__all__ = ["Fruit", "Length", "LengthKind", "Measurement", "Method", "Reason"]
 
 
 class Method(StrEnum):
@@ -59,15 +59,6 @@ class Reason(StrEnum):
     OUTLINE_TOO_SHORT = "outline-too-short"
     NOT_A_TUBE = "not-a-tube"
     OUT_OF_RANGE = "out-of-range"
-
-
-@dataclass(frozen=True)
-class TubeLengths:
-    """The lengths of a fitted tube, metres: along its axis, over its outer side, end to end."""
-
-    centreline_m: float
-    thread_m: float
-    chord_m: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.camera import distort
 from cucumbervision.synthesis.occluders import (
     Leaf,
     Plane,
@@ -263,7 +262,7 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
     whole = int(amodal.sum())
     axis = tube.axis_m
     points = _along(axis, KEYPOINT_SHARES)
-    pixels = _project(points, camera)
+    pixels = camera.project(points)
     return FruitTruth(
         centreline_m=tube.centreline_m,
         thread_m=tube.thread_m,
@@ -283,12 +282,6 @@ def _along(axis_m: NDArray[np.float64], shares: ArrayLike) -> NDArray[np.float64
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(axis_m, axis=0), axis=1))])
     at = np.asarray(shares) * run[-1]
     return np.stack([np.interp(at, run, axis_m[:, i]) for i in range(3)], axis=1)
-
-
-def _project(points_m: NDArray[np.float64], camera: Intrinsics) -> NDArray[np.float64]:
-    x, y = points_m[:, 0] / points_m[:, 2], points_m[:, 1] / points_m[:, 2]
-    x, y = distort(x, y, camera.distortion, camera.coefficients)
-    return np.stack([x * camera.fx_px + camera.cx_px, y * camera.fy_px + camera.cy_px], axis=1)
 
 
 def _visibility(

@@ -7,9 +7,11 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.results import Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.session.overlay import COLORS, draw_overlay
+from cucumbervision.session.overlay import COLORS, _label, draw_overlay
+from cucumbervision.session.rows import Cell
 
 
 @pytest.fixture
@@ -63,3 +65,13 @@ def test_simulated_captures_say_so(capture: Capture) -> None:
     drawn = draw_overlay(replace(capture, simulated=True), [])
     assert (plain[:60] == 90).all()
     assert (drawn[:60, :300] != 90).any()
+
+
+def test_labels_say_which_length_and_what_runs_on(capture: Capture, instance: Instance) -> None:
+    fruit = measure_fruit(capture, instance, [Method.M3])
+    row: dict[str, Cell] = {"length_cm": 21.04, "length_kind": "thread"}
+    assert _label(2, fruit, row) == "2: 21.0 cm thread, M3"
+    cut = replace(fruit, flags=("cut-by-frame",))
+    assert _label(2, cut, row) == "2: at least 21.0 cm thread, M3"
+    nothing = replace(fruit, selected=None, reason="no-depth")
+    assert _label(1, nothing, row) == "1: not measured (no-depth)"

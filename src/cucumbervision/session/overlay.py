@@ -10,13 +10,14 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.results import Fruit, Measurement
+    from cucumbervision.session.rows import Cell
 
 __all__ = ["draw_overlay"]
 
@@ -29,7 +30,7 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw_overlay(
-    capture: Capture, fruit: Sequence[Fruit], lengths_cm: Sequence[float | None] | None = None
+    capture: Capture, fruit: Sequence[Fruit], rows: Sequence[Mapping[str, Cell]] | None = None
 ) -> NDArray[np.uint8]:
     """Draw each fruit's mask, measured line, tips and length, and a scale bar.
 
@@ -39,9 +40,9 @@ def draw_overlay(
         The frame; its colour picture is not changed.
     fruit : sequence of Fruit
         The fruit in it, measured, numbered from 1.
-    lengths_cm : sequence of float or None, optional
-        What to write as each fruit's length, where a row says another one than the method read:
-        a tube's thread, or a calibrated length.
+    rows : sequence of mapping, optional
+        The fruit's rows, in the same order: their `length_cm` and `length_kind` are written, which
+        may be a tube's thread or a calibrated length; without them the method's own length is.
 
     Returns
     -------
@@ -56,9 +57,8 @@ def draw_overlay(
         if one.selected is not None and one.selected.path_m is not None:
             _draw_path(picture, one.selected, capture.intrinsics, color, size)
     for number, one in enumerate(fruit, start=1):
-        known = 100 * one.selected.length_m if one.selected and one.selected.length_m else None
-        length_cm = known if lengths_cm is None else lengths_cm[number - 1]
-        _draw_label(picture, _label(number, one, length_cm), one.instance.box, size)
+        row = _own_length(one) if rows is None else rows[number - 1]
+        _draw_label(picture, _label(number, one, row), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
@@ -96,12 +96,21 @@ def _draw_path(
         cv2.circle(picture, at, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
 
-def _label(number: int, fruit: Fruit, length_cm: float | None) -> str:
+def _own_length(fruit: Fruit) -> dict[str, Cell]:
     chosen = fruit.selected
-    if chosen is None or length_cm is None:
+    if chosen is None or chosen.length_m is None:
+        return {"length_cm": None, "length_kind": None}
+    return {"length_cm": 100 * chosen.length_m, "length_kind": str(chosen.kind)}
+
+
+def _label(number: int, fruit: Fruit, row: Mapping[str, Cell]) -> str:
+    chosen, length_cm = fruit.selected, row["length_cm"]
+    if chosen is None or not isinstance(length_cm, int | float):
         return f"{number}: not measured ({fruit.reason})"
-    cut = " cut" if "cut-by-frame" in fruit.flags else ""
-    return f"{number}: {length_cm:.1f} cm {chosen.measured_by or chosen.method}{cut}"
+    # What runs on out of sight is longer than what was seen of it.
+    least = "at least " if {"cut-by-frame", "end-hidden"} & set(fruit.flags) else ""
+    method = chosen.measured_by or chosen.method
+    return f"{number}: {least}{length_cm:.1f} cm {row['length_kind']}, {method}"
 
 
 def _draw_label(

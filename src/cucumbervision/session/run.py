@@ -241,9 +241,6 @@ def _write_overlay(
 
     from cucumbervision.session.overlay import draw_overlay
 
-    lengths = [row["length_cm"] for row in rows]
-    known = [float(x) if isinstance(x, int | float) else None for x in lengths]
-    picture = draw_overlay(capture, fruit, known)
-    ok, data = cv2.imencode(".png", picture[..., ::-1])
+    ok, data = cv2.imencode(".png", draw_overlay(capture, fruit, rows)[..., ::-1])
     if ok:
         path.write_bytes(data.tobytes())

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.measurement.uncertainty import (
+    Band,
     IntervalModel,
     conformal_quantile,
     fit_interval_model,
@@ -48,7 +49,7 @@ def test_intervals_cover_new_fruit_in_every_group() -> None:
 
 
 def test_an_unknown_depth_scale_widens_the_interval_by_hand() -> None:
-    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 1.5, 1.5, 100)
+    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), {"": Band(0.0, 1.5, 1.5, 100)})
     low, high = model.interval(0.3, {}, scale_sd=0.01)
     half = np.hypot(1.5 * 0.01, 1.6449 * 0.01)
     assert low == pytest.approx(0.3 * np.exp(-half), rel=1e-4)
@@ -69,11 +70,43 @@ def test_captures_of_one_fruit_stay_in_one_half() -> None:
     # Two fruit, one error each: were they mixed, the quantile would see both.
     errors = np.repeat([0.01, 0.05], 40)
     model = fit_interval_model("M6", errors, {}, np.repeat(["a", "b"], 40))
-    assert model.count == 40
-    assert model.bias in (pytest.approx(0.01), pytest.approx(0.05))
+    assert model.bands[""].count == 40
+    assert model.bands[""].bias in (pytest.approx(0.01), pytest.approx(0.05))
 
 
 def test_missing_features_count_as_zero() -> None:
-    model = IntervalModel("M6", 0.9, ("tilt",), (np.log(0.01), 1.0), 0.0, 1.0, 1.0, 100)
+    model = IntervalModel("M6", 0.9, ("tilt",), (np.log(0.01), 1.0), {"": Band(0.0, 1.0, 1.0, 9)})
     assert model.sigma({}) == pytest.approx(0.01)
     assert model.sigma({"tilt": 1.0}) == pytest.approx(0.01 * np.e)
+
+
+def test_groups_cover_by_themselves_where_sigma_cannot_tell() -> None:
+    # The error's size jumps with the tilt in a way that no log-linear sigma follows.
+    rng = np.random.default_rng(11)
+    edges = (("tilt", (0.5,)),)
+
+    def drawn(count: int) -> tuple[Array, Array]:
+        tilt = rng.uniform(0, 1, count)
+        return np.where(tilt < 0.5, 0.03, 0.01) * rng.standard_t(3, count), tilt
+
+    errors, tilt = drawn(8000)
+    model = fit_interval_model(
+        "M6", errors, {"tilt": tilt}, np.arange(8000).astype(str), edges=edges
+    )
+    assert set(model.bands) == {"", "0", "1"}
+    errors, tilt = drawn(6000)
+    ends = [model.interval(np.exp(e), {"tilt": t}) for e, t in zip(errors, tilt, strict=True)]
+    covered = np.array([low <= 1 <= high for low, high in ends])
+    for group in (tilt < 0.5, tilt >= 0.5):
+        assert covered[group].mean() == pytest.approx(0.90, abs=0.025)
+
+
+def test_a_group_of_few_goes_with_all() -> None:
+    rng = np.random.default_rng(12)
+    tilt = np.append(rng.uniform(0, 0.4, 400), 0.9)
+    model = fit_interval_model(
+        "M6", rng.normal(0, 0.01, 401), {"tilt": tilt}, np.arange(401).astype(str),
+        edges=(("tilt", (0.5,)),),
+    )  # fmt: skip
+    assert model.band({"tilt": 0.9}) == model.bands[""]
+    assert model.band({"tilt": 0.1}) == model.bands["0"]

@@ -11,7 +11,7 @@ from cucumbervision.measurement.interval_book import IntervalBook, shipped_book
 from cucumbervision.measurement.interval_features import RAW_FEATURES, TUBE_FEATURES
 from cucumbervision.measurement.results import Fruit, Length, Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.measurement.uncertainty import IntervalModel
+from cucumbervision.measurement.uncertainty import Band, IntervalModel
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
 from cucumbervision.session.intervals import with_simulated_interval
 from cucumbervision.session.rows import Cell, fruit_row
@@ -22,7 +22,7 @@ ONE_PERCENT = np.log(0.01)
 
 
 def even(key: str, percent: float) -> IntervalModel:
-    return IntervalModel(key, 0.9, (), (np.log(percent / 100),), 0.0, 1.0, 1.0, 100)
+    return IntervalModel(key, 0.9, (), (np.log(percent / 100),), {"": Band(0.0, 1.0, 1.0, 100)})
 
 
 BOOK = IntervalBook(
@@ -98,7 +98,7 @@ def test_the_shipped_book_knows_every_method() -> None:
     for key, model in book.models.items():
         names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
         assert model.features == names
-        assert model.count >= 500
+        assert model.bands[""].count >= 500
     # A good fruit at half a metre, both ends seen: a centimetre or so on 25 cm.
     values = dict.fromkeys(TUBE_FEATURES, 0.0) | {
         "log_sd": np.log(0.003), "log_outline": np.log(0.4), "distance_m": 0.5,

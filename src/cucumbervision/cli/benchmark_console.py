@@ -60,7 +60,8 @@ def learn(file: Path, out: Path, fruit: int, workers: int) -> None:
         book = benchmark.learn_intervals(file, out, fruit, workers, report)
     console = Console(highlight=False, width=WIDTH)
     for key, model in book.models.items():
-        console.print(f"{key}: {model.count} readings, bias {100 * model.bias:+.2f} %")
+        band = model.bands[""]
+        console.print(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
     console.print(f"{book.fruit} fruit, level {book.level:.0%}, in {file}", soft_wrap=True)
 
 

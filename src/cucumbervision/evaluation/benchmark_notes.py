@@ -13,8 +13,8 @@ NOTES = {
         "'Exact' masks are the fruit's own pixels; 'disturbed' ones have their outline moved by a "
         "smooth field of 1.5 px RMS; 'perceived' ones are drawn by MobileSAM from the exact box. "
         "No pose network comes with this version, so M4 has nothing to measure with perceived "
-        "masks. The depth scale is exact in all tables; a camera that nobody calibrated adds its "
-        "own, and the intervals named 'scale unknown' allow for it.\n\n"
+        "masks. The depth scale is exact in all tables, as after `calibrate --reference-length`; a "
+        "camera that nobody calibrated adds its own.\n\n"
         "The oracle knows the tube and errs only by where the mask ends it: no method can be "
         "expected to do better."
     ),
@@ -27,7 +27,7 @@ NOTES = {
         "thicker and shorter the fruit; its tips are the means of the five extreme points, which "
         "on noisy edges stand beside the axis, so the curve gains a zigzag at each end, most on "
         "small and distant fruit; and its gate of 3.5 cm about the median depth cuts fruit tilted "
-        "to the camera. The paper's own validation table gives M5 an error of exactly zero on five "
-        "fruit and an interval that excludes other of its means; neither is reproduced."
+        "to the camera. The paper's validation table gives M5 an error of exactly zero on five fruit, "
+        "and its interval for M1 does not hold its own mean; neither is reproduced."
     ),
 }

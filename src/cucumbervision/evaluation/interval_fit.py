@@ -9,6 +9,7 @@ import numpy as np
 from cucumbervision.measurement.interval_book import IntervalBook
 from cucumbervision.measurement.interval_features import (
     RAW_FEATURES,
+    TUBE_EDGES,
     TUBE_FEATURES,
     raw_features,
 )
@@ -62,7 +63,8 @@ def fit_book(records: Sequence[Record], level: float = 0.90) -> IntervalBook:
         names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
         errors, columns, fruit = _training(records, key, names)
         features = {name: columns[:, k] for k, name in enumerate(names)}
-        models[key] = fit_interval_model(key, errors, features, fruit, level)
+        edges = TUBE_EDGES if key.startswith("M6") else ()
+        models[key] = fit_interval_model(key, errors, features, fruit, level, edges)
     return IntervalBook(level, models, len({record.fruit for record in records}))
 
 

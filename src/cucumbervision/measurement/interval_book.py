@@ -6,10 +6,10 @@ import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import ModelError
-from cucumbervision.measurement.uncertainty import IntervalModel
+from cucumbervision.measurement.uncertainty import Band, IntervalModel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,18 +63,17 @@ class IntervalBook:
 
 def write_book(path: Path, book: IntervalBook) -> None:
     """Write a book as JSON, numbers to nine digits."""
-    models = [
-        {
-            **asdict(model),
-            "weights": [float(f"{w:.9g}") for w in model.weights],
-            "bias": float(f"{model.bias:.9g}"),
-            "low_quantile": float(f"{model.low_quantile:.9g}"),
-            "high_quantile": float(f"{model.high_quantile:.9g}"),
-        }
-        for model in book.models.values()
-    ]
+    models = [_rounded(asdict(model)) for model in book.models.values()]
     content = {"basis": BASIS, "level": book.level, "fruit": book.fruit, "models": models}
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.9g}")
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def read_book(path: Path) -> IntervalBook:
@@ -89,7 +88,8 @@ def read_book(path: Path) -> IntervalBook:
     --------
     >>> import tempfile, pathlib
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "book.json"
-    >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), 0.001, 1.5, 1.7, 700)
+    >>> bands = {"": Band(0.001, 1.5, 1.7, 700)}
+    >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
     >>> book = IntervalBook(0.9, {"M6": model}, 700)
     >>> write_book(path, book)
     >>> read_book(path) == book
@@ -99,8 +99,14 @@ def read_book(path: Path) -> IntervalBook:
         content = json.loads(path.read_text(encoding="utf-8"))
         models = {}
         for item in content["models"]:
-            item["features"], item["weights"] = tuple(item["features"]), tuple(item["weights"])
-            models[item["method"]] = IntervalModel(**item)
+            models[item["method"]] = IntervalModel(
+                item["method"],
+                item["level"],
+                tuple(item["features"]),
+                tuple(item["weights"]),
+                {group: Band(**band) for group, band in item["bands"].items()},
+                tuple((name, tuple(limits)) for name, limits in item["edges"]),
+            )
         return IntervalBook(float(content["level"]), models, int(content["fruit"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ModelError(

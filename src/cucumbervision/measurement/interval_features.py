@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from cucumbervision.measurement.results import Measurement
 
-__all__ = ["RAW_FEATURES", "TUBE_FEATURES", "raw_features", "tube_features"]
+__all__ = ["RAW_FEATURES", "TUBE_EDGES", "TUBE_FEATURES", "raw_features", "tube_features"]
 
 TUBE_FEATURES = (
     "log_sd",
@@ -27,6 +27,8 @@ TUBE_FEATURES = (
 )
 RAW_FEATURES = ("distance_m", "holes", "log_pixels")
 STEEP_DEG = 35.0
+# Flat, tilted and steep fruit, of smooth and of rough outline: what errs is another thing in each.
+TUBE_EDGES = (("tilt", (15 / 60, 40 / 60)), ("log_outline", (float(np.log(0.5)),)))
 
 
 def tube_features(measurement: Measurement) -> dict[str, float]:

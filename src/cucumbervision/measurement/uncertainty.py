@@ -15,13 +15,35 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["IntervalModel", "conformal_quantile", "fit_interval_model"]
+__all__ = ["Band", "IntervalModel", "conformal_quantile", "fit_interval_model"]
 
+SMALLEST_GROUP = 100  # readings in either half: fewer go with all the others
 FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
+
+
+@dataclass(frozen=True)
+class Band:
+    """What calibration fruit of one group showed.
+
+    Parameters
+    ----------
+    bias : float
+        Median log error.
+    low_quantile, high_quantile : float
+        Conformal quantiles of (log error - bias) / sigma to either side, each missed by half
+        of 1 - level; a method that reads short has a long lower side. Scale known.
+    count : int
+        Calibration readings behind the quantiles.
+    """
+
+    bias: float
+    low_quantile: float
+    high_quantile: float
+    count: int
 
 
 @dataclass(frozen=True)
@@ -33,33 +55,33 @@ class IntervalModel:
     method : str
         The method.
     level : float
-        The level at which `quantile` was taken.
+        The level at which the quantiles were taken.
     features : tuple of str
         Names of the features.
     weights : tuple of float
         c0 and one weight a feature, of log(relative sigma).
-    bias : float
-        Median log error on the calibration fruit.
-    low_quantile, high_quantile : float
-        Conformal quantiles of (log error - bias) / sigma to either side, each missed by half
-        of 1 - level; a method that reads short has a long lower side. Scale known.
-    count : int
-        Calibration fruit behind the quantiles.
+    bands : dict of str to Band
+        By group: '' for all, and '0-1' and so on for groups by `edges`.
+    edges : tuple of (str, tuple of float)
+        Features by which fruit are grouped, and where one group ends (Mondrian conformal
+        prediction; Vovk et al. 2005): within each group the interval covers by itself.
     """
 
     method: str
     level: float
     features: tuple[str, ...]
     weights: tuple[float, ...]
-    bias: float
-    low_quantile: float
-    high_quantile: float
-    count: int
+    bands: dict[str, Band]
+    edges: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     def sigma(self, values: Mapping[str, float]) -> float:
         """Give the relative sigma for one measurement's features; missing ones count as 0."""
         row = np.array([1.0, *(values.get(name, 0.0) for name in self.features)])
         return float(np.exp(np.clip(row @ np.array(self.weights), np.log(FLOOR), 0.0)))
+
+    def band(self, values: Mapping[str, float]) -> Band:
+        """Give the group's band, or that of all where the group was too small to have one."""
+        return self.bands.get(_group(self.edges, values), self.bands[""])
 
     def interval(
         self, length_m: float, values: Mapping[str, float], scale_sd: float = 0.0
@@ -82,20 +104,26 @@ class IntervalModel:
 
         Examples
         --------
-        >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), 0.0, 2.0, 2.0, 500)
+        >>> bands = {"": Band(0.0, 2.0, 2.0, 500)}
+        >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands)
         >>> [round(x, 4) for x in model.interval(0.2, {})]
         [0.196, 0.204]
         """
-        sigma = self.sigma(values)
+        sigma, band = self.sigma(values), self.band(values)
         scale = _normal_quantile(self.level) * scale_sd
-        low, high = (
-            float(np.hypot(q * sigma, scale)) for q in (self.low_quantile, self.high_quantile)
-        )
+        low = float(np.hypot(band.low_quantile * sigma, scale))
+        high = float(np.hypot(band.high_quantile * sigma, scale))
         # error = log(measured / true) lies in [bias - low, bias + high].
         return (
-            length_m * float(np.exp(-self.bias - high)),
-            length_m * float(np.exp(-self.bias + low)),
+            length_m * float(np.exp(-band.bias - high)),
+            length_m * float(np.exp(-band.bias + low)),
         )
+
+
+def _group(edges: Sequence[tuple[str, Sequence[float]]], values: Mapping[str, float]) -> str:
+    return "-".join(
+        str(int(np.searchsorted(limits, values.get(name, 0.0)))) for name, limits in edges
+    )
 
 
 def _normal_quantile(level: float) -> float:
@@ -138,6 +166,7 @@ def fit_interval_model(
     features: Mapping[str, ArrayLike],
     fruit: ArrayLike,
     level: float = 0.90,
+    edges: tuple[tuple[str, tuple[float, ...]], ...] = (),
     seed: int = 0,
 ) -> IntervalModel:
     """Fit sigma on one half of the fruit and take the quantile on the other.
@@ -155,6 +184,8 @@ def fit_interval_model(
         The fruit of each; a fruit's captures stay in one half.
     level : float
         Wanted coverage.
+    edges : tuple of (str, tuple of float), optional
+        Features by which fruit are grouped, and where one group ends.
     seed : int
         Seed of the split.
 
@@ -172,16 +203,26 @@ def fit_interval_model(
         [np.ones_like(error), *(np.asarray(features[n], float) for n in names)], axis=1
     )
     first = _halves(np.asarray(fruit), seed)
-    bias = float(np.median(error[first]))
-    weights = _log_linear(np.abs(error[first] - bias), columns[first])
+    weights = _log_linear(np.abs(error[first] - np.median(error[first])), columns[first])
     sigma = np.exp(np.clip(columns @ weights, np.log(FLOOR), 0.0))
+    bands = {"": _band(error, sigma, first, level)}
+    rows = [dict(zip(names, row[1:], strict=True)) for row in columns]
+    groups = np.array([_group(edges, row) for row in rows])
+    for group in np.unique(groups) if edges else ():
+        inside = groups == group
+        if min((inside & first).sum(), (inside & ~first).sum()) >= SMALLEST_GROUP:
+            bands[str(group)] = _band(error[inside], sigma[inside], first[inside], level)
+    kept = tuple(float(w) for w in weights)
+    return IntervalModel(method, level, names, kept, bands, edges)
+
+
+def _band(
+    error: NDArray[np.float64], sigma: NDArray[np.float64], first: NDArray[np.bool_], level: float
+) -> Band:
+    bias = float(np.median(error[first]))
     scores = ((error - bias) / sigma)[~first]
     side = (1 + level) / 2
-    return IntervalModel(
-        method,
-        level,
-        names,
-        tuple(float(w) for w in weights),
+    return Band(
         bias,
         max(conformal_quantile(-scores, side), 0.0),
         max(conformal_quantile(scores, side), 0.0),

@@ -67,7 +67,7 @@ def test_the_packages_own_registry_is_sound() -> None:
         assert model.origin
         assert model.source is not None
         assert re.fullmatch("[0-9a-f]{64}", model.source.sha256)
-        assert model.source.url.startswith("https://")
+        assert model.source.url.startswith(("https://", "pip:"))
         if model.embedded:
             sizes = {f.file: f.size_bytes for f in model.files}
             paths = registry.resolve(model.name).values()

@@ -43,7 +43,7 @@ class ModelSource:
     size_bytes : int
         Its size.
     url : str
-        Where the publisher offers it.
+        Where the publisher offers it; 'pip:NAME==VERSION' for a Python distribution.
     member : str
         Its path inside the archive that `url` names; empty if it stands alone.
     """

@@ -27,7 +27,7 @@ NOTES = {
         "thicker and shorter the fruit; its tips are the means of the five extreme points, which "
         "on noisy edges stand beside the axis, so the curve gains a zigzag at each end, most on "
         "small and distant fruit; and its gate of 3.5 cm about the median depth cuts fruit tilted "
-        "to the camera. The paper's validation table gives M5 an error of exactly zero on five fruit, "
-        "and its interval for M1 does not hold its own mean; neither is reproduced."
+        "to the camera. The paper's validation table gives M5 an error of exactly zero on five "
+        "fruit, and its interval for M1 does not hold its own mean; neither is reproduced."
     ),
 }

@@ -10,6 +10,7 @@ import pytest
 from cucumbervision.measurement.results import LengthKind, Method, Reason
 from cucumbervision.measurement.selector import Choice
 from cucumbervision.session.calibrated import CalibrationFlag
+from cucumbervision.session.intervals import TOO_WIDE
 from cucumbervision.session.rows import COLUMNS
 
 ROOT = Path(__file__).parents[2]
@@ -40,6 +41,6 @@ def test_flags_are_explained() -> None:
         if "flag" in line or "cut" in line
         for flag in re.findall(r'"([a-z]+(?:-[a-z]+)+|uncertain)"', line)
     }
-    own = {v for k, v in vars(CalibrationFlag).items() if k.isupper()}
+    own = {v for k, v in vars(CalibrationFlag).items() if k.isupper()} | {TOO_WIDE}
     assert {"cut-by-frame", "end-hidden", "box-clipped"} <= flags
     assert [f for f in sorted(flags | own) if f"`{f}`" not in PAGE] == []

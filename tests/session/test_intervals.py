@@ -91,6 +91,21 @@ def test_what_was_not_measured_has_none(measured: tuple[Capture, Fruit]) -> None
     assert row_of((capture, nothing), Length.THREAD)["interval_basis"] is None
 
 
+def test_an_interval_that_says_nothing_is_left_out_and_flagged(
+    measured: tuple[Capture, Fruit],
+) -> None:
+    capture, fruit = measured
+    row = fruit_row(capture, 1, fruit, Length.CENTRELINE)
+    guess = IntervalBook(0.9, {"M6": even("M6", 75)}, 100)  # exp(2 x 0.75) is a factor of 4.5
+    done = with_simulated_interval(row, fruit, Length.CENTRELINE, scale_known=True, book=guess)
+    assert done["interval_low_cm"] is None
+    assert done["length_cm"] == row["length_cm"]
+    assert "interval-too-wide" in str(done["flags"]).split()
+    sure = IntervalBook(0.9, {"M6": even("M6", 60)}, 100)
+    done = with_simulated_interval(row, fruit, Length.CENTRELINE, scale_known=True, book=sure)
+    assert done["interval_low_cm"] is not None
+
+
 def test_the_shipped_book_knows_every_method() -> None:
     book = shipped_book()
     assert book.level == 0.9

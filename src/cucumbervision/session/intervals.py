@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 __all__ = ["with_simulated_interval"]
 
+WIDEST = 4.0  # an interval from half to twice a length tells nobody anything
+TOO_WIDE = "interval-too-wide"
+
 _TUBE_KEYS = {Length.CENTRELINE: "M6", Length.THREAD: "M6 thread", Length.CHORD: "M6 chord"}
 
 
@@ -44,8 +47,10 @@ def with_simulated_interval(
     -------
     dict
         The row with `interval_low_cm`, `interval_high_cm`, `interval_of` and `interval_basis`;
-        unchanged where nothing was measured. A raw length's interval is about the centreline,
-        which is what the fruit's length means where a method's own chord or arc does not.
+        unchanged where nothing was measured, flagged 'interval-too-wide' where the interval would
+        span more than a factor of four: the length is then a guess. A raw length's interval is
+        about the centreline, which is what the fruit's length means where a method's own chord
+        or arc does not.
     """
     chosen = fruit.selected
     if chosen is None or chosen.length_m is None:
@@ -65,6 +70,8 @@ def with_simulated_interval(
     if found is None:
         return row
     low, high = found
+    if high > WIDEST * low:
+        return {**row, "flags": " ".join(f for f in (str(row["flags"] or ""), TOO_WIDE) if f)}
     return {
         **row,
         "interval_low_cm": round(100 * low, 3),

@@ -80,7 +80,9 @@ def test_calibrate_and_measure_with_it(folder: Path, tmp_path: Path) -> None:
         assert row["interval_basis"] is None
     mixed = run("measure", bundled_captures(), "--out", tmp_path / "m1", "--methods", "m1",
                 "--calibration", site, "--json")  # fmt: skip
-    assert {r["flags"] for r in json.loads(mixed.stdout)} == {"calibration-not-covered"}
+    for row in json.loads(mixed.stdout):
+        # Drawn fruit are slanted, and M1's own interval then says nothing.
+        assert set(row["flags"].split()) - {"interval-too-wide"} == {"calibration-not-covered"}
 
 
 @pytest.mark.parametrize(

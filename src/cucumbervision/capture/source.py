@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["CaptureRef", "CaptureSource", "ReadOptions", "safe_name", "unique_names"]
+__all__ = ["CaptureRef", "CaptureSource", "ReadOptions", "safe_name", "unique_name", "unique_names"]
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,21 @@ def unique_names(names: Iterable[str]) -> list[str]:
     ['a', 'b', 'A-2', 'a-3']
     """
     taken: set[str] = set()
-    unique = []
-    for name in names:
-        candidate, n = name, 1
-        while candidate.lower() in taken:
-            n += 1
-            candidate = f"{name}-{n}"
-        taken.add(candidate.lower())
-        unique.append(candidate)
-    return unique
+    return [unique_name(name, taken) for name in names]
+
+
+def unique_name(name: str, taken: set[str]) -> str:
+    """Give one name as `unique_names` would after those before it, and take it.
+
+    Examples
+    --------
+    >>> taken = {"a"}
+    >>> unique_name("A", taken), sorted(taken)
+    ('A-2', ['a', 'a-2'])
+    """
+    candidate, n = name, 1
+    while candidate.lower() in taken:
+        n += 1
+        candidate = f"{name}-{n}"
+    taken.add(candidate.lower())
+    return candidate

@@ -29,7 +29,6 @@ __all__ = ["BenchmarkPlan", "learn_intervals", "plan_cases", "run_benchmark"]
 # Interval models are learnt on case numbers that no benchmark reaches.
 LEARN_FIRST = 1_000_000
 CARROT = "rgbd/carrot_realsense_1280"
-Step = tuple[str, int]
 
 
 @dataclass(frozen=True)

@@ -208,27 +208,35 @@ class _LazySegmenter:
 
     def __init__(self, options: MeasureOptions, models: list[dict[str, Any]]) -> None:
         self._options, self._models = options, models
+        self._files: dict[str, dict[str, Path]] = {}
         self._loaded: dict[str, Segmenter] = {}
 
     def check(self, name: str) -> None:
         """Raise a ModelError before any capture is read, if the model is not here and whole."""
-        from cucumbervision.perception.registry import load_registry
-
-        load_registry().resolve(name)
+        self._verified(name)
 
     def get(self, name: str) -> Segmenter:
         if name not in self._loaded:
-            from cucumbervision.perception.registry import file_sha256, load_registry
+            from cucumbervision.perception.registry import load_registry
             from cucumbervision.perception.sam import Segmenter
 
-            files = load_registry().resolve(name)
+            files = self._verified(name)
             segmenter = Segmenter(
-                name,
+                (files["encoder"], files["decoder"]),
                 self._options.runtime,
                 self._options.prompt,
                 full_precision=self._options.full_precision,
             )
-            hashes = {part: file_sha256(file) for part, file in files.items()}
+            known = load_registry().hashes(name)
+            hashes = {role: known[file.name] for role, file in files.items()}
             self._models.append({"name": name, "sha256": hashes, "runtime": segmenter.runtime})
             self._loaded[name] = segmenter
         return self._loaded[name]
+
+    def _verified(self, name: str) -> dict[str, Path]:
+        # The registry reads every byte to verify a model: once a run is enough.
+        if name not in self._files:
+            from cucumbervision.perception.registry import load_registry
+
+            self._files[name] = load_registry().resolve(name)
+        return self._files[name]

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import unique_names
+from cucumbervision.capture.source import unique_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.session.exports import FAILURE_COLUMNS, CsvSink
@@ -199,7 +199,7 @@ def count_captures(inputs: Sequence[Path], options: MeasureOptions) -> int | Non
 def _read_all(
     inputs: Sequence[Path], options: MeasureOptions
 ) -> Iterator[tuple[Capture | None, Failure | None]]:
-    taken: list[str] = []
+    taken: set[str] = set()
     for path in inputs:
         try:
             source = open_source(path, options.reading)
@@ -210,7 +210,7 @@ def _read_all(
 
 
 def _read_source(
-    source: CaptureSource, path: Path, taken: list[str]
+    source: CaptureSource, path: Path, taken: set[str]
 ) -> Iterator[tuple[Capture | None, Failure | None]]:
     refs = iter(source)
     while True:
@@ -226,8 +226,7 @@ def _read_source(
             if not name:  # the source itself broke: nothing more will come
                 return
             continue
-        taken.append(unique_names([*taken, capture.name])[-1])
-        yield replace(capture, name=taken[-1]), None
+        yield replace(capture, name=unique_name(capture.name, taken)), None
 
 
 def _failure(source: str, capture: str, error: CucumberVisionError) -> Failure:

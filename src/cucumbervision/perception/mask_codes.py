@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["decode_rle", "fill_polygon"]
+__all__ = ["decode_rle", "encode_rle", "fill_polygon"]
 
 
 def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> NDArray[np.bool_]:
@@ -53,6 +53,31 @@ def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> 
     return np.repeat(values, runs).reshape(width, height).T.copy()
 
 
+def encode_rle(mask: NDArray[np.bool_]) -> str:
+    """Write a mask as COCO's compressed run lengths, the inverse of `decode_rle`.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (height, width)
+
+    Returns
+    -------
+    str
+        As `rleToString` in pycocotools' `maskApi.c` writes them.
+
+    Examples
+    --------
+    >>> encode_rle(np.array([[0, 1, 0], [1, 0, 0]], bool))
+    '123'
+    """
+    pixels = np.asarray(mask, bool).T.ravel()
+    changes = np.flatnonzero(pixels[1:] != pixels[:-1]) + 1
+    # Runs begin with background: a first run of nothing where the first pixel is set.
+    starts = [0, 0] if pixels[:1].any() else [0]
+    runs = np.diff(np.concatenate([starts, changes, [pixels.size]])).tolist()
+    return "".join(_pack(n - runs[k - 2] if k > 2 else n) for k, n in enumerate(runs))
+
+
 def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
     """Set the pixels whose centres lie inside a polygon (even-odd rule).
 
@@ -85,6 +110,17 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     changes = np.zeros((height, width + 1), np.int32)
     np.add.at(changes, (rows, first), 1)
     return np.asarray(changes[:, :width].cumsum(axis=1) % 2 == 1)
+
+
+def _pack(value: int) -> str:
+    text = ""
+    while True:
+        low, value = value & 0x1F, value >> 5
+        # The last character's sign bit must say the sign of the whole.
+        more = value != (-1 if low & 0x10 else 0)
+        text += chr((low | (0x20 if more else 0)) + 48)
+        if not more:
+            return text
 
 
 def _unpack(text: str) -> list[int]:

@@ -11,12 +11,20 @@ __all__ = [
     "CameraError",
     "CaptureError",
     "CucumberVisionError",
+    "DataSetError",
     "DepthError",
+    "ForecastError",
     "InstancesError",
     "IntrinsicsError",
     "MissingExtraError",
     "ModelError",
     "ModelHashError",
+    "ProfileError",
+    "StoreConflictError",
+    "StoreError",
+    "StoreVersionError",
+    "StoredImageError",
+    "TrainingError",
     "TruthError",
     "UnknownModelError",
 ]
@@ -89,8 +97,40 @@ class TruthError(CucumberVisionError):
     """Hand-measured lengths that cannot be what they are declared to be, or fit no measurement."""
 
 
+class TrainingError(CucumberVisionError):
+    """A training that cannot begin or go on: its plan, its data, its weights or its folder."""
+
+
 class CalibrationError(CucumberVisionError):
     """A site's calibration that cannot be made or read, or belongs to another camera."""
+
+
+class DataSetError(CucumberVisionError):
+    """Labelled pictures that cannot be read, written or trained on."""
+
+
+class StoreError(CucumberVisionError):
+    """A store of rounds cannot be opened, read or written, or does not hold what was asked."""
+
+
+class StoreVersionError(StoreError):
+    """A store that was written by a newer version of the software."""
+
+
+class StoreConflictError(StoreError):
+    """The same key with another content, or an action that a later one stands on."""
+
+
+class StoredImageError(StoreError):
+    """A stored picture is missing, or its content is not what its name says."""
+
+
+class ProfileError(CucumberVisionError):
+    """A crop profile that cannot be read, or whose figures contradict each other."""
+
+
+class ForecastError(CucumberVisionError):
+    """Fruit, links or rates that nothing can be forecast from."""
 
 
 class MissingExtraError(CucumberVisionError):

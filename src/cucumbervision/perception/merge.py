@@ -1,0 +1,240 @@
+"""One fruit, one instance: what the detector found twice or in pieces is put together.
+
+Three ways in which a fruit is found more than once are known by the masks: two boxes of one fruit
+(the masks agree), a box within a box (one mask lies in the other), and the pieces that a leaf
+makes of a fruit beside the whole (each lies in it). Pieces without the whole share no pixel; only
+a pose network that sees one fruit over both tells them from two fruit in a row. Boxes alone say
+little, since fruit that cross have boxes within each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.perception.instances import box_iou, box_of_mask
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+
+__all__ = ["join_pieces", "merge_instances"]
+
+SAME_IOU = 0.5
+INSIDE = 0.8
+SAME_BOX_IOU = 0.7
+TRUSTED = 0.5
+SPAN_IOU = 0.75
+OWN_IOU = 0.5
+OFF_LINE = 0.15
+
+
+def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Keep one instance for each fruit.
+
+    Two instances are one fruit when their masks have an IoU of at least 0.5, or when 80 % of the
+    smaller mask lies in the larger; without masks, when their boxes have an IoU of at least 0.7.
+    Fruit that cross share their crossing only: about the thickness over the length of the thinner
+    one. An instance that holds two or more others which are not one fruit is the fruit that they
+    are pieces of if its score is at least their mean, else a box around several fruit, and goes.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        From one detector; `detector_mask`, or else `mask`, is compared.
+
+    Returns
+    -------
+    tuple of Instance
+        Best first. Of those that are one fruit the one with the largest mask stays, unless its
+        score is below half of the best one's; it gets the best score, and, if it has none, the
+        keypoints of the best that has some.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.instances import Instance
+    >>> whole, part, other = (np.zeros((20, 60), bool) for _ in range(3))
+    >>> whole[5:15, 5:45] = part[5:15, 5:25] = other[5:15, 46:56] = True
+    >>> found = [
+    ...     Instance(box_of_mask(m), score, detector_mask=m)
+    ...     for m, score in ((part, 0.8), (whole, 0.6), (other, 0.7))
+    ... ]
+    >>> [(one.score, one.box.tolist()) for one in merge_instances(found)]
+    [(0.8, [4.5, 4.5, 44.5, 14.5]), (0.7, [45.5, 4.5, 55.5, 14.5])]
+    """
+    found = sorted((_Region.of(one) for one in instances), key=_best_first)
+    found = [one for one in found if not _around_several(one, found)]
+    groups: list[list[_Region]] = []
+    # The largest first, each compared with the largest of a group only: a speck that lies in two
+    # fruit joins one of them and makes them no single one.
+    for one in sorted(found, key=lambda one: -one.area):
+        own = max(groups, key=lambda group: _shared(one, group[0]), default=None)
+        if own is not None and _same(one, own[0]):
+            own.append(one)
+        else:
+            groups.append([one])
+    return tuple(sorted(map(_kept, groups), key=lambda one: -one.score))
+
+
+def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Join the pieces that a leaf makes of a fruit, where a pose network sees the whole.
+
+    A pose whose keypoints run through two or more instances joins them when their common box has
+    an IoU of at least 0.75 with its own, more than each of them alone, and none of them is a fruit
+    of its own to another pose (IoU 0.5): two fruit in a row stay two.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        After `merge_instances`.
+    poses : sequence of Instance
+        With keypoints; others join nothing.
+
+    Returns
+    -------
+    tuple of Instance
+        Best first. Joined: the common box and mask, the best score, the pose's keypoints.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.instances import Instance
+    >>> left, right = np.zeros((20, 60), bool), np.zeros((20, 60), bool)
+    >>> left[5:15, 5:25] = right[5:15, 30:55] = True
+    >>> pieces = [Instance(box_of_mask(m), detector_mask=m) for m in (left, right)]
+    >>> line = np.array([[u, 9.5, 1.0] for u in (6, 18, 30, 42, 54)])
+    >>> pose = Instance(np.array([4.5, 4.5, 54.5, 14.5]), keypoints=line)
+    >>> [one.box.tolist() for one in join_pieces(pieces, [pose])]
+    [[4.5, 4.5, 54.5, 14.5]]
+    """
+    left, poses = list(instances), merge_instances(poses)
+    for pose in poses:
+        pieces = [one for one in left if _is_piece(one, pose, poses)]
+        if len(pieces) < 2:
+            continue
+        edges = np.array([one.box for one in pieces])
+        box = np.concatenate([edges[:, :2].min(axis=0), edges[:, 2:].max(axis=0)])
+        alone = max(box_iou(one.box, pose.box) for one in pieces)
+        if box_iou(box, pose.box) < max(SPAN_IOU, alone):
+            continue
+        left = [one for one in left if one not in pieces]
+        left.append(_joined(pieces, box, pose))
+    return tuple(sorted(left, key=lambda one: -one.score))
+
+
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """An instance with its mask cut to the mask's own window."""
+
+    instance: Instance
+    box: NDArray[np.float64]
+    part: NDArray[np.bool_] | None
+    left: int
+    top: int
+    area: float
+
+    @classmethod
+    def of(cls, instance: Instance) -> _Region:
+        mask = _mask(instance)
+        if mask is None or not mask.any():
+            width, height = instance.box[2:] - instance.box[:2]
+            return cls(instance, instance.box, None, 0, 0, float(max(width, 0) * max(height, 0)))
+        box = box_of_mask(mask)
+        left, top, right, bottom = (box + 0.5).astype(int).tolist()
+        part = mask[top:bottom, left:right]
+        return cls(instance, box, part, left, top, float(np.count_nonzero(part)))
+
+
+def _mask(instance: Instance) -> NDArray[np.bool_] | None:
+    return instance.mask if instance.detector_mask is None else instance.detector_mask
+
+
+def _best_first(one: _Region) -> tuple[float, float]:
+    return -one.instance.score, -one.area
+
+
+def _shared(a: _Region, b: _Region) -> float:
+    """Give the pixels that two masks share."""
+    if a.part is None or b.part is None:
+        return box_iou(a.box, b.box)
+    left, top = max(a.left, b.left), max(a.top, b.top)
+    right = min(a.left + a.part.shape[1], b.left + b.part.shape[1])
+    bottom = min(a.top + a.part.shape[0], b.top + b.part.shape[0])
+    if left >= right or top >= bottom:
+        return 0.0
+    windows = [
+        one.part[top - one.top : bottom - one.top, left - one.left : right - one.left]
+        for one in (a, b)
+        if one.part is not None
+    ]
+    return float(np.count_nonzero(windows[0] & windows[1]))
+
+
+def _same(a: _Region, b: _Region) -> bool:
+    if a.part is None or b.part is None:
+        return box_iou(a.instance.box, b.instance.box) >= SAME_BOX_IOU
+    shared = _shared(a, b)
+    return shared >= SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b)
+
+
+def _inside(shared: float, a: _Region, b: _Region) -> bool:
+    return shared >= INSIDE * min(a.area, b.area)
+
+
+def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
+    """Say whether an instance is a box around several fruit that are also found by themselves."""
+    if one.part is None:
+        return False
+    parts: list[_Region] = []
+    for other in found:
+        # What agrees with it as a whole is the same find again, not a part.
+        if other is one or other.part is None or other.area >= one.area:
+            continue
+        shared = _shared(one, other)
+        if shared >= INSIDE * other.area and not any(_same(other, part) for part in parts):
+            parts.append(other)
+    if len(parts) < 2:
+        return False
+    return float(np.mean([part.instance.score for part in parts])) > one.instance.score
+
+
+def _kept(group: Sequence[_Region]) -> Instance:
+    members = sorted(group, key=_best_first)
+    best = members[0].instance.score
+    trusted = [one for one in members if one.instance.score >= TRUSTED * best]
+    kept = max(trusted, key=lambda one: one.area).instance
+    keypoints = [kept.keypoints, *(one.instance.keypoints for one in members)]
+    return replace(kept, score=best, keypoints=next((k for k in keypoints if k is not None), None))
+
+
+def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
+    mask = _mask(one)
+    if pose.keypoints is None or mask is None or not mask.any():
+        return False
+    if any(box_iou(one.box, other.box) >= OWN_IOU for other in poses if other is not pose):
+        return False
+    rows, columns = np.nonzero(mask)
+    line = np.asarray(pose.keypoints[:, :2], np.float64)
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    middle = np.array([columns.mean(), rows.mean()])
+    return _distance(middle, line) <= OFF_LINE * length
+
+
+def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    """Give a point's distance to a polyline, shape (K, 2)."""
+    steps = np.diff(line, axis=0)
+    squares = np.maximum((steps**2).sum(axis=1), 1e-12)
+    along = np.clip(((point - line[:-1]) * steps).sum(axis=1) / squares, 0, 1)
+    near = line[:-1] + along[:, None] * steps
+    return float(np.linalg.norm(near - point, axis=1).min())
+
+
+def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance) -> Instance:
+    best = max(pieces, key=lambda one: one.score)
+    masks = [mask for one in pieces if (mask := _mask(one)) is not None]
+    mask = np.logical_or.reduce(masks)
+    return replace(best, box=box, detector_mask=mask, keypoints=pose.keypoints)

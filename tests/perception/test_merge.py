@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from cucumbervision.perception.instances import Instance, box_of_mask
+from cucumbervision.perception.merge import join_pieces, merge_instances
+
+HEIGHT, WIDTH = 160, 240
+Mask = NDArray[np.bool_]
+
+
+def bar(u: float, v: float, long: float, wide: float, turn_deg: float = 0.0) -> Mask:
+    """A bar's pixels: its middle, length, width and turn."""
+    y, x = np.indices((HEIGHT, WIDTH))
+    turn = np.deg2rad(turn_deg)
+    along = (x - u) * np.cos(turn) + (y - v) * np.sin(turn)
+    across = (y - v) * np.cos(turn) - (x - u) * np.sin(turn)
+    return np.asarray((np.abs(along) <= long / 2) & (np.abs(across) <= wide / 2))
+
+
+def found(mask: Mask, score: float, keypoints: NDArray[np.float64] | None = None) -> Instance:
+    return Instance(box_of_mask(mask), score, detector_mask=mask, keypoints=keypoints)
+
+
+def masks_of(instances: Sequence[Instance]) -> set[bytes]:
+    return {i.detector_mask.tobytes() for i in instances if i.detector_mask is not None}
+
+
+def test_two_boxes_of_one_fruit_are_one() -> None:
+    # Shifted by 6 of 100 and as wide: IoU 94/106.
+    a, b = found(bar(100, 80, 100, 20), 0.9), found(bar(106, 80, 100, 20), 0.8)
+    (one,) = merge_instances([b, a])
+    assert one.score == 0.9
+
+
+def test_a_box_in_a_box_leaves_the_whole_with_the_better_score() -> None:
+    whole, part = bar(100, 80, 120, 20), bar(80, 80, 50, 20)
+    (one,) = merge_instances([found(part, 0.9), found(whole, 0.5)])
+    assert one.box.tolist() == box_of_mask(whole).tolist()
+    assert one.score == 0.9
+
+
+def test_a_whole_that_is_hardly_believed_does_not_replace_a_part() -> None:
+    whole, part = bar(100, 80, 120, 20), bar(80, 80, 70, 20)
+    (one,) = merge_instances([found(part, 0.9), found(whole, 0.4)])
+    assert one.box.tolist() == box_of_mask(part).tolist()
+
+
+def test_pieces_beside_the_whole_are_the_whole() -> None:
+    whole = bar(120, 80, 160, 20) & ~bar(120, 80, 30, 40)
+    pieces = [found(bar(72, 80, 60, 20), 0.7), found(bar(168, 80, 60, 20), 0.6)]
+    (one,) = merge_instances([*pieces, found(whole, 0.8)])
+    assert one.box.tolist() == box_of_mask(whole).tolist()
+
+
+def test_a_box_around_two_fruit_goes() -> None:
+    # Touching side by side; each by itself is believed more than both as one.
+    upper, lower = bar(120, 70, 140, 20), bar(120, 90, 140, 20)
+    kept = merge_instances([found(upper, 0.9), found(upper | lower, 0.6), found(lower, 0.8)])
+    assert masks_of(kept) == {upper.tobytes(), lower.tobytes()}
+    assert [one.score for one in kept] == [0.9, 0.8]
+
+
+def test_a_speck_in_two_fruit_makes_them_no_single_one() -> None:
+    lying, standing = bar(120, 80, 150, 24), bar(120, 80, 24, 120)
+    speck = lying & standing
+    kept = merge_instances([found(lying, 0.9), found(standing, 0.8), found(speck, 0.5)])
+    assert masks_of(kept) == {lying.tobytes(), standing.tobytes()}
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    first=st.floats(0, 180),
+    turn=st.floats(35, 145),
+    long=st.floats(70, 140),
+    aspect=st.floats(3, 8),
+    off=st.tuples(st.floats(-30, 30), st.floats(-30, 30)),
+)
+def test_fruit_that_cross_stay_two(
+    first: float, turn: float, long: float, aspect: float, off: tuple[float, float]
+) -> None:
+    # Whole masks of both, the crossing in each: the worst that a detector can draw. Bars of width
+    # w that cross at an angle share w^2 / sin(angle): here at most 1 / (3 sin 35) = 0.58 of each.
+    wide = long / aspect
+    a = bar(120, 80, long, wide, first)
+    b = bar(120 + off[0], 80 + off[1], long, wide, first + turn)
+    assert len(merge_instances([found(a, 0.9), found(b, 0.8)])) == 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(gap=st.integers(0, 30), long=st.integers(40, 100), wide=st.integers(10, 30))
+def test_fruit_that_touch_stay_two(gap: int, long: int, wide: int) -> None:
+    a = np.zeros((HEIGHT, WIDTH), bool)
+    b = a.copy()
+    a[20 : 20 + wide, 10 : 10 + long] = True
+    b[20 + wide + gap : 20 + 2 * wide + gap, 10 : 10 + long] = True
+    assert len(merge_instances([found(a, 0.9), found(b, 0.9)])) == 2
+
+
+@settings(max_examples=50, deadline=None)
+@given(data=st.data())
+def test_shifted_repeats_change_no_count_and_order_no_result(data: st.DataObject) -> None:
+    # Three fruit side by side, each found up to three times, a few pixels off.
+    fruit = []
+    for k in range(3):
+        for _ in range(data.draw(st.integers(1, 3))):
+            shift = data.draw(st.integers(-8, 8))
+            score = 0.4 + 0.01 * len(fruit)
+            fruit.append(found(bar(120 + shift, 30 + 50 * k, 120, 24), score))
+    merged = merge_instances(fruit)
+    assert len(merged) == 3
+    assert masks_of(merged) <= masks_of(fruit)
+    assert max(one.score for one in merged) == max(one.score for one in fruit)
+    again = merge_instances(data.draw(st.permutations(fruit)))
+    assert [one.box.tolist() for one in again] == [one.box.tolist() for one in merged]
+    assert masks_of(merge_instances(merged)) == masks_of(merged)
+
+
+def test_keypoints_are_the_keepers_own_or_else_the_bests() -> None:
+    whole, part = bar(100, 80, 120, 20), bar(80, 80, 60, 20)
+    one, two = np.full((5, 3), 1.0), np.full((5, 3), 2.0)
+    (own,) = merge_instances([found(part, 0.9, one), found(whole, 0.8, two)])
+    assert own.keypoints is two
+    (given_to,) = merge_instances([found(part, 0.9, one), found(whole, 0.8)])
+    assert given_to.keypoints is one
+
+
+def test_boxes_without_masks_are_one_only_where_they_agree() -> None:
+    def box(x: float) -> Instance:
+        return Instance(np.array([x, 0.0, x + 20, 40.0]))
+
+    # Shifted by 2 of 20: IoU 18/22; by 5: 15/25.
+    assert len(merge_instances([box(0), box(2)])) == 1
+    assert len(merge_instances([box(0), box(5)])) == 2
+    inside = Instance(np.array([2.0, 2, 18, 20]))
+    assert len(merge_instances([box(0), inside])) == 2
+    assert merge_instances([]) == ()
+
+
+def line(start: tuple[float, float], end: tuple[float, float]) -> NDArray[np.float64]:
+    share = np.linspace(0, 1, 5)[:, None]
+    return np.hstack([np.array(start) * (1 - share) + np.array(end) * share, np.ones((5, 1))])
+
+
+PIECES = (bar(60, 80, 60, 20), bar(155, 80, 90, 20))  # the larger is half of the whole's box
+
+
+def test_pieces_without_a_whole_are_joined_by_the_pose() -> None:
+    pieces = [found(PIECES[0], 0.5), found(PIECES[1], 0.8)]
+    other = found(bar(120, 20, 100, 20), 0.9)
+    pose = Instance(np.array([29.0, 69, 201, 91]), 0.7, keypoints=line((30, 80), (200, 80)))
+    kept = join_pieces([other, *pieces], [pose])
+    assert len(kept) == 2
+    assert kept[1].score == 0.8
+    assert kept[1].keypoints is pose.keypoints
+    assert kept[1].box.tolist() == box_of_mask(PIECES[0] | PIECES[1]).tolist()
+    assert masks_of(kept[1:]) == {(PIECES[0] | PIECES[1]).tobytes()}
+
+
+@pytest.mark.parametrize("case", ["two poses", "off the line", "taller", "no keypoints"])
+def test_two_fruit_in_a_row_stay_two(case: str) -> None:
+    pieces = [found(mask, 0.8) for mask in PIECES]
+    box = np.array([29.0, 69, 201, 91])
+    poses = [Instance(box, 0.7, keypoints=line((30, 80), (200, 80)))]
+    if case == "two poses":
+        poses.append(Instance(box_of_mask(PIECES[1]), 0.6, keypoints=line((120, 80), (200, 80))))
+    if case == "off the line":
+        poses = [Instance(box, 0.7, keypoints=line((30, 140), (200, 140)))]
+    if case == "taller":
+        taller = np.array([29.0, 39, 201, 121])
+        poses = [Instance(taller, 0.7, keypoints=line((30, 80), (200, 80)))]
+    if case == "no keypoints":
+        poses = [Instance(box, 0.7)]
+    assert len(join_pieces(pieces, poses)) == 2
+
+
+def test_masks_keep_the_pictures_size() -> None:
+    whole = bar(100, 80, 120, 20, 30)
+    (one,) = merge_instances([found(whole, 0.9), found(cv2.dilate(
+        whole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool), 0.8)])  # fmt: skip
+    assert one.detector_mask is not None
+    assert one.detector_mask.shape == (HEIGHT, WIDTH)

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import benchmark, calibrate, demo, evaluate, measure, models
+from cucumbervision.cli import benchmark, calibrate, demo, evaluate, measure, models, train
 from cucumbervision.errors import CucumberVisionError
 
 __all__ = ["app", "main"]
@@ -32,6 +32,7 @@ app.command("calibrate")(calibrate.calibrate)
 app.command("benchmark")(benchmark.benchmark)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(models.app, name="models")
+app.add_typer(train.app, name="train")
 
 
 def _show_version(wanted: bool) -> None:

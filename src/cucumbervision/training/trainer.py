@@ -1,0 +1,163 @@
+"""Ultralytics' trainer with what is ours: progress, safe files, bfloat16, stages that go on.
+
+Nothing of Ultralytics is forked: one subclass of its trainer, and its callbacks.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from cucumbervision.training.half_precision import narrow, widen
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Watcher", "make_trainer", "strip"]
+
+_OUTSIDE = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
+_O2M_FIRST, _O2M_LAST = 0.8, 0.1  # Ultralytics' E2ELoss: share of the one-to-many head
+
+
+class Watcher(Protocol):
+    """Who is told how a training goes on."""
+
+    def batch(self, done: int, total: int) -> None:
+        """Tell that `done` of an epoch's `total` batches are through."""
+
+    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
+        """Tell what an epoch, counted from 1, came to. True ends the training after it."""
+
+
+def make_trainer(
+    task: str,
+    overrides: dict[str, Any],
+    watcher: Watcher,
+    *,
+    threads: int,
+    workers: int,
+    bfloat16: bool,
+    span: tuple[float, float],
+) -> Any:
+    """Build the trainer of one stage.
+
+    Parameters
+    ----------
+    task : str
+        'segment' or 'pose'.
+    overrides : dict
+        Ultralytics' own settings.
+    watcher : Watcher
+        Is told of every batch and epoch.
+    threads, workers : int
+        Threads of torch, and processes that load pictures.
+    bfloat16 : bool
+        Run the network's layers in bfloat16 on the CPU.
+    span : tuple of float
+        Where in the whole plan the stage begins and ends, 0 to 1: the one-to-many head's share
+        of the loss falls over the plan, not anew in every stage.
+
+    Returns
+    -------
+    ultralytics.engine.trainer.BaseTrainer
+        Ready for `train()`.
+    """
+    from ultralytics.models.yolo.pose import PoseTrainer
+    from ultralytics.models.yolo.segment import SegmentationTrainer
+    from ultralytics.utils import SETTINGS
+
+    for name in _OUTSIDE:
+        dict.__setitem__(SETTINGS, name, False)
+    base: Any = {"segment": SegmentationTrainer, "pose": PoseTrainer}[task]
+
+    class Training(_SafeFiles, base):  # type: ignore[misc]
+        """Named without 'Trainer', so that Ultralytics ties no outside services to it."""
+
+    trainer = Training(overrides=overrides)
+    # Ultralytics allows the CPU one thread less than it has, and no loading beside it.
+    trainer.args.workers = workers
+    _listen(trainer, watcher, threads)
+    trainer.add_callback("on_train_start", lambda t: _share_of_heads(t, span))
+    if bfloat16:
+        trainer.add_callback("on_train_epoch_start", lambda t: narrow(t.model))
+        trainer.add_callback("on_train_epoch_end", lambda t: widen(t.model))
+    return trainer
+
+
+class _SafeFiles:
+    """What the trainer does otherwise: its files are replaced whole, never half written."""
+
+    wdir: Path
+    last: Path
+    best: Path
+
+    def save_model(self) -> bool:
+        last, best = self.last, self.best
+        self.last, self.best = self.wdir / "last.part", self.wdir / "best.part"
+        try:
+            saved = bool(super().save_model())  # type: ignore[misc]
+            # The best first: a kill between the two repeats an epoch and loses nothing.
+            for part, path in ((self.best, best), (self.last, last)):
+                if part.exists():
+                    part.replace(path)
+        finally:
+            self.last, self.best = last, best
+        return saved
+
+    def final_eval(self) -> None:
+        """Leave out the validation of an epoch that was validated already."""
+
+
+def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
+    began = 0.0
+    done = 0
+
+    def start(_: Any) -> None:
+        import torch
+
+        torch.set_num_threads(threads)
+
+    def epoch_start(_: Any) -> None:
+        nonlocal began, done
+        began, done = time.monotonic(), 0
+
+    def batch_end(t: Any) -> None:
+        nonlocal done
+        done += 1
+        watcher.batch(done, len(t.train_loader))
+
+    def epoch_end(t: Any) -> None:
+        rows = {**t.label_loss_items(t.tloss), **t.metrics, "fitness": t.fitness}
+        numbers = {key: float(value) for key, value in rows.items()}
+        if watcher.epoch(t.epoch + 1, numbers, time.monotonic() - began):
+            t.stop = True
+
+    trainer.add_callback("on_train_start", start)
+    trainer.add_callback("on_train_epoch_start", epoch_start)
+    trainer.add_callback("on_train_batch_end", batch_end)
+    trainer.add_callback("on_fit_epoch_end", epoch_end)
+
+
+def _share_of_heads(trainer: Any, span: tuple[float, float]) -> None:
+    """Let the one-to-many head's share of the loss fall over the plan's part that is this stage."""
+    model = trainer.model
+    if getattr(model, "criterion", None) is None:
+        model.criterion = model.init_criterion()
+    loss = model.criterion
+    if not hasattr(loss, "o2m_copy"):
+        return
+    fall = _O2M_FIRST - _O2M_LAST
+    loss.o2m_copy = _O2M_FIRST - span[0] * fall
+    loss.final_o2m = _O2M_FIRST - span[1] * fall
+    loss.o2m = loss.decay(loss.updates)
+    loss.o2o = loss.total - loss.o2m
+
+
+def strip(checkpoint: Path, out: Path) -> None:
+    """Write a checkpoint without its optimiser, in half precision; replaces `out` whole."""
+    from ultralytics.utils.torch_utils import strip_optimizer
+
+    part = out.with_suffix(".part")
+    strip_optimizer(str(checkpoint), str(part))
+    part.replace(out)

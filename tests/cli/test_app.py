@@ -49,7 +49,7 @@ def test_some_input_unread_is_exit_code_1(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--instances", "models"), "comes without a cucumber detector"),
+        (("--instances", "nowhere.onnx"), "nowhere.onnx: no such file"),
         (("--methods", "m7"), "no method is called M7"),
         (("--confidence", "1.5"), "less than or equal to 1"),
         (("--selector", "worst"), "Invalid value"),
@@ -89,7 +89,8 @@ def test_demo_measures_the_bundled_captures_with_mobile_sam(tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
     assert "8 of 8 fruit measured in 3 captures" in done.stdout
     report = json.loads((tmp_path / "demo" / "measurements.json").read_text())
-    assert report["models"][0]["name"] == "mobile-sam"
+    assert report["models"][-1]["name"] == "mobile-sam"
+    assert done.stdout.startswith("Fruit by")
 
 
 def test_help_is_quick_and_loads_nothing_heavy() -> None:

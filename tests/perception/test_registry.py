@@ -60,14 +60,16 @@ def installed(registry: Registry, tmp_path: Path) -> dict[str, Path]:
 
 def test_the_packages_own_registry_is_sound() -> None:
     registry = load_registry()
-    assert [m.name for m in registry.models] == ["mobile-sam", "sam-vit-b"]
+    assert {"mobile-sam", "sam-vit-b"} <= {m.name for m in registry.models}
     for model in registry.models:
         assert model.licence
         assert model.title
         assert model.origin
-        assert model.source is not None
-        assert re.fullmatch("[0-9a-f]{64}", model.source.sha256)
-        assert model.source.url.startswith(("https://", "pip:"))
+        # A network is somebody's, whose file is named, or our own, with a card.
+        assert (model.source is None) == (model.task in ("segment", "pose")) == bool(model.card)
+        if model.source is not None:
+            assert re.fullmatch("[0-9a-f]{64}", model.source.sha256)
+            assert model.source.url.startswith(("https://", "pip:"))
         if model.embedded:
             sizes = {f.file: f.size_bytes for f in model.files}
             paths = registry.resolve(model.name).values()
@@ -91,6 +93,14 @@ def test_embedded_files_are_resolved_by_role(registry: Registry, tmp_path: Path)
     assert registry.resolve("inside") == {"network": tmp_path / "weights" / "inside.onnx"}
     assert registry.state("inside") == "embedded"
     assert registry.size_bytes("inside") == 3
+
+
+def test_the_default_of_a_task_is_embedded(registry: Registry) -> None:
+    default = registry.default("segment")
+    assert default is not None
+    assert default.name == "inside"
+    assert registry.default("pose") is None
+    assert registry.default("prompted-mask") is None  # there is one, but it must be fetched
 
 
 def test_unknown_name_lists_the_known(registry: Registry) -> None:

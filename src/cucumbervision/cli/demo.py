@@ -19,11 +19,17 @@ def demo(
         bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
     ] = False,
 ) -> None:
-    """Measure the bundled simulated captures: masks by MobileSAM, lengths by M1 to M6."""
+    """Measure the bundled simulated captures: found by the package's own networks, if it has any.
+
+    Masks by MobileSAM, lengths by M1 to M6.
+    """
     from cucumbervision.cli.console import run_and_show
-    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.perception.registry import load_registry
+    from cucumbervision.session.finders import demo_options
     from cucumbervision.synthesis.demo import bundled_captures
 
-    options = MeasureOptions(instances="dataset", segmenter="mobile-sam")
+    options, line = demo_options(load_registry())
+    if not (quiet or as_json):
+        typer.echo(line)
     code = run_and_show([bundled_captures()], out, options, quiet=quiet, as_json=as_json)
     raise typer.Exit(code)

@@ -35,12 +35,12 @@ def measure(
     instances: Annotated[
         str,
         typer.Option(
-            help="Where fruit come from: models, dataset (its own masks), or a FILE: COCO JSON, "
-            "YOLO txt, YOLO .onnx. auto takes the data set's masks where there are some."
+            help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
+            "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
         ),
     ] = "auto",
     pose: Annotated[
-        Path | None, typer.Option(help="YOLO pose .onnx for the five keypoints of M4.")
+        Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
     ] = None,
     methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")] = "all",
     selector: Annotated[

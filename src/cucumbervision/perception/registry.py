@@ -65,6 +65,22 @@ class Registry:
         names = ", ".join(model.name for model in self.models)
         raise UnknownModelError(f"no model is called {name!r}", remedy=f"choose one of {names}")
 
+    def default(self, task: str) -> Model | None:
+        """Give the package's own network for a task: the first embedded one.
+
+        Parameters
+        ----------
+        task : str
+            'segment', 'pose' or 'prompted-mask'.
+
+        Examples
+        --------
+        >>> load_registry().default("prompted-mask").name
+        'mobile-sam'
+        """
+        own = (model for model in self.models if model.task == task and model.embedded)
+        return next(own, None)
+
     def folder(self, name: str) -> Path:
         """Give the folder that a model's files lie in, or would."""
         return self.embedded if self.get(name).embedded else self.user / name
@@ -255,8 +271,8 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
 
     Examples
     --------
-    >>> [model.name for model in load_registry().models]
-    ['mobile-sam', 'sam-vit-b']
+    >>> load_registry().get("sam-vit-b").licence
+    'Apache-2.0'
     """
     path = path or _HERE / "models.toml"
     try:

@@ -7,21 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
+from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.session.networks import Detectors, Segmenters, load_pose
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.registry import Registry
+    from cucumbervision.perception.yolo import YoloDetector
     from cucumbervision.session.options import MeasureOptions
 
-__all__ = ["Finder", "Found", "dataset_instances", "make_finder"]
-
-_NO_DETECTOR = ModelError(
-    "this version comes without a cucumber detector",
-    source="--instances models",
-    remedy="name a YOLO ONNX export, COCO JSON or YOLO txt boxes with --instances FILE",
-)
+__all__ = ["Finder", "Found", "dataset_instances", "demo_options", "make_finder"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +58,21 @@ class Finder:
     models: list[dict[str, Any]]
 
 
-def make_finder(options: MeasureOptions) -> Finder:
+def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Finder:
     """Load what a run needs to find fruit.
 
     Parameters
     ----------
     options : MeasureOptions
         The run's choices.
+    registry : Registry, optional
+        Where networks with a name lie; the package's own if not given.
 
     Returns
     -------
     Finder
-        Networks are loaded once, SAM only when the first capture needs it.
+        Networks are loaded once; SAM, and the package's own networks where 'auto' was chosen,
+        only when the first capture needs them.
 
     Raises
     ------
@@ -82,9 +81,13 @@ def make_finder(options: MeasureOptions) -> Finder:
     InstancesError
         If the file of instances cannot be read.
     """
+    if registry is None:
+        from cucumbervision.perception.registry import load_registry
+
+        registry = load_registry()
     models: list[dict[str, Any]] = []
-    boxes = _box_finder(options, models)
-    segmenter = _LazySegmenter(options, models)
+    boxes = _box_finder(options, registry, models)
+    segmenter = Segmenters(registry, options, models)
     if options.segmenter not in (None, "none"):
         segmenter.check(options.segmenter)
 
@@ -132,22 +135,89 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     )
 
 
-def _box_finder(options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
-    choice = options.instances
+def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
+    """Choose how the bundled captures are measured, and say in a line who finds the fruit.
+
+    Parameters
+    ----------
+    registry : Registry
+        With a detector of its own, that one finds them; else their masks' boxes are given.
+
+    Returns
+    -------
+    options : MeasureOptions
+    line : str
+        For people.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.registry import load_registry
+    >>> options, line = demo_options(load_registry())
+    >>> line.endswith("masks by mobile-sam.")
+    True
+    """
+    from cucumbervision.session.options import MeasureOptions
+
+    detector, pose = registry.default("segment"), registry.default("pose")
+    if detector is None:
+        options = MeasureOptions(instances="dataset", segmenter="mobile-sam")
+        return options, "Fruit by the boxes of the captures' own masks, masks by mobile-sam."
+    keypoints = f", keypoints by {pose.name}" if pose else ""
+    options = MeasureOptions(instances="models", segmenter="mobile-sam")
+    return options, f"Fruit by {detector.name}{keypoints}, masks by mobile-sam."
+
+
+def _box_finder(options: MeasureOptions, registry: Registry, models: list[dict[str, Any]]) -> Find:
+    choice, path = options.instances, Path(options.instances)
     if choice == "models":
-        raise _NO_DETECTOR
-    if choice == "dataset":
-        return _dataset_or_error
-    if choice == "auto":
-        return _dataset_or_models
-    path = Path(choice)
-    if not path.exists():
+        return _network_finder(Detectors.from_registry(registry, options, models))
+    if choice not in ("auto", "dataset") and not path.exists():
         raise InstancesError(
             "no such file", source=path, remedy="give auto, models, dataset or a file"
         )
-    if path.suffix.lower() == ".onnx":
-        return _network_finder(path, options, models)
-    return _file_finder(path)
+    if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
+        return _network_finder(Detectors.from_file(path, options, models))
+    if choice == "auto":
+        return _auto_finder(options, registry, models)
+    given = _dataset_or_error if choice == "dataset" else _file_finder(path)
+    return _with_pose(given, load_pose(options, models))
+
+
+def _auto_finder(options: MeasureOptions, registry: Registry, models: list[dict[str, Any]]) -> Find:
+    """Take a data set's masks where there are some, and load the networks where there are none."""
+    pose = load_pose(options, models)
+    given = _with_pose(lambda capture: Found(dataset_instances(capture)), pose)
+    loaded: list[Find] = []
+
+    def find(capture: Capture) -> Found:
+        if capture.masks:
+            return given(capture)
+        if not loaded:
+            loaded.append(_network_finder(Detectors.from_registry(registry, options, models, pose)))
+        return loaded[0](capture)
+
+    return find
+
+
+def _network_finder(detectors: Detectors) -> Find:
+    return lambda capture: Found(detectors.find(capture.color))
+
+
+def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
+    """Give a pose network's keypoints to fruit that come from elsewhere."""
+    if pose is None:
+        return find
+
+    def find_with_keypoints(capture: Capture) -> Found:
+        from cucumbervision.perception.yolo import with_keypoints
+
+        found = find(capture)
+        if not found.instances:
+            return found
+        poses = pose.detect(capture.color)
+        return replace(found, instances=with_keypoints(found.instances, poses))
+
+    return find_with_keypoints
 
 
 def _file_finder(path: Path) -> Find:
@@ -172,71 +242,3 @@ def _dataset_or_error(capture: Capture) -> Found:
             remedy="put them into mask_visib/, or choose other --instances",
         )
     return Found(dataset_instances(capture))
-
-
-def _dataset_or_models(capture: Capture) -> Found:
-    if not capture.masks:
-        raise _NO_DETECTOR
-    return Found(dataset_instances(capture))
-
-
-def _network_finder(path: Path, options: MeasureOptions, models: list[dict[str, Any]]) -> Find:
-    from cucumbervision.perception.registry import file_sha256
-    from cucumbervision.perception.yolo import YoloDetector, with_keypoints
-
-    def load(file: Path) -> YoloDetector:
-        detector = YoloDetector(
-            file, options.runtime, options.confidence, full_precision=options.full_precision
-        )
-        models.append({"name": file.name, "sha256": file_sha256(file), "runtime": detector.runtime})
-        return detector
-
-    detector = load(path)
-    pose = load(options.pose) if options.pose else None
-
-    def find(capture: Capture) -> Found:
-        found = detector.detect(capture.color)
-        if pose is not None and found:
-            found = with_keypoints(found, pose.detect(capture.color))
-        return Found(found)
-
-    return find
-
-
-class _LazySegmenter:
-    """SAM, loaded when first asked for: captures with masks of their own never need it."""
-
-    def __init__(self, options: MeasureOptions, models: list[dict[str, Any]]) -> None:
-        self._options, self._models = options, models
-        self._files: dict[str, dict[str, Path]] = {}
-        self._loaded: dict[str, Segmenter] = {}
-
-    def check(self, name: str) -> None:
-        """Raise a ModelError before any capture is read, if the model is not here and whole."""
-        self._verified(name)
-
-    def get(self, name: str) -> Segmenter:
-        if name not in self._loaded:
-            from cucumbervision.perception.registry import load_registry
-            from cucumbervision.perception.sam import Segmenter
-
-            files = self._verified(name)
-            segmenter = Segmenter(
-                (files["encoder"], files["decoder"]),
-                self._options.runtime,
-                self._options.prompt,
-                full_precision=self._options.full_precision,
-            )
-            known = load_registry().hashes(name)
-            hashes = {role: known[file.name] for role, file in files.items()}
-            self._models.append({"name": name, "sha256": hashes, "runtime": segmenter.runtime})
-            self._loaded[name] = segmenter
-        return self._loaded[name]
-
-    def _verified(self, name: str) -> dict[str, Path]:
-        # The registry reads every byte to verify a model: once a run is enough.
-        if name not in self._files:
-            from cucumbervision.perception.registry import load_registry
-
-            self._files[name] = load_registry().resolve(name)
-        return self._files[name]

@@ -31,7 +31,8 @@ class MeasureOptions:
         'models', 'dataset', or the path of a file: COCO JSON, YOLO txt (or a folder of them),
         or a YOLO ONNX export.
     pose : Path, optional
-        A YOLO pose ONNX export that gives the five keypoints.
+        A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
+        package's own gives them to fruit of the package's own detector only.
     segmenter : str, optional
         'mobile-sam', 'sam-vit-b' or 'none'; None draws with MobileSAM wherever the masks are not
         the data set's own.

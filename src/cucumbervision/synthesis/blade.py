@@ -1,0 +1,97 @@
+"""Leaves up close: veins, blisters, spots, and the slopes they make, as small textures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision.synthesis.tones import smooth_noise, smoothstep, to_linear
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.synthesis.assets import Assets
+
+__all__ = ["blade_photo", "blade_pixel", "blade_texture"]
+
+_SIZE = 192
+_REACH = 1.3  # the texture spans that many half axes to each side
+_BASE = -0.8  # where the stalk meets the blade
+_MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
+
+
+def blade_texture(rng: np.random.Generator) -> NDArray[np.float32]:
+    """Draw a leaf's blade.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+
+    Returns
+    -------
+    ndarray of float32, shape (192, 192, 4)
+        Tone about 1; vein, 0 to 1; slope along and across the blade, for relief 1. Rows run
+        across the blade, columns along it to its tip, over 1.3 half axes to each side.
+    """
+    line = ((np.arange(_SIZE, dtype=np.float32) + 0.5) * (2 / _SIZE) - 1) * _REACH
+    s, t = np.meshgrid(line, line)
+    ahead, aside = s - _BASE, np.abs(t)
+    reach = np.hypot(ahead, aside)
+    angle = np.arctan2(aside, ahead)
+    wobble = 0.05 * smooth_noise(rng, s.shape, 40)
+    main = np.zeros_like(s)
+    side = np.full_like(s, 9.0)
+    for degrees in _MAIN_DEG:
+        away = angle + wobble - np.deg2rad(degrees)
+        wide = 0.030 - 0.012 * np.clip(reach, 0, 2)
+        off = reach * np.sin(np.clip(np.abs(away), 0, np.pi / 2))
+        main = np.maximum(main, np.exp(-((off / wide) ** 2)))
+        side = np.minimum(side, np.abs(away))
+    # Side veins leave the main ones forward, each pair a step farther out.
+    step = (6.5 * (reach - 0.9 * reach * side) + 0.4 * smooth_noise(rng, s.shape, 24)) % 1.0
+    branch = np.exp(-(((step - 0.5) / 0.10) ** 2)) * smoothstep(0.02, 0.10, reach)
+    net = np.exp(-((smooth_noise(rng, s.shape, 9) / 0.12) ** 2))
+    vein = np.clip(np.maximum(main, 0.55 * branch) + 0.2 * net, 0, 1)
+    blisters = -0.7 * vein + 0.35 * smooth_noise(rng, s.shape, 12)
+    height = cv2.GaussianBlur(blisters.astype(np.float32), (0, 0), 1.5)
+    across, along = np.gradient(height)
+    patches = smooth_noise(rng, s.shape, 60)
+    grain = smooth_noise(rng, s.shape, 4)
+    tone = 1 + 0.10 * patches + 0.07 * grain + 0.12 * blisters
+    return np.stack([tone, vein, 1.6 * along, 1.6 * across], axis=-1).astype(np.float32)
+
+
+def blade_photo(rng: np.random.Generator, assets: Assets) -> NDArray[np.float32] | None:
+    """Cut a piece of a leaf out of a photo.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    assets : Assets
+        Whose `leaves` to cut from.
+
+    Returns
+    -------
+    ndarray of float32, shape (192, 192, 3), or None
+        Linear RGB over its own mean, its middle third to half; None without leaves.
+    """
+    if not assets.leaves:
+        return None
+    picture = assets.leaves[rng.integers(len(assets.leaves))]
+    rows, columns = picture.shape[:2]
+    size = int(rng.uniform(0.30, 0.5) * min(rows, columns))
+    top = int(rng.uniform(0.35, 0.65) * (rows - size))
+    left = int(rng.uniform(0.35, 0.65) * (columns - size))
+    piece = np.rot90(picture[top : top + size, left : left + size], int(rng.integers(4)))
+    piece = cv2.resize(np.ascontiguousarray(piece), (_SIZE, _SIZE), interpolation=cv2.INTER_AREA)
+    light = to_linear(piece)
+    return np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0).astype(np.float32)
+
+
+def blade_pixel(place: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Turn a place on the blade, in half axes from its middle, to the texture's pixel."""
+    return (place / np.float32(_REACH) + 1) * np.float32(_SIZE / 2) - np.float32(0.5)

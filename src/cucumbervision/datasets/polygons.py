@@ -1,0 +1,184 @@
+"""Masks as polygons and back without losing a pixel, and polygons that cross themselves.
+
+Points count from the picture's corner, as YOLO and COCO files do: the first pixel's centre is
+(0.5, 0.5). `perception.mask_codes.fill_polygon` draws them again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["crosses_itself", "join_parts", "mask_outlines", "one_polygon"]
+
+
+def mask_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+    """Give the outer outline of each part of a mask, through the middles of the pixels' edges.
+
+    Every pixel centre of the part lies inside, every other outside, holes excepted: they are
+    filled. The outline's box is the part's box.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        Pixels that touch by a corner belong together.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (K, 2)
+        x, y from the picture's corner; the part of the largest area first.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[1, 2:5] = True
+    >>> mask_outlines(mask)[0].tolist()
+    [[2.5, 1.0], [2.0, 1.5], [2.5, 2.0], [4.5, 2.0], [5.0, 1.5], [4.5, 1.0]]
+    """
+    import cv2
+
+    ys, xs = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(ys):
+        return []
+    cut = mask[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
+    found, _ = cv2.findContours(_doubled(cut), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    corner = np.array([xs[0], ys[0]], np.float64)
+    parts = [contour.reshape(-1, 2) / 2 + corner for contour in found]
+    return [_straightened(p) for p in sorted(parts, key=_area, reverse=True)]
+
+
+def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Give pixel centres, edge middles and corners as one grid of (2 H + 1, 2 W + 1)."""
+    height, width = mask.shape
+    padded = np.zeros((height + 2, width + 2), np.uint8)
+    padded[1:-1, 1:-1] = mask
+    beside, below = padded[:, 1:] + padded[:, :-1], padded[1:] + padded[:-1]
+    grid = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
+    grid[1::2, 1::2] = mask
+    grid[1::2, 0::2] = beside[1:-1] > 0
+    grid[0::2, 1::2] = below[:, 1:-1] > 0
+    # A corner of one pixel only stays out: the outline cuts it.
+    grid[0::2, 0::2] = beside[1:] + beside[:-1] > 1
+    return grid
+
+
+def _straightened(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Leave out the points amid straight runs; turning back on itself is no straight run."""
+    before = points - np.roll(points, 1, axis=0)
+    after = np.roll(points, -1, axis=0) - points
+    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    kept = (cross != 0) | ((before * after).sum(axis=1) < 0)
+    return points[kept]
+
+
+def _area(points: NDArray[np.float64]) -> float:
+    x, y = points.T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+
+def join_parts(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Join polygons to one by bridges without width, each over the shortest gap that is left.
+
+    YOLO files have one polygon a fruit; Ultralytics' converters join parts in the same way.
+
+    Parameters
+    ----------
+    parts : sequence of ndarray, shape (K, 2)
+        At least one; none inside another.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 2)
+
+    Examples
+    --------
+    >>> left = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> join_parts([left, left + (3, 0)]).shape
+    (10, 2)
+    """
+    joined, rest = parts[0], list(parts[1:])
+    while rest:
+        gaps = [((joined[:, None] - part[None]) ** 2).sum(axis=2) for part in rest]
+        nearest = int(np.argmin([gap.min() for gap in gaps]))
+        part = rest.pop(nearest)
+        i, j = np.unravel_index(gaps[nearest].argmin(), gaps[nearest].shape)
+        joined = np.concatenate([joined[: i + 1], part[j:], part[: j + 1], joined[i:]])
+    return joined
+
+
+def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> NDArray[np.float64] | None:
+    """Give a mask as one polygon: its parts joined, specks left out.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+    min_part_px : float
+        Parts of a smaller area are left out, the largest excepted.
+
+    Returns
+    -------
+    ndarray of float64, shape (K, 2), or None
+        None for an empty mask.
+
+    Examples
+    --------
+    >>> one_polygon(np.zeros((4, 6), bool)) is None
+    True
+    """
+    parts = mask_outlines(mask)
+    return (
+        join_parts([p for p in parts if p is parts[0] or _area(p) >= min_part_px])
+        if parts
+        else None
+    )
+
+
+def crosses_itself(points: NDArray[np.float64], slack: float = 1e-3) -> bool:
+    """Say whether two edges of a closed polygon cross, each going through the other.
+
+    Edges that only touch or lie on each other, as bridges between parts do, cross nothing.
+
+    Parameters
+    ----------
+    points : ndarray, shape (K, 2)
+        In pixels.
+    slack : float
+        How far an edge must reach through, in pixels.
+
+    Examples
+    --------
+    >>> bow = np.array([[0.0, 0], [10, 10], [10, 0], [0, 10]])
+    >>> crosses_itself(bow), crosses_itself(bow[[0, 2, 1, 3]])
+    (True, False)
+    """
+    starts, ends = points, np.roll(points, -1, axis=0)
+    lengths = np.hypot(*(ends - starts).T)
+    starts, ends = starts[lengths > slack], ends[lengths > slack]
+    if len(starts) < 4:
+        return False
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=2)
+    first, second = np.nonzero(np.triu(meet, 1))
+    a1, a2, b1, b2 = starts[first], ends[first], starts[second], ends[second]
+    through = _apart(a1, a2, b1, b2, slack) & _apart(b1, b2, a1, a2, slack)
+    return bool(through.any())
+
+
+def _apart(
+    a1: NDArray[np.float64],
+    a2: NDArray[np.float64],
+    b1: NDArray[np.float64],
+    b2: NDArray[np.float64],
+    slack: float,
+) -> NDArray[np.bool_]:
+    """Say whether b1 and b2 lie on different sides of the line through a1 and a2."""
+    along = (a2 - a1) / np.hypot(*(a2 - a1).T)[:, None]
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    s1, s2 = ((b1 - a1) * left).sum(axis=1), ((b2 - a1) * left).sum(axis=1)
+    return np.asarray((np.minimum(s1, s2) < -slack) & (np.maximum(s1, s2) > slack))

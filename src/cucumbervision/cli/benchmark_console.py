@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
     from cucumbervision.evaluation.records import Record
 
-__all__ = ["learn", "run_and_report", "summary_tables"]
+__all__ = ["learn", "progress", "run_and_report", "summary_tables"]
 
 WIDTH = 120
 
 
 def run_and_report(plan: benchmark.BenchmarkPlan, out: Path) -> None:
     """Run a benchmark with a progress bar, print its main tables, write the report."""
-    with _progress() as report:
+    with progress() as report:
         records, experiments = benchmark.run_benchmark(plan, out, report)
     console = Console(highlight=False, width=WIDTH)
     for table in summary_tables(records):
@@ -56,7 +56,7 @@ def run_and_report(plan: benchmark.BenchmarkPlan, out: Path) -> None:
 
 def learn(file: Path, out: Path, fruit: int, workers: int) -> None:
     """Learn the intervals with a progress bar and say what came of it."""
-    with _progress() as report:
+    with progress() as report:
         book = benchmark.learn_intervals(file, out, fruit, workers, report)
     console = Console(highlight=False, width=WIDTH)
     for key, model in book.models.items():
@@ -94,7 +94,14 @@ def _table(records: Sequence[Record], title: str) -> Table:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
+def progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each part of a long run, on a terminal only.
+
+    Yields
+    ------
+    callable
+        Takes a part's name, how many of it were just finished and how many it has.
+    """
     console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description}"),

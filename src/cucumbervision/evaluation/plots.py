@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from cucumbervision.evaluation.records import Record
 
 __all__ = [
+    "as_png",
     "coverage_by_group",
     "error_against_hidden",
     "error_against_tilt",
     "error_spread",
+    "new_figure",
     "predicted_against_truth",
     "tracking",
 ]
@@ -70,7 +72,7 @@ def predicted_against_truth(records: Sequence[Record], truth: Truth) -> bytes:
     methods = _plotted(records, truth)
     columns = min(4, len(methods))
     lines = -(-len(methods) // columns)
-    figure = _figure(2.6 * lines + 0.5)
+    figure = new_figure(2.6 * lines + 0.5)
     axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     reads = {method: readings(records, method, truth) for method in methods}
     top = 100 * max(max(r.truth_m.max(), np.nan_to_num(r.lengths_m).max()) for r in reads.values())
@@ -89,7 +91,7 @@ def predicted_against_truth(records: Sequence[Record], truth: Truth) -> bytes:
         ax.set_visible(False)
     figure.supxlabel(f"true {truth} (cm)")
     figure.supylabel("measured (cm)")
-    return _png(figure)
+    return as_png(figure)
 
 
 def tracking(records: Sequence[Record], truth: Truth) -> bytes:
@@ -102,7 +104,7 @@ def tracking(records: Sequence[Record], truth: Truth) -> bytes:
     """
     known = [r for r in records if truth_m(r, truth) is not None]
     known.sort(key=lambda r: (truth_m(r, truth) or 0.0, r.case))
-    figure = _figure(4.6)
+    figure = new_figure(4.6)
     ax = figure.subplots()
     place = np.arange(1, len(known) + 1)
     true_cm = [100 * (truth_m(r, truth) or 0.0) for r in known]
@@ -118,7 +120,7 @@ def tracking(records: Sequence[Record], truth: Truth) -> bytes:
     ax.set_ylim(bottom=0)
     ax.grid(alpha=0.3)
     ax.legend(ncols=2, fontsize=9)
-    return _png(figure)
+    return as_png(figure)
 
 
 def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
@@ -130,7 +132,7 @@ def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
         As for `predicted_against_truth`. What was not measured has its whole length as error.
     """
     methods = _plotted(records, truth)
-    figure = _figure(0.5 * len(methods) + 1.4)
+    figure = new_figure(0.5 * len(methods) + 1.4)
     ax = figure.subplots()
     rng = np.random.default_rng(0)
     for k, method in enumerate(reversed(methods)):
@@ -155,7 +157,7 @@ def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
     ax.set_xticks(ticks, ["0.01 mm", "0.1 mm", "1 mm", "1 cm", "10 cm"])
     ax.set_xlabel(f"absolute error against the true {truth} (each mark is ten times the last)")
     ax.grid(alpha=0.3, axis="x")
-    return _png(figure)
+    return as_png(figure)
 
 
 def error_against_tilt(records: Sequence[Record], truth: Truth) -> bytes:
@@ -194,7 +196,7 @@ def coverage_by_group(rows: Sequence[CoverageRow], level: float = 0.9) -> bytes:
     level : float
         What the interval claims.
     """
-    figure = _figure(0.3 * len(rows) + 1.2)
+    figure = new_figure(0.3 * len(rows) + 1.2)
     ax = figure.subplots()
     for k, row in enumerate(reversed(rows)):
         share, colour = row.hits / row.count, "#0072B2" if row.as_stated else "#D55E00"
@@ -211,7 +213,7 @@ def coverage_by_group(rows: Sequence[CoverageRow], level: float = 0.9) -> bytes:
     ax.set_xlim(min(100 * min(row.low for row in rows), 100 * level - 10) - 2, 101)
     ax.set_xlabel(f"intervals that hold the truth (%); {100 * level:.0f} % is stated")
     ax.grid(alpha=0.3, axis="x")
-    return _png(figure)
+    return as_png(figure)
 
 
 def _error_against(
@@ -221,7 +223,7 @@ def _error_against(
     edges: NDArray[Any],
     label: str,
 ) -> bytes:
-    figure = _figure(4.6)
+    figure = new_figure(4.6)
     ax = figure.subplots()
     known = [r for r in records if truth_m(r, truth) is not None]
     for method in _plotted(known, truth):
@@ -252,7 +254,7 @@ def _error_against(
     ax.set_ylabel(f"mean error against the {truth} (%)")
     ax.grid(alpha=0.3, which="both")
     ax.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return _png(figure)
+    return as_png(figure)
 
 
 def _plotted(records: Sequence[Record], truth: Truth, *, own_tools_only: bool = False) -> list[str]:
@@ -270,7 +272,14 @@ def _style(method: str) -> tuple[str, str, str]:
     return STYLES.get(method) or STYLES.get(method.split()[0]) or ("#777777", ".", "-")
 
 
-def _figure(height_in: float) -> Figure:
+def new_figure(height_in: float) -> Figure:
+    """Start a figure of the report's width.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
@@ -278,7 +287,8 @@ def _figure(height_in: float) -> Figure:
     return Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
 
 
-def _png(figure: Figure) -> bytes:
+def as_png(figure: Figure) -> bytes:
+    """Draw a figure as PNG, the same bytes for the same figure."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()

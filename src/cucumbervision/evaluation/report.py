@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-__all__ = ["HTML_NAME", "JSON_NAME", "SUMMARY", "TableLike", "write_report"]
+__all__ = ["HTML_NAME", "JSON_NAME", "SUMMARY", "TableLike", "render_page", "write_report"]
 
 HTML_NAME = "report.html"
 JSON_NAME = "benchmark.json"
@@ -116,16 +116,7 @@ def write_report(
     origin = {name: _plain_text(value) for name, value in (provenance or {}).items()}
     origin.setdefault("versions", _plain_text(installed_versions()))
     glance = glance_table(records)
-    page = _template().render(
-        title=title,
-        notes=_ordered(said),
-        glance=_shown(glance),
-        sections=[_section_shown(section) for section in sections],
-        glossary=GLOSSARY,
-        provenance=list(origin.items()),
-        licence=LICENCE,
-        source=source_offer(),
-    )
+    page = render_page(title, _ordered(said), glance, sections, origin)
     out.mkdir(parents=True, exist_ok=True)
     numbers = {
         "title": title,
@@ -140,6 +131,53 @@ def write_report(
     (out / JSON_NAME).write_text(text + "\n", encoding="utf-8")
     (out / HTML_NAME).write_text(page, encoding="utf-8")
     return out / HTML_NAME
+
+
+def render_page(
+    title: str,
+    notes: Sequence[tuple[str, str]],
+    glance: Table,
+    sections: Sequence[Section],
+    provenance: Mapping[str, object],
+    *,
+    glossary: Sequence[tuple[str, str]] = GLOSSARY,
+    numbers: str = JSON_NAME,
+) -> str:
+    """Set a report out as one page of HTML that needs nothing else.
+
+    Parameters
+    ----------
+    title : str
+        The page's head.
+    notes : sequence of (str, str)
+        Heads and texts at the top, paragraphs parted by an empty line.
+    glance : Table
+        What stands first.
+    sections : sequence of Section
+        The rest, in order.
+    provenance : mapping of str to object
+        How the numbers came about.
+    glossary : sequence of (str, str)
+        Terms and what they mean.
+    numbers : str
+        Name of the file beside it that holds all numbers.
+
+    Raises
+    ------
+    MissingExtraError
+        If Jinja2 is not installed.
+    """
+    return _template().render(
+        title=title,
+        notes=notes,
+        glance=_shown(glance),
+        sections=[_section_shown(section) for section in sections],
+        glossary=glossary,
+        provenance=[(name, _plain_text(value)) for name, value in provenance.items()],
+        licence=LICENCE,
+        source=source_offer(),
+        numbers=numbers,
+    )
 
 
 def _paper_sections(records: Sequence[Record], note: str) -> list[Section]:

@@ -1,0 +1,250 @@
+"""Pictures beside the database: named by the hash of their content, whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import uuid
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from cucumbervision.errors import StoredImageError, StoreError
+from cucumbervision.store.records import ImageRef
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+__all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "ImageStore"]
+
+DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
+THUMBNAIL_PX = 320
+_JPEG_QUALITY = 95
+_THUMBNAIL_QUALITY = 80
+_TEMPORARY = ".writing-"
+_SUFFIXES = (".png", ".jpg")
+
+
+class ImageStore:
+    """A folder of pictures.
+
+    A file is written under a temporary name, forced to the disk and only then given its name,
+    in one step: whenever power fails it is there whole or not at all. A name is never written
+    twice, and what is read is held against its name.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when the first picture is put.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = ImageStore(Path(folder))
+    ...     ref = store.put_depth(np.full((48, 64), 0.4545, np.float32))
+    ...     store.path(ref).relative_to(folder).parts[0] == ref.sha256[:2]
+    ...     round(float(store.read_depth(ref)[0, 0]), 6)
+    True
+    0.4545
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def put_color(self, color: NDArray[np.uint8], *, lossless: bool = True) -> ImageRef:
+        """Keep a colour picture.
+
+        Parameters
+        ----------
+        color : ndarray of uint8, shape (H, W, 3)
+            RGB.
+        lossless : bool
+            PNG, from which can be measured again to the same length; JPEG is a fifth of the size.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written.
+        """
+        if lossless:
+            return self._put_picture(color, ".png", ())
+        return self._put_picture(color, ".jpg", _jpeg(_JPEG_QUALITY))
+
+    def put_thumbnail(self, color: NDArray[np.uint8]) -> ImageRef:
+        """Keep a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
+        import cv2
+
+        scale = min(1.0, THUMBNAIL_PX / max(color.shape[:2]))
+        size = (max(1, round(color.shape[1] * scale)), max(1, round(color.shape[0] * scale)))
+        small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
+        return self._put_picture(cast("NDArray[Any]", small), ".jpg", _jpeg(_THUMBNAIL_QUALITY))
+
+    def put_depth(self, depth_m: NDArray[np.float32]) -> ImageRef:
+        """Keep a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
+
+        Parameters
+        ----------
+        depth_m : ndarray of float32, shape (H, W)
+            Metres; what is not finite or beyond 16 bits becomes 0, which is no reading either.
+        """
+        steps = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT_M)
+        kept = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
+        return self._put_picture(kept.astype(np.uint16), ".png", ())
+
+    def put(self, data: bytes, suffix: str, width_px: int, height_px: int) -> ImageRef:
+        """Keep an encoded picture.
+
+        Parameters
+        ----------
+        data : bytes
+            The file's content.
+        suffix : str
+            '.png' or '.jpg'.
+        width_px, height_px : int
+            The picture's size.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written, or the suffix is another.
+        """
+        if suffix not in _SUFFIXES:
+            raise StoreError(f"'{suffix}' pictures are not stored", remedy="give .png or .jpg")
+        sha256 = hashlib.sha256(data).hexdigest()
+        ref = ImageRef(sha256, suffix, len(data), width_px, height_px)
+        path = self.path(ref)
+        try:
+            if not self._has(path, sha256):
+                _write_whole(path, data)
+        except OSError as error:
+            raise StoreError(
+                f"cannot be written ({error.strerror})",
+                source=path,
+                remedy="make room or check the folder's permissions, then send the stop again",
+            ) from None
+        return ref
+
+    def path(self, ref: ImageRef) -> Path:
+        """Give a picture's file: two levels of folders, then the whole hash."""
+        return self.folder / ref.sha256[:2] / ref.sha256[2:4] / f"{ref.sha256}{ref.suffix}"
+
+    def read(self, ref: ImageRef) -> bytes:
+        """Read a picture's file, held against its hash.
+
+        Raises
+        ------
+        StoredImageError
+            If it is missing, or its content is not what its name says.
+        """
+        path = self.path(ref)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise StoredImageError(
+                f"cannot be read ({error.strerror})",
+                source=path,
+                remedy="copy it back from a backup; its name is the hash of its content",
+            ) from None
+        if hashlib.sha256(data).hexdigest() != ref.sha256:
+            raise StoredImageError(
+                "its content is not what its name says",
+                source=path,
+                remedy="copy it back from a backup; its name is the hash of its content",
+            )
+        return data
+
+    def read_color(self, ref: ImageRef) -> NDArray[np.uint8]:
+        """Read a colour picture or thumbnail: RGB, uint8, shape (H, W, 3)."""
+        import cv2
+
+        image = cv2.imdecode(np.frombuffer(self.read(ref), np.uint8), cv2.IMREAD_COLOR)
+        return cast("NDArray[np.uint8]", cv2.cvtColor(_decoded(image), cv2.COLOR_BGR2RGB))
+
+    def read_depth(self, ref: ImageRef, unit_m: float = DEPTH_UNIT_M) -> NDArray[np.float32]:
+        """Read a depth picture: metres, float32, shape (H, W), 0 where there is no reading."""
+        import cv2
+
+        image = cv2.imdecode(np.frombuffer(self.read(ref), np.uint8), cv2.IMREAD_UNCHANGED)
+        return (_decoded(image).astype(np.float64) * unit_m).astype(np.float32)
+
+    def files(self) -> Iterator[Path]:
+        """List every picture in the folder, named by a hash or not."""
+        for path in self.folder.glob("??/??/*"):
+            if not path.name.startswith(_TEMPORARY):
+                yield path
+
+    def unfinished(self) -> Iterator[Path]:
+        """List what was being written when its program ended."""
+        return self.folder.glob(f"??/??/{_TEMPORARY}*")
+
+    def _put_picture(
+        self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...]
+    ) -> ImageRef:
+        import cv2
+
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        _, data = cv2.imencode(suffix, image, parameters)
+        return self.put(data.tobytes(), suffix, int(image.shape[1]), int(image.shape[0]))
+
+    def _has(self, path: Path, sha256: str) -> bool:
+        """Say whether the picture is there and whole; it is then marked as used just now.
+
+        The time of change is what keeps `check` from removing a picture as an orphan between
+        this and the transaction that names it.
+        """
+        try:
+            os.utime(path)
+            found = hashlib.sha256(path.read_bytes()).hexdigest()
+        except FileNotFoundError:
+            return False
+        if found == sha256:
+            return True
+        # Kept for whoever wants to know what happened to it.
+        path.replace(path.with_name(f"{path.name}.damaged-{uuid.uuid4().hex[:8]}"))
+        return False
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    new_folders = [folder for folder in path.parents[:3] if not folder.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}")
+    try:
+        with temporary.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    for folder in (path.parent, *(new.parent for new in new_folders)):
+        _sync_folder(folder)
+
+
+def _sync_folder(folder: Path) -> None:
+    if os.name != "posix":  # elsewhere a folder cannot be opened, and names are written at once
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _jpeg(quality: int) -> tuple[int, ...]:
+    import cv2
+
+    return (cv2.IMWRITE_JPEG_QUALITY, quality)
+
+
+def _decoded(image: Any) -> NDArray[Any]:
+    if image is None:  # the hash is right, so it was no picture when it was put
+        raise StoredImageError("is no picture that can be read", remedy="measure the capture again")
+    return cast("NDArray[Any]", image)

@@ -1,0 +1,369 @@
+"""What goes into the store and comes out of it: frozen values, in metres and seconds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import uuid
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeAlias
+
+from cucumbervision.errors import StoreError
+
+__all__ = [
+    "ArtifactRecord",
+    "CaptureRecord",
+    "FruitRecord",
+    "ImageRef",
+    "MethodRecord",
+    "Point",
+    "RoundRecord",
+    "StopRecord",
+    "checked_key",
+    "content_sha256",
+    "key_of",
+    "new_key",
+    "record_json",
+]
+
+Point: TypeAlias = tuple[float, ...]
+
+_NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
+
+
+def new_key() -> str:
+    """Make a key that nothing else has: a random UUID.
+
+    Examples
+    --------
+    >>> len(new_key())
+    36
+    """
+    return str(uuid.uuid4())
+
+
+def key_of(*parts: object) -> str:
+    """Make the key that belongs to these parts: the same parts always give the same UUID.
+
+    Examples
+    --------
+    >>> key_of("round", 3)
+    'dc51d2ee-b492-5df0-b26a-3d3a83575247'
+    """
+    return str(uuid.uuid5(_NAMESPACE, json.dumps([str(part) for part in parts])))
+
+
+def checked_key(key: str, what: str) -> str:
+    """Give a key in its usual writing.
+
+    Raises
+    ------
+    StoreError
+        If it is no UUID.
+
+    Examples
+    --------
+    >>> checked_key("DC51D2EEB4925DF0B26A3D3A83575247", "stop")
+    'dc51d2ee-b492-5df0-b26a-3d3a83575247'
+    """
+    try:
+        return str(uuid.UUID(key))
+    except (ValueError, AttributeError, TypeError):
+        raise StoreError(
+            f"{what} key {key!r} is no UUID", remedy="take one from records.new_key()"
+        ) from None
+
+
+@dataclass(frozen=True)
+class ArtifactRecord:
+    """A model, calibration, configuration or crop profile that took part in a measurement.
+
+    Parameters
+    ----------
+    kind : str
+        'model', 'calibration', 'config', 'profile' or 'software'.
+    name : str
+        What it is called.
+    sha256 : str
+        Hash of its content; empty where it has none.
+    details : mapping
+        What else is known of it, as JSON values.
+    """
+
+    kind: str
+    name: str
+    sha256: str = ""
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ImageRef:
+    """A stored picture: its name is the hash of its content.
+
+    Parameters
+    ----------
+    sha256 : str
+        Of the file, hexadecimal.
+    suffix : str
+        '.png' or '.jpg'.
+    size_bytes : int
+        Of the file.
+    width_px, height_px : int
+        Of the picture.
+    """
+
+    sha256: str
+    suffix: str
+    size_bytes: int
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class RoundRecord:
+    """One walk through a house.
+
+    Parameters
+    ----------
+    key : str
+        UUID, made by whoever begins the round.
+    name : str
+        What people call it.
+    house : str
+        The greenhouse; empty where there is only one.
+    started_s : float
+        When it began, seconds since 1970 (UTC).
+    profile : str
+        Name of the crop profile.
+    note : str
+        Whatever the operator wrote.
+    """
+
+    key: str = field(default_factory=new_key)
+    name: str = ""
+    house: str = ""
+    started_s: float = field(default_factory=time.time)
+    profile: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class MethodRecord:
+    """One method on one fruit, as `measurement.results.Measurement` says it.
+
+    Parameters
+    ----------
+    method : str
+        'M1' to 'M6'.
+    length_m : float, optional
+        Its own raw length, metres.
+    kind, reason, fallback, measured_by
+        As in `Measurement`; the path of fallbacks as one text.
+    centreline_m, thread_m, chord_m : float, optional
+        The three lengths, where a tube was fitted.
+    centreline_sd_m, thread_sd_m : float, optional
+        Their standard deviations, camera scale left out.
+    path_m : tuple of (x, y, z)
+        The line that was measured, camera coordinates, metres.
+    diameter_m : tuple of float
+        The tube's diameter at each point of `path_m`; empty where none was fitted.
+    """
+
+    method: str
+    length_m: float | None = None
+    kind: str | None = None
+    reason: str = "ok"
+    fallback: str = ""
+    measured_by: str | None = None
+    centreline_m: float | None = None
+    thread_m: float | None = None
+    chord_m: float | None = None
+    centreline_sd_m: float | None = None
+    thread_sd_m: float | None = None
+    path_m: tuple[Point, ...] = ()
+    diameter_m: Point = ()
+
+
+@dataclass(frozen=True)
+class FruitRecord:
+    """One detected fruit of one capture.
+
+    Names are those of `session.rows.COLUMNS`, in metres in place of centimetres.
+
+    Parameters
+    ----------
+    number : int
+        Its number in the capture, from 1.
+    centre_x_m, centre_y_m, centre_z_m : float, optional
+        Its middle in camera coordinates: right, down and away from the camera, metres.
+    offset_m, offset_sd_m : float, optional
+        How far along the row its middle lies from the stop's position, and how sure that is.
+    view_score : float
+        How well this view shows it, 0 to 1; of several views of one fruit the highest stands.
+    keypoints : tuple of (u, v, visibility)
+        Pixels; empty where there are none.
+    mask : str, optional
+        The mask that was measured, COCO's compressed run lengths at the capture's size. Lists
+        leave it out.
+    methods : tuple of MethodRecord
+        Every method that was run. Lists leave them out.
+    """
+
+    number: int
+    label: str = "cucumber"
+    score: float = 1.0
+    box_x1_px: float = 0.0
+    box_y1_px: float = 0.0
+    box_x2_px: float = 0.0
+    box_y2_px: float = 0.0
+    method: str | None = None
+    reason: str = ""
+    fallback: str = ""
+    flags: str = ""
+    length_m: float | None = None
+    length_kind: str | None = None
+    length_sd_m: float | None = None
+    interval_low_m: float | None = None
+    interval_high_m: float | None = None
+    interval_of: str | None = None
+    interval_basis: str | None = None
+    centreline_m: float | None = None
+    thread_m: float | None = None
+    chord_m: float | None = None
+    inner_arc_m: float | None = None
+    diameter_max_m: float | None = None
+    diameter_mean_m: float | None = None
+    volume_m3: float | None = None
+    tilt_deg: float | None = None
+    hidden_share: float | None = None
+    mask_source: str | None = None
+    mask_px: int | None = None
+    fill: float | None = None
+    distance_m: float | None = None
+    raw_length_m: float | None = None
+    raw_length_kind: str | None = None
+    centre_x_m: float | None = None
+    centre_y_m: float | None = None
+    centre_z_m: float | None = None
+    offset_m: float | None = None
+    offset_sd_m: float | None = None
+    view_score: float = 0.0
+    keypoints: tuple[Point, ...] = ()
+    mask: str | None = None
+    methods: tuple[MethodRecord, ...] = ()
+
+
+@dataclass(frozen=True)
+class CaptureRecord:
+    """One RGB-D frame of a stop, and its fruit.
+
+    Parameters
+    ----------
+    name : str
+        What the capture is called; unique within the stop.
+    camera : mapping
+        The colour intrinsics, as `capture.calibration.CameraModel` writes them.
+    color, depth, thumbnail : ImageRef, optional
+        Its pictures in the `ImageStore`.
+    depth_unit_m : float, optional
+        Metres of one step of the depth picture.
+    fruit : tuple of FruitRecord
+        Its fruit, each number once.
+    """
+
+    name: str
+    frame: int = 0
+    burst_frame: int = 0
+    burst_size: int = 1
+    timestamp_s: float | None = None
+    width_px: int = 0
+    height_px: int = 0
+    fill: float | None = None
+    simulated: bool = False
+    source: str = ""
+    camera: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    depth_unit_m: float | None = None
+    color: ImageRef | None = None
+    depth: ImageRef | None = None
+    thumbnail: ImageRef | None = None
+    fruit: tuple[FruitRecord, ...] = ()
+
+
+@dataclass(frozen=True)
+class StopRecord:
+    """One stop of a round: what is saved in one piece.
+
+    Parameters
+    ----------
+    key : str
+        UUID, made by whoever takes the captures, and kept when the stop is sent again.
+    round_key : str
+        The round, which must be saved first.
+    row, side : str, optional
+        Row of the house, and side of the row.
+    position_m, position_sd_m : float, optional
+        Position along the row as the operator or odometry gives it, and its standard deviation.
+    step : int, optional
+        Number of the stop.
+    taken_s : float
+        When, seconds since 1970 (UTC).
+    pose : tuple of float
+        The camera's pose, 4x4 row by row, where one is known.
+    captures : tuple of CaptureRecord
+        What was taken here.
+    artifacts : tuple of ArtifactRecord
+        Models, calibration and configuration that were used.
+    failures : tuple of mapping
+        What could not be read or measured, as `session.results.Failure`.
+    """
+
+    key: str
+    round_key: str
+    row: str | None = None
+    side: str | None = None
+    position_m: float | None = None
+    position_sd_m: float | None = None
+    step: int | None = None
+    taken_s: float = 0.0
+    pose: tuple[float, ...] = ()
+    note: str = ""
+    captures: tuple[CaptureRecord, ...] = ()
+    artifacts: tuple[ArtifactRecord, ...] = ()
+    failures: tuple[Mapping[str, Any], ...] = ()
+
+
+def record_json(record: Any) -> dict[str, Any]:
+    """Give any record as JSON values.
+
+    Raises
+    ------
+    StoreError
+        If it holds a number that is not finite, or a value that JSON has not.
+
+    Examples
+    --------
+    >>> record_json(MethodRecord("M1", 0.21))["length_m"]
+    0.21
+    """
+    try:
+        values: dict[str, Any] = json.loads(json.dumps(asdict(record), allow_nan=False))
+    except (ValueError, TypeError) as error:
+        raise StoreError(
+            f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
+        ) from None
+    return values
+
+
+def content_sha256(record: Any) -> str:
+    """Hash a record's content: equal records have equal hashes.
+
+    Examples
+    --------
+    >>> content_sha256(FruitRecord(1)) == content_sha256(FruitRecord(2))
+    False
+    """
+    text = json.dumps(record_json(record), sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,304 @@
+"""What the store says: lists for tables and maps, and one fruit with everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from cucumbervision.store.records import (
+    CaptureRecord,
+    FruitRecord,
+    ImageRef,
+    RoundRecord,
+    StopRecord,
+)
+
+__all__ = [
+    "ActionView",
+    "FruitDetail",
+    "FruitFilter",
+    "FruitView",
+    "LinkKind",
+    "LinkRecord",
+    "Position",
+    "RoundView",
+    "Saved",
+    "ShiftRecord",
+    "StopView",
+    "Verdict",
+]
+
+
+class Saved(StrEnum):
+    """What became of a record that was sent."""
+
+    NEW = "new"
+    ALREADY_THERE = "already-there"
+
+
+class Verdict(StrEnum):
+    """What somebody thinks of a measured fruit."""
+
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+
+
+class LinkKind(StrEnum):
+    """What two detections are to each other."""
+
+    SAME = "same"  # one fruit, seen twice in a round
+    GROWTH = "growth"  # one fruit on an earlier and a later round
+    APART = "apart"  # two fruit: somebody said so, and no algorithm may link them
+
+
+@dataclass(frozen=True)
+class LinkRecord:
+    """Two detections and what they are to each other; for growth the earlier one is first."""
+
+    kind: LinkKind
+    first: str
+    second: str
+    score: float | None = None
+    by_hand: bool = False
+
+
+@dataclass(frozen=True)
+class Position:
+    """A position along a row, or a shift, and its standard deviation; metres."""
+
+    at_m: float
+    sd_m: float | None = None
+
+
+@dataclass(frozen=True)
+class ShiftRecord:
+    """How far a row's plants were moved between two rounds."""
+
+    row: str
+    earlier: str
+    later: str
+    shift_m: float
+    sd_m: float | None = None
+
+
+@dataclass(frozen=True)
+class RoundView:
+    """A round and how much it holds: stops, detections of fruit, time of the last stop."""
+
+    record: RoundRecord
+    stops: int
+    fruit: int
+    last_s: float | None
+
+    @property
+    def key(self) -> str:
+        """The round's key."""
+        return self.record.key
+
+
+@dataclass(frozen=True)
+class StopView:
+    """A stop in a list.
+
+    Parameters
+    ----------
+    position_m, position_sd_m : float, optional
+        As it was given.
+    fitted_m, fitted_sd_m : float, optional
+        Where the merging puts it.
+    captures, fruit, failures : int
+        How many.
+    thumbnail : ImageRef, optional
+        Of its first capture.
+    """
+
+    key: str
+    round_key: str
+    row: str | None
+    side: str | None
+    position_m: float | None
+    position_sd_m: float | None
+    fitted_m: float | None
+    fitted_sd_m: float | None
+    step: int | None
+    taken_s: float
+    note: str
+    captures: int
+    fruit: int
+    failures: int
+    thumbnail: ImageRef | None
+
+
+@dataclass(frozen=True)
+class FruitView:
+    """One detection in a list.
+
+    Parameters
+    ----------
+    key, stop_key, round_key : str
+        Its own, its stop's and its round's.
+    capture : str
+        Name of its capture.
+    row, side : str, optional
+        Of its stop.
+    along_m, along_sd_m : float, optional
+        Where it is along the row, and how sure that is: the stop's fitted position, or the
+        position as given, and the fruit's offset from it.
+    record : FruitRecord
+        The measurement that counts: the corrected one where somebody corrected the mask. Lists
+        leave out mask, keypoints and methods.
+    verdict : Verdict, optional
+        What somebody thinks of it.
+    picked_s : float, optional
+        When it was picked, as any view of the same fruit says.
+    corrected : bool
+        Whether somebody corrected its mask.
+    group : str
+        The same for all views of one fruit in a round: the key of the best one.
+    views : int
+        How many detections the group has.
+    """
+
+    key: str
+    stop_key: str
+    round_key: str
+    capture: str
+    row: str | None
+    side: str | None
+    step: int | None
+    taken_s: float
+    simulated: bool
+    along_m: float | None
+    along_sd_m: float | None
+    thumbnail: ImageRef | None
+    record: FruitRecord
+    verdict: Verdict | None = None
+    picked_s: float | None = None
+    corrected: bool = False
+    group: str = ""
+    views: int = 1
+
+    @property
+    def best(self) -> bool:
+        """Whether this is the view of its fruit that stands."""
+        return self.group == self.key
+
+
+@dataclass(frozen=True)
+class FruitFilter:
+    """Which fruit a list holds; what is None does not matter.
+
+    Parameters
+    ----------
+    row, side, stop_key, method : str, optional
+        Of that row, side, stop, or measured by that method.
+    verdict : Verdict, optional
+        So marked.
+    picked : bool, optional
+        Picked, or not yet.
+    measured : bool, optional
+        With a length, or without.
+    min_length_m, max_length_m : float, optional
+        From and up to that length; fruit without a length are left out then.
+    best : bool
+        Only the view of each fruit that stands: every fruit once.
+    """
+
+    row: str | None = None
+    side: str | None = None
+    stop_key: str | None = None
+    method: str | None = None
+    verdict: Verdict | None = None
+    picked: bool | None = None
+    measured: bool | None = None
+    min_length_m: float | None = None
+    max_length_m: float | None = None
+    best: bool = False
+
+    def keeps(self, fruit: FruitView) -> bool:
+        """Say whether a fruit belongs into the list."""
+        record, length = fruit.record, fruit.record.length_m
+        wanted = (
+            (self.row, fruit.row),
+            (self.side, fruit.side),
+            (self.stop_key, fruit.stop_key),
+            (self.method, record.method),
+            (self.verdict, fruit.verdict),
+            (self.picked, fruit.picked_s is not None),
+            (self.measured, length is not None),
+        )
+        if any(want is not None and want != has for want, has in wanted):
+            return False
+        if self.best and not fruit.best:
+            return False
+        if self.min_length_m is not None and (length is None or length < self.min_length_m):
+            return False
+        return self.max_length_m is None or (length is not None and length <= self.max_length_m)
+
+
+@dataclass(frozen=True)
+class ActionView:
+    """A line of the log.
+
+    Parameters
+    ----------
+    number : int
+        Its number; later lines have higher ones.
+    at_s : float
+        When, seconds since 1970 (UTC).
+    by : str
+        Who.
+    kind : str
+        'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'merge', 'unmerge',
+        'link-growth', 'unlink-growth' or 'undo'.
+    round_key : str, optional
+        Of its first fruit.
+    fruit : tuple of str
+        Keys of the fruit.
+    details : mapping
+        What else belongs to it.
+    undoes : int, optional
+        The line that this one took back.
+    undone : bool
+        Whether a later line took this one back.
+    """
+
+    number: int
+    at_s: float
+    by: str
+    kind: str
+    round_key: str | None
+    fruit: tuple[str, ...]
+    details: Mapping[str, Any] = field(default_factory=dict)
+    undoes: int | None = None
+    undone: bool = False
+
+
+@dataclass(frozen=True)
+class FruitDetail:
+    """One detection with everything.
+
+    Parameters
+    ----------
+    view : FruitView
+        As in lists, but its record has mask, keypoints and methods.
+    original : FruitRecord
+        As it was first measured, with everything; equal to the view's where nobody corrected it.
+    capture : CaptureRecord
+        Its capture, with all fruit of it.
+    stop : StopRecord
+        Its stop, with all captures.
+    links : tuple of LinkRecord
+        What it is linked to.
+    log : tuple of ActionView
+        What was done to it by hand, newest first.
+    """
+
+    view: FruitView
+    original: FruitRecord
+    capture: CaptureRecord
+    stop: StopRecord
+    links: tuple[LinkRecord, ...]
+    log: tuple[ActionView, ...]

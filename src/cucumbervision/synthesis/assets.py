@@ -12,11 +12,14 @@ import numpy as np
 from cucumbervision.errors import CaptureError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-__all__ = ["Assets", "load_assets"]
+__all__ = ["SHOWS_FRUIT", "Assets", "load_assets"]
+
+SHOWS_FRUIT = ("fruit", "rot_", "cucumber_healthy")
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 _LIGHTS = {".hdr", ".exr"}
@@ -48,7 +51,7 @@ class Assets:
     leaves: tuple[NDArray[np.uint8], ...] = ()
 
 
-def load_assets(folder: Path | None) -> Assets:
+def load_assets(folder: Path | None, without: Sequence[str] = SHOWS_FRUIT) -> Assets:
     """Find pictures by the names of the folders they lie in.
 
     Pictures below `textures` are skins, those below `backgrounds` backgrounds, those in a folder
@@ -59,6 +62,10 @@ def load_assets(folder: Path | None) -> Assets:
     ----------
     folder : Path, optional
         Where to look; nothing is loaded without one.
+    without : sequence of str
+        Backgrounds and leaves whose file names hold one of these, in whatever case, are passed
+        over: by default those that say they show fruit, which would stand behind a scene without
+        a label.
 
     Returns
     -------
@@ -83,10 +90,10 @@ def load_assets(folder: Path | None) -> Assets:
         )
     bad: list[str] = []
     assets = Assets(
-        _pictures(folder, "textures/**/*", _SKIN_PX, bad),
-        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, bad),
+        _pictures(folder, "textures/**/*", _SKIN_PX, (), bad),
+        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, without, bad),
         _environments(folder, bad),
-        _pictures(folder, "**/leaves/**/*", _LEAF_PX, bad),
+        _pictures(folder, "**/leaves/**/*", _LEAF_PX, without, bad),
     )
     if bad:
         names = ", ".join(sorted(set(bad)))
@@ -105,10 +112,12 @@ def _files(folder: Path, pattern: str, endings: set[str]) -> list[Path]:
 
 
 def _pictures(
-    folder: Path, pattern: str, longest_px: int, bad: list[str]
+    folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
 ) -> tuple[NDArray[np.uint8], ...]:
     found = []
     for path in _files(folder, pattern, _PICTURES):
+        if any(word.lower() in path.name.lower() for word in without):
+            continue
         picture = _read(path, cv2.IMREAD_COLOR)
         if picture is None:
             bad.append(str(path.relative_to(folder)))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Exposure", "expose", "random_exposure"]
 
 _KEY = 0.20  # what an automatic exposure makes of the picture's mean
+_BRIGHT = 1.5  # and the most it makes of its brightest part
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,11 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
     moved = rng.random() < 0.25
     dark = float(rng.beta(1.2, 5.0))
     return Exposure(
-        stops=float(rng.normal(0.0, 0.6)),
+        stops=float(rng.normal(-0.1, 0.6)),
         warmth=float(rng.normal(0, 0.10)),
         tint=float(rng.normal(0, 0.04)),
-        contrast=float(rng.uniform(0.9, 1.35)),
-        saturation=float(rng.uniform(0.75, 1.35)),
+        contrast=float(rng.uniform(0.9, 1.25)),
+        saturation=float(rng.uniform(0.65, 1.12)),
         blur_px=float(rng.uniform(0.35, 0.6) + scale * rng.gamma(1.2, 0.4)),
         motion_px=float(scale * rng.gamma(2.0, 3.0)) if moved else 0.0,
         motion_deg=float(rng.uniform(0, 180)),
@@ -97,7 +98,7 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
         shot=0.0001 + 0.004 * dark,
         read=0.0005 + 0.008 * dark,
         vignette=float(rng.uniform(0.0, 0.35)),
-        sharpen=float(rng.choice([0.0, rng.uniform(0.2, 1.0)])),
+        sharpen=float(rng.choice([0.0, rng.uniform(0.2, 0.7)])),
         quality=int(rng.integers(45, 99)),
     )
 
@@ -149,7 +150,8 @@ def expose(
 def _gained(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
     few = linear[::8, ::8].reshape(-1, 3) @ np.array([0.25, 0.6, 0.15], np.float32)
     mean = float(np.minimum(few, 8 * np.median(few) + 1e-6).mean())
-    gain = _KEY / max(mean, 1e-6) * 2.0**exposure.stops
+    bright = float(np.quantile(few, 0.98))
+    gain = min(_KEY / max(mean, 1e-6), _BRIGHT / max(bright, 1e-6)) * 2.0**exposure.stops
     white = np.array([1 + exposure.warmth, 1 + exposure.tint, 1 - exposure.warmth], np.float32)
     light = linear * (np.float32(gain) * np.clip(white, 0.4, 2.5))
     if exposure.vignette > 0:

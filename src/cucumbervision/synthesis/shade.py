@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.synthesis.blade import blade_photo, blade_pixel, blade_texture
+from cucumbervision.synthesis.blade import BLADES, blade_photo, blade_pixel, blade_texture
 from cucumbervision.synthesis.ground import TILE_M, far_view, material_tile
 from cucumbervision.synthesis.light import light_maps
 from cucumbervision.synthesis.raycast import ray_grid
@@ -16,7 +16,7 @@ from cucumbervision.synthesis.scenes import Kind
 from cucumbervision.synthesis.shadow import corners, spots, sun_shadow
 from cucumbervision.synthesis.skin import skin_maps
 from cucumbervision.synthesis.style import FAR, Style, random_style
-from cucumbervision.synthesis.tones import mix, sample, smooth_noise, to_linear
+from cucumbervision.synthesis.tones import dimmed, mix, sample, smooth_noise, to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 __all__ = ["Style", "paint_scene", "random_style"]
 
 _FAR_M = 8.0
-_BLADES = 3
+_PHOTOS = 3
+_SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # a leaf against the light is yellower
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +101,11 @@ def paint_scene(
     _check(scene, style)
     grid = ray_grid(camera)
     depth = view.depth_m.astype(np.float32)
-    points = np.stack([grid.x.ravel() * depth.ravel(), grid.y.ravel() * depth.ravel()], axis=1)
-    points = np.column_stack([points, depth.ravel()]).astype(np.float32)
+    x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
+    points = cv2.merge([x * depth, y * depth, depth]).reshape(-1, 3)
     layers = _empty(view)
     far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
-    blades = [blade_texture(rng) for _ in range(_BLADES)]
-    photos = [blade_photo(rng, assets) if style.leaf_photo else None for _ in range(_BLADES)]
+    photos = [blade_photo(rng, assets) if style.leaf_photo else None for _ in range(_PHOTOS)]
     tiles: dict[str, Array] = {}
     for kind, index, at in _bodies(view):
         here = points[at]
@@ -114,8 +114,8 @@ def paint_scene(
             surface = view.share.ravel()[at], view.normal.reshape(-1, 3)[at]
             _fruit(rng, layers, at, tube, skin, here, surface, camera, assets)
         elif kind == Kind.LEAF:
-            k = int(rng.integers(_BLADES))
-            _leaf(rng, layers, at, scene.leaves[index], style, index, here, blades[k], photos[k])
+            photo = photos[rng.integers(_PHOTOS)]
+            _leaf(rng, layers, at, scene.leaves[index], style, index, here, photo)
         elif kind == Kind.STEM:
             _stem(rng, layers, at, scene.stems[index], style, index, here)
         elif kind == Kind.PLANE and style.materials[index] != FAR:
@@ -189,7 +189,7 @@ def _fruit(
     run = tube.radii_m[0] + np.concatenate([[0.0], np.cumsum((steps[1:] + steps[:-1]) / 2)])
     length = float(run[-1] + tube.radii_m[-1])
     radius = float(np.quantile(tube.radii_m, 0.8))
-    texel = max(0.9 * float(np.median(points[:, 2])) / camera.fx_px, 0.0003)
+    texel = max(1.1 * float(np.median(points[:, 2])) / camera.fx_px, 0.0003)
     maps = skin_maps(rng, skin, length, radius, texel, assets)
     k = np.clip(np.rint(share * (balls - 1)), 0, balls - 1).astype(np.int32)
     tangent = along.astype(np.float32)[k]
@@ -209,9 +209,13 @@ def _fruit(
     relief = sample(maps.relief, x, y)
     turned = 2 * np.float32(np.pi) * angle[:, None]
     round_about = np.cos(turned) * aside - np.sin(turned) * out
-    bent = normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about
-    layers.normal[at] = bent / np.linalg.norm(bent, axis=1)[:, None]
+    layers.normal[at] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
     layers.gloss[at] = relief[:, 2]
+
+
+def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + np.float32(1e-9)
+    return dimmed(vectors, (np.float32(1) / length * sign).astype(np.float32))
 
 
 def _leaf(
@@ -222,7 +226,6 @@ def _leaf(
     style: Style,
     index: int,
     points: Array,
-    blade: Array,
     photo: Array | None,
 ) -> None:
     frame = leaf.frame.astype(np.float32)
@@ -230,25 +233,25 @@ def _leaf(
     flip = np.float32(rng.choice((-1.0, 1.0)))
     x = blade_pixel(local[:, 0] / np.float32(leaf.half_length_m))
     y = blade_pixel(flip * local[:, 1] / np.float32(leaf.half_width_m))
-    found = sample(blade, x, y)
+    found = sample(blade_texture(int(rng.integers(BLADES))), x, y)
     below = found[:, 2:] * np.float32(style.leaf_relief)
     bend = np.asarray(leaf.bend_per_m, np.float32)
     slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
-    normal = np.column_stack([-slopes, np.ones(len(at), np.float32)]) @ frame
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    normal = frame[2] - slopes @ frame[:2]
     # Both faces of a blade are lit from the camera's side.
     side = np.sign(np.einsum("ij,ij->i", normal, points))
     under = float(side.mean()) > 0
-    layers.normal[at] = -normal * np.where(side == 0, 1, side)[:, None]
+    layers.normal[at] = _unit(normal, -np.where(side == 0, 1, side))
     color = to_linear(style.leaf_colors[index])
     withered = style.leaf_roles[index] == "blossom"
-    tint = mix(color, to_linear((150, 168, 104)), np.float32(0.45) * found[:, 1])
-    albedo = (color if withered else tint) * found[:, :1]
+    pale = to_linear((150, 168, 104))
+    if under and not withered:
+        color = 0.65 * color + 0.35 * to_linear((140, 158, 122))
+    vein = np.float32(0.0 if withered else rng.uniform(0.02, 0.35)) * found[:, 1]
+    albedo = mix(color, pale, vein)
     if photo is not None and not withered:
         albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo, x, y) - 1)
-    if under and not withered:
-        albedo = mix(albedo, to_linear((140, 158, 122)), np.full(len(at), 0.35, np.float32))
-    layers.albedo[at] = albedo
+    layers.albedo[at] = dimmed(albedo, np.ascontiguousarray(found[:, 0]))
     layers.gloss[at] = np.float32(0.0 if under or withered else style.leaf_gloss)
     layers.through[at] = np.float32(0.55)
 
@@ -276,8 +279,7 @@ def _stem(
         closer = far < best
         best[closer], normal[closer] = far[closer], off[closer]
         run[closer] = (k + share[closer]) * np.sqrt(long[k])
-    normal /= np.linalg.norm(normal, axis=1)[:, None] + np.float32(1e-9)
-    layers.normal[at] = normal
+    normal = layers.normal[at] = _unit(normal)
     color = to_linear(style.stem_colors[index])
     if style.stem_roles[index] == "string":
         tone = 1 + 0.2 * np.sin(run * 1600 + 6 * normal[:, 0])
@@ -336,10 +338,10 @@ def _lit(
     x, y = ((normal[..., i] + 1) * half - np.float32(0.5) for i in range(2))
     open_ = corners(depth)
     front = found(maps.front, x, y)
-    front += through[..., None] * found(maps.back, x, y)
+    front += dimmed(found(maps.back * _SEEN_THROUGH, x, y), through)
     nearest = float(np.quantile(depth[::8, ::8], 0.02))
     gloom = np.exp(-np.float32(style.gloom_per_m) * np.maximum(depth - nearest, 0))
-    front *= (open_ * gloom)[..., None]
+    front = dimmed(front, open_ * gloom)
     # Away from the picture's middle the line of sight leans, and the mirror image with it.
     x += np.float32(0.5) * half * grid.x.astype(np.float32)
     y += np.float32(0.5) * half * grid.y.astype(np.float32)
@@ -348,9 +350,9 @@ def _lit(
     edge = np.clip(1 + normal[..., 2], 0, 1) ** 4
     shine = gloss * (np.float32(0.045) + np.float32(0.35) * edge)
     gleam = found(maps.soft, x, y)
-    gleam += np.maximum(gloss - np.float32(0.4), 0)[..., None] * found(maps.sharp, x, y)
+    gleam += dimmed(found(maps.sharp, x, y), np.maximum(gloss - np.float32(0.4), 0))
     light = albedo * front
-    light += (shine * (0.3 + 0.7 * open_) * gloom)[..., None] * gleam
+    light += dimmed(gleam, shine * (0.3 + 0.7 * open_) * gloom)
     if style.light.sun_strength > 0:
         light += _sunlit(rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light)
     light[far] = albedo[far]
@@ -374,9 +376,9 @@ def _sunlit(
     halfway /= np.linalg.norm(halfway)
     both = cv2.transform(normal, np.stack([sun, halfway]))
     facing = both[..., 0]
-    matt = np.maximum(facing, 0) + through * np.maximum(-facing, 0)
+    matt, back = np.maximum(facing, 0), through * np.maximum(-facing, 0)
     shine = cv2.pow(np.maximum(both[..., 1], 0), 60.0) * gloss * (facing > 0)
     strength = np.asarray(light.sun_color, np.float32) * np.float32(light.sun_strength)
-    return np.asarray(
-        (albedo * matt[..., None] + np.float32(0.9) * shine[..., None]) * lit[..., None] * strength
-    )
+    body = cv2.merge([matt + part * back for part in _SEEN_THROUGH.tolist()]) * albedo
+    gleam = np.float32(0.9) * shine
+    return dimmed(body + cv2.merge([gleam, gleam, gleam]), lit) * strength

@@ -160,5 +160,7 @@ def corners(depth_m: NDArray[np.float32], strength: float = 1.0) -> NDArray[np.f
     closed = np.zeros(small.shape, np.float32)
     for sigma, weight in ((2.5, 0.4), (7.0, 0.35), (18.0, 0.25)):
         around = cv2.GaussianBlur(near, (0, 0), sigma)
-        closed += weight * np.clip((around - near) * small, 0, 0.25)
-    return _grown(np.exp(-6 * strength * closed), depth_m.shape, step)
+        before = np.maximum(around - near, 0) * small
+        # What stands far before hides little of the light.
+        closed += weight * before / (before + 0.010) * 0.08 / (before + 0.08)
+    return _grown(1 - np.float32(0.95 * strength) * closed, depth_m.shape, step)

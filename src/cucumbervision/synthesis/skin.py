@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from cucumbervision.synthesis.tones import (
+    dimmed,
     jitter,
     mix,
     smooth_noise,
@@ -225,7 +226,7 @@ def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
         ridge_m=between(look.ridge_m),
         gloss=between(look.gloss),
         bloom=float(rng.beta(1.2, 4.0)),
-        neck=between((0.2, 0.8)),
+        neck=between((0.1, 0.65)),
         texture=int(rng.integers(len(assets.skins))) if photo else -1,
     )
 
@@ -272,11 +273,11 @@ def skin_maps(
     wobble = 0.25 * coarse
     color = _ground(skin, along, around, coarse, fine, assets, (row_m, column_m))
     warts, height = _warts(rng, skin, (rows, columns), (row_m, column_m))
-    color *= (1 + (skin.wart_tone - 1) * warts)[..., None]
     ridges = np.cos(skin.ridges * around + wobble)
     height += 0.5 * skin.ridge_m * ridges * smoothstep(0.0, 0.08, along * (1 - along) * 4)
     height += 0.00012 * coarse + 0.000015 * fine
-    color *= (1 + 0.12 * min(skin.ridge_m / 0.0005, 1.5) * ridges)[..., None]
+    tone = 1 + 0.12 * min(skin.ridge_m / 0.0005, 1.5) * ridges
+    color = dimmed(color, tone * (1 + (skin.wart_tone - 1) * warts))
     color = _ends(skin, color, along * length_m, length_m, wobble + 0.2 * fine)
     wax = np.clip(skin.bloom * (0.5 + 0.6 * coarse), 0, 0.5).astype(np.float32)
     color = mix(color, to_linear((196.0, 208.0, 196.0)), 0.5 * wax)
@@ -305,7 +306,7 @@ def _ground(
     color = mix(color, to_linear(skin.stripe), skin.stripe_strength * stripe * fade)
     if skin.texture >= 0 and assets.skins:
         color *= _close_up(assets.skins[skin.texture % len(assets.skins)], coarse.shape, texel_m)
-    return np.asarray(color * (1 + skin.mottle * (fine + 0.7 * coarse))[..., None])
+    return dimmed(color, 1 + skin.mottle * (fine + 0.7 * coarse))
 
 
 def _close_up(
@@ -357,8 +358,9 @@ def _ends(
     color = mix(color, to_linear((150, 128, 84)), 0.85 * smoothstep(0.0058, 0.0036, at / size))
     color = mix(color, to_linear((92, 70, 44)), 0.8 * smoothstep(0.0026, 0.0012, at / size))
     left = length_m - from_blossom_m + 0.0015 * noise
+    color = dimmed(color, 1 - 0.3 * smoothstep(0.2 * length_m, 0.04 * length_m, left))
     pale = to_linear((158, 182, 112))
-    color = mix(color, pale, skin.neck * smoothstep(0.022 * size, 0.004 * size, left))
+    color = mix(color, pale, skin.neck * smoothstep(0.016 * size, 0.004 * size, left))
     return mix(color, to_linear((188, 196, 140)), 0.7 * smoothstep(0.0045, 0.0025, left / size))
 
 

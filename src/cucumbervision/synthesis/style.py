@@ -26,7 +26,13 @@ SETTINGS = ("hanging", "bench", "crate")
 ROLES = ("leaf", "blossom", "stem", "stalk", "string")
 FAR = "far"
 
-_LEAVES = ((38.0, 66.0, 34.0), (52.0, 88.0, 40.0), (74.0, 112.0, 48.0), (104.0, 142.0, 62.0))
+_LEAVES = (
+    (42.0, 70.0, 38.0),
+    (50.0, 92.0, 38.0),
+    (66.0, 116.0, 42.0),
+    (84.0, 136.0, 46.0),
+    (112.0, 152.0, 60.0),
+)
 _FADED = ((150.0, 150.0, 66.0), (128.0, 104.0, 60.0))
 _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
     "blossom": (
@@ -249,7 +255,6 @@ def _leaf_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Colo
 
 def _stem_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
     main = {
-        role: _ROLE_COLORS[role][rng.integers(len(_ROLE_COLORS[role]))]
-        for role in ("blossom", "stem", "stalk", "string")
+        role: _ROLE_COLORS[role][rng.integers(len(_ROLE_COLORS[role]))] for role in _ROLE_COLORS
     }
     return tuple(jitter(rng, main.get(role, main["stem"]), 0.08) for role in roles)

@@ -14,7 +14,17 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import benchmark, calibrate, demo, evaluate, measure, models, train
+from cucumbervision.cli import (
+    benchmark,
+    calibrate,
+    demo,
+    detect,
+    evaluate,
+    measure,
+    models,
+    synth,
+    train,
+)
 from cucumbervision.errors import CucumberVisionError
 
 __all__ = ["app", "main"]
@@ -27,9 +37,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("measure", epilog=measure.EPILOG)(measure.measure)
+app.command("detect", epilog=detect.EPILOG)(detect.detect)
 app.command("demo")(demo.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("benchmark")(benchmark.benchmark)
+app.command("synth")(synth.synth)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(models.app, name="models")
 app.add_typer(train.app, name="train")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cucumbervision.session.options import MeasureOptions
     from cucumbervision.session.results import RunResult
 
-__all__ = ["results_table", "run_and_show"]
+__all__ = ["progress_bar", "results_table", "run_and_show"]
 
 MOST_ROWS = 40
 SIMULATED = "simulated captures are among them: drawn, not taken"
@@ -40,7 +40,7 @@ def run_and_show(
     Progress, notes and failures go to the standard error, results to the standard output.
     """
     errors = Console(stderr=True, quiet=quiet, highlight=False)
-    with _progress(errors) as bar:
+    with progress_bar(errors) as bar:
         task = bar.add_task("measuring", total=count_captures(inputs, options))
         result = measure_inputs(inputs, out, options, lambda *_: bar.advance(task))
     if as_json:
@@ -55,7 +55,11 @@ def run_and_show(
     return 1 if result.failures else 0
 
 
-def _progress(console: Console) -> Progress:
+def progress_bar(console: Console) -> Progress:
+    """Give the bar of a long command: share, speed, count, time gone and left.
+
+    It is shown on terminals only, and goes when it is done.
+    """
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

@@ -63,7 +63,8 @@ def write_coco(
     pictures = dataset.pictures
     if folder.resolve() != dataset.folder.resolve():
         pictures = _place_all(dataset, folder, link, progress)
-    images, annotations = [], []
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
     for number, picture in enumerate(pictures, 1):
         fragment = _fragment(picture)
         images.append({"id": number, **fragment["image"]})
@@ -137,9 +138,9 @@ def collect_fragments(
             ids = {k + 1: k for k in range(len(categories))}
             picture, bad = picture_of(data["image"], data["annotations"], ids, file)
         except (CucumberVisionError, KeyError, TypeError, ValueError) as error:
-            named = isinstance(error, CucumberVisionError)
-            fault = error if named else DataSetError(f"is no fragment ({error})", source=file)
-            refused.append(fault)
+            if not isinstance(error, CucumberVisionError):
+                error = DataSetError(f"is no fragment ({error})", source=file)
+            refused.append(error)
         else:
             pictures.append(picture)
             refused.extend(bad)

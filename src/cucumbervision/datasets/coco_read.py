@@ -264,7 +264,8 @@ def _box(values: Any, code: Rle | None, width: int, height: int) -> NDArray[np.f
     slack = 1.0  # tools round boxes to whole pixels
     if (box[:2] < -slack).any() or box[2] > width + slack or box[3] > height + slack:
         raise ValueError(f"its box {numbers} reaches beyond the picture of {width}x{height}")
-    return np.clip(box, 0, [width, height, width, height]) - 0.5
+    cut: NDArray[np.float64] = np.clip(box, 0, [width, height, width, height]) - 0.5
+    return cut
 
 
 def _mask(shape: Any, width: int, height: int) -> Rle | None:

@@ -74,7 +74,8 @@ def _straightened(points: NDArray[np.float64]) -> NDArray[np.float64]:
     after = np.roll(points, -1, axis=0) - points
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     kept = (cross != 0) | ((before * after).sum(axis=1) < 0)
-    return points[kept]
+    straight: NDArray[np.float64] = points[kept]
+    return straight
 
 
 def _area(points: NDArray[np.float64]) -> float:

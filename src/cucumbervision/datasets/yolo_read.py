@@ -115,8 +115,19 @@ def read_yolo(
             continue
         labels, bad = _read_labels(label_file(file), found, index, width, height)
         refused.extend(bad)
-        origin = {"source": source, "licence": licence, **origins.get(name, {})}
-        pictures.append(LabelledPicture(name, width, height, tuple(labels), split=split, **origin))
+        origin = origins.get(name, {})
+        pictures.append(
+            LabelledPicture(
+                name,
+                width,
+                height,
+                tuple(labels),
+                scene=origin.get("scene", ""),
+                split=split,
+                source=origin.get("source", source),
+                licence=origin.get("licence", licence),
+            )
+        )
     return DataSet(found.folder, tuple(pictures), categories, refused=tuple(refused))
 
 

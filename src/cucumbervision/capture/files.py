@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COLOR_SUFFIXES",
     "DEPTH_SUFFIXES",
+    "PHOTO_SUFFIXES",
     "parse_model",
     "read_arrays",
     "read_bytes",
@@ -26,13 +27,16 @@ __all__ = [
     "read_depth",
     "read_json",
     "read_mask",
+    "read_photo",
     "write_bytes",
     "write_png",
 ]
 
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
+PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
 DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".npz"})
 
+_GREY = 114  # what stands for nothing in a network's input too
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 
@@ -74,6 +78,48 @@ def read_color(path: Path) -> NDArray[np.uint8]:
     # A picture's EXIF orientation must not turn it: depth would not turn with it.
     image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return cast("NDArray[np.uint8]", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+
+
+def read_photo(path: Path) -> NDArray[np.uint8]:
+    """Read a plain picture the way a viewer shows it.
+
+    Its EXIF orientation turns it, 16 bits become 8, grey becomes colour, and what is transparent
+    lies on grey.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated or no picture of whole numbers.
+    """
+    import cv2
+
+    colour = _photo_levels(path, _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH))
+    opaque = path.suffix.lower() in {".jpg", ".jpeg"}
+    raw = colour if opaque else _decode(path, cv2.IMREAD_UNCHANGED)
+    if raw.ndim == 3 and raw.shape[2] == 4:
+        alpha = _photo_levels(path, raw)[..., 3:].astype(np.float32) / 255
+        # The transparent plane comes as it was stored: it fits where nothing was turned.
+        stored = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if stored.shape == colour.shape:
+            colour = np.rint(colour * alpha + _GREY * (1 - alpha)).astype(np.uint8)
+    return cast("NDArray[np.uint8]", cv2.cvtColor(colour, cv2.COLOR_BGR2RGB))
+
+
+def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
+    if image.dtype == np.uint8:
+        return image
+    if image.dtype == np.uint16:
+        return np.rint(image / 257.0).astype(np.uint8)
+    raise CaptureError(
+        f"its levels are {image.dtype}, of which nobody knows the white",
+        source=path,
+        remedy="save it with 8 or 16 bits a colour",
+    )
 
 
 def read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -168,7 +214,6 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _decode(path: Path, flags: int) -> NDArray[Any]:
-    import cv2
 
     data = read_bytes(path)
     # OpenCV gives a truncated picture with its missing part grey, as if nothing were wrong.
@@ -177,10 +222,7 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
     )
     image = None
     if not truncated:
-        try:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-        except cv2.error:
-            image = None
+        image = _decoded(data, flags)
     if image is None:
         raise CaptureError(
             "is truncated or damaged" if truncated else "is no picture that can be read",
@@ -188,6 +230,19 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
             remedy="copy or export it again",
         )
     return cast("NDArray[Any]", image)
+
+
+def _decoded(data: bytes, flags: int) -> NDArray[Any] | None:
+    import cv2
+
+    # OpenCV would tell of a broken file itself, in lines of its own.
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cast("NDArray[Any] | None", cv2.imdecode(np.frombuffer(data, np.uint8), flags))
+    except cv2.error:
+        return None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def _whole_png(data: bytes) -> bool:

@@ -103,6 +103,16 @@ class Detectors:
             pose = _load_named(registry, own_pose.name, options, models)
         return cls(detector, pose)
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The detector's class names, in its order; empty where it names none."""
+        return tuple(name for _, name in sorted(self._detector.names.items()))
+
+    @property
+    def gives_keypoints(self) -> bool:
+        """Whether fruit may come with keypoints."""
+        return self._pose is not None or self._detector.task == "pose"
+
     def find(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
         """Find the fruit of one picture, each once.
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.results import Fruit, Measurement
     from cucumbervision.session.rows import Cell
 
-__all__ = ["draw_overlay"]
+__all__ = ["COLORS", "draw_label", "draw_overlay", "tint_mask"]
 
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -58,7 +58,7 @@ def draw_overlay(
             _draw_path(picture, one.selected, capture.intrinsics, color, size)
     for number, one in enumerate(fruit, start=1):
         row = _own_length(one) if rows is None else rows[number - 1]
-        _draw_label(picture, _label(number, one, row), one.instance.box, size)
+        draw_label(picture, _label(number, one, row), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
@@ -72,7 +72,16 @@ def _draw_region(
         x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
         cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
         return
-    inside = fruit.mask
+    tint_mask(picture, fruit.mask, color, size)
+
+
+def tint_mask(
+    picture: NDArray[np.uint8],
+    inside: NDArray[np.bool_],
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    """Tint a mask's pixels and draw its outline, in place; `size` scales the lines."""
     picture[inside] = ((1 - TINT) * picture[inside] + TINT * np.array(color)).astype(np.uint8)
     outline = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, outline[0], -1, color, max(1, round(1.5 * size)), cv2.LINE_AA)
@@ -113,9 +122,10 @@ def _label(number: int, fruit: Fruit, row: Mapping[str, Cell]) -> str:
     return f"{number}: {least}{length_cm:.1f} cm {row['length_kind']}, {method}"
 
 
-def _draw_label(
+def draw_label(
     picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
 ) -> None:
+    """Write a label above a box, or below where there is no room, in place."""
     (width, height), _ = cv2.getTextSize(label, FONT, 0.65 * size, max(1, round(2 * size)))
     x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
     above = box[1] - 10 * size

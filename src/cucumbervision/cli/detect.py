@@ -1,0 +1,74 @@
+"""`cucumbervision detect`: plain pictures in, cucumbers found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cucumbervision.cli.choices import PromptChoice, RuntimeChoice, SegmenterChoice
+
+__all__ = ["EPILOG", "detect"]
+
+EPILOG = (
+    "Exit codes: 0 every picture was read, even if no fruit is in it; 1 some could not be read "
+    "(see failures.csv), the others were looked at; 2 nothing could be done."
+)
+
+
+def detect(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="IMAGE...",
+            help="Pictures (JPEG, PNG, WebP, TIFF, BMP), folders of them, or patterns: 'a/*.jpg'.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and pictures.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(help="YOLO .onnx of your own for the package's detector.", metavar="FILE"),
+    ] = None,
+    pose: Annotated[
+        Path | None,
+        typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
+    ] = None,
+    segmenter: Annotated[
+        SegmenterChoice, typer.Option(help="Who draws the masks; none keeps the detector's.")
+    ] = SegmenterChoice.mobile_sam,
+    prompt: Annotated[PromptChoice, typer.Option(help="What SAM is shown.")] = PromptChoice.both,
+    confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
+    ] = 0.30,
+    overlays: Annotated[
+        bool, typer.Option("--overlays/--no-overlays", help="Write annotated pictures.")
+    ] = True,
+    runtime: Annotated[
+        RuntimeChoice, typer.Option(help="What runs the networks.")
+    ] = RuntimeChoice.auto,
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="Let networks compute in half precision where the processor can: quicker, but "
+            "outlines may differ a little from machine to machine.",
+        ),
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
+    from cucumbervision.cli.detect_console import run_and_show
+    from cucumbervision.session.detect import DetectOptions
+
+    options = DetectOptions(
+        model=model,
+        pose=pose,
+        segmenter=segmenter.value,
+        prompt=prompt.value,
+        confidence=confidence,
+        runtime=runtime.value,
+        full_precision=not fast,
+        overlays=overlays,
+    )
+    raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet))

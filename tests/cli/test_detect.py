@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.cli.detect_console import summary_table
+from cucumbervision.session.detect import DetectResult, Looked
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    code = "from cucumbervision.cli.app import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, "detect", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture
+def detector(tmp_path: Path) -> Path:
+    """A detecting network that finds one box, whatever it sees."""
+    onnx = pytest.importorskip("onnx")
+    helper, kind = onnx.helper, onnx.TensorProto
+    rows = np.zeros((1, 300, 6), np.float32)
+    rows[0, 0] = [8, 8, 40, 30, 0.75, 0]
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+        helper.make_node("Add", ["rows", "nothing"], ["output"]),
+    ]
+    constants = [
+        onnx.numpy_helper.from_array(np.float32(0), "zero"),
+        onnx.numpy_helper.from_array(rows, "rows"),
+    ]
+    images = helper.make_tensor_value_info("images", kind.FLOAT, (1, 3, 64, 64))
+    output = helper.make_tensor_value_info("output", kind.FLOAT, rows.shape)
+    graph = helper.make_graph(nodes, "g", [images], [output], constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(
+        model, {"names": "{0: 'cucumber'}", "task": "detect", "end2end": "True", "stride": "32"}
+    )
+    path = tmp_path / "one-box.onnx"
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_detect_shows_a_summary_and_writes_its_files(tmp_path: Path, detector: Path) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    cv2.imwrite(str(photos / "a.png"), np.full((64, 64, 3), 90, np.uint8))
+    (photos / "b.png").write_bytes(b"no picture")
+    (photos / "c.txt").write_text("")
+    out = tmp_path / "out"
+    common = ("--model", str(detector), "--segmenter", "none", "--out", str(out))
+    done = run(str(photos), *common)
+    assert done.returncode == 1, done.stderr
+    table = {line.split("│")[1].strip(): line.split("│")[2].strip()
+             for line in done.stdout.splitlines() if line.startswith("│")}  # fmt: skip
+    assert (table["pictures"], table["fruit"], table["mean score"]) == ("1", "1", "0.75")
+    assert table["no pictures, skipped"] == "1"
+    assert "median" in table["seconds a picture"]
+    assert "b.png: is no picture" in done.stderr
+    assert {p.name for p in out.iterdir()} == {
+        "results.json",
+        "images.json",
+        "failures.csv",
+        "overlays",
+    }
+    quiet = run(f"{photos}/a.*", *common, "--quiet", "--no-overlays", "--fast")
+    assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+def test_what_cannot_start_is_exit_code_2(tmp_path: Path) -> None:
+    done = run(str(tmp_path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "there are no pictures" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_summary_counts_pictures_without_fruit() -> None:
+    looked = [Looked("a", (0.9, 0.7), 0.5), Looked("b", (), 0.1), Looked("c", (), 0.2)]
+    table = summary_table(DetectResult(looked, models=[{"name": "x", "runtime": "y"}]))
+    cells = dict(zip(*(list(column.cells) for column in table.columns), strict=True))
+    assert cells == {
+        "pictures": "3, 2 without fruit",
+        "fruit": "2",
+        "mean score": "0.80",
+        "seconds a picture": "0.20 (median)",
+        "networks": "x on y",
+    }
+    empty = summary_table(DetectResult())
+    assert list(empty.columns[1].cells)[2:4] == ["", ""]

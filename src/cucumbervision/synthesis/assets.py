@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SHOWS_FRUIT", "Assets", "load_assets"]
 
-SHOWS_FRUIT = ("fruit", "rot_", "cucumber_healthy")
+SHOWS_FRUIT = ("fruit", "rot_")
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 _LIGHTS = {".hdr", ".exr"}

@@ -68,7 +68,7 @@ def blade_texture(number: int) -> NDArray[np.float32]:
     patches = smooth_noise(rng, s.shape, 50)
     grain = smooth_noise(rng, s.shape, 3)
     tone = 1 + 0.14 * patches + 0.09 * grain + 0.22 * blisters
-    return np.stack([tone, vein, 4.5 * along, 4.5 * across], axis=-1).astype(np.float32)
+    return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
 
 
 def blade_photo(rng: np.random.Generator, assets: Assets) -> NDArray[np.float32] | None:

@@ -94,8 +94,9 @@ def _even(rng: np.random.Generator) -> NDArray[np.float32]:
 
 def _boards(rng: np.random.Generator) -> NDArray[np.float32]:
     grain = smooth_noise(rng, (_SIZE, _SIZE), (3, 90), wrap=True)
-    rings = np.sin(14 * smooth_noise(rng, (_SIZE, _SIZE), (70, 400), wrap=True))
-    tone = 1 + 0.14 * grain + 0.08 * rings
+    broad = smooth_noise(rng, (_SIZE, _SIZE), (14, 300), wrap=True)
+    knots = smooth_noise(rng, (_SIZE, _SIZE), (1, 40), wrap=True)
+    tone = 1 + 0.12 * grain + 0.10 * broad + 0.05 * knots
     count = int(rng.integers(1, 9))
     board = np.arange(_SIZE) * count // _SIZE
     tone = tone * rng.uniform(0.8, 1.15, count).astype(np.float32)[board][:, None]
@@ -192,7 +193,7 @@ def _photo(
 ) -> NDArray[np.float32]:
     picture = pictures[rng.integers(len(pictures))]
     rows, columns = picture.shape[:2]
-    scale = rng.uniform(0.35, 1.0) * min(columns / width, rows / height)
+    scale = rng.uniform(0.5, 1.0) * min(columns / width, rows / height)
     wide, tall = max(int(scale * width), 2), max(int(scale * height), 2)
     top, left = int(rng.integers(rows - tall + 1)), int(rng.integers(columns - wide + 1))
     piece = picture[top : top + tall, left : left + wide]

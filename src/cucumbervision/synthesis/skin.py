@@ -315,7 +315,8 @@ def _close_up(
     # Mirrored about the fruit and along it, so that it has no seam; its own light and colour out.
     size = tuple(max(int(_TILE_M / m), 4) for m in reversed(texel_m))
     tile = to_linear(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-    tile /= cv2.GaussianBlur(tile, (0, 0), max(size[0] / 5, 1.0)) + 0.01
+    tile /= cv2.GaussianBlur(tile, (0, 0), max(size[0] / 5, 1.0)) + np.float32(0.01)
+    tile = np.clip(tile, 0.5, 2.0)
     half = -(-shape[1] // 2)
     rows, columns = max(shape[0] - tile.shape[0], 0), max(half - tile.shape[1], 0)
     wide = np.pad(tile, ((0, rows), (0, columns), (0, 0)), "symmetric")[: shape[0], :half]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,8 +50,13 @@ _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
         (40.0, 40.0, 42.0),
     ),
 }
-_BENCHES = ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil")
-_CRATES = ("plastic", "mesh", "wood", "cardboard")
+_PLANES: dict[str, tuple[str, ...]] = {
+    "bench": ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil"),
+    "crate": ("plastic", "mesh", "wood", "cardboard"),
+    "floor": ("concrete", "soil", "film", "paper", "cloth"),
+    "wall": ("film", "plastic", "concrete", "wood", "paper"),
+    "far": (FAR,),
+}
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,7 @@ def random_style(
     *,
     leaf_roles: Sequence[str] | None = None,
     stem_roles: Sequence[str] | None = None,
+    plane_roles: Sequence[str] | None = None,
     varieties: Sequence[str] | None = None,
     up: Vector | None = None,
 ) -> Style:
@@ -123,6 +129,10 @@ def random_style(
     leaf_roles, stem_roles : sequence of str, optional
         What each leaf and stem is; by default all leaves are leaves, and stems of less than
         2.5 mm radius strings.
+    plane_roles : sequence of str, optional
+        What each plane is: "bench", "crate", "floor", "wall" or "far" (shows the far view); by
+        default the first is a bench when fruit lie on one, all are a crate's in a crate, and the
+        rest are far.
     varieties : sequence of str, optional
         What each fruit is (`skin.LOOKS`); by default most fruit of a scene are of one variety.
     up : tuple of float, optional
@@ -136,7 +146,7 @@ def random_style(
     Raises
     ------
     ValueError
-        If the setting is none of these.
+        If the setting or a role is none of these.
 
     Examples
     --------
@@ -148,12 +158,12 @@ def random_style(
     >>> len(style.materials), style.light.up
     (1, (0.0, 0.0, -1.0))
     """
-    if setting not in SETTINGS:
-        raise ValueError(f"no setting {setting!r}: choose one of {', '.join(SETTINGS)}")
+    _check(setting, (*(leaf_roles or ()), *(stem_roles or ())), plane_roles or ())
     leaves = tuple(leaf_roles) if leaf_roles is not None else ("leaf",) * len(scene.leaves)
     stems = tuple(stem_roles) if stem_roles is not None else _stem_roles(scene)
     light = random_light(rng, assets, _up(scene, setting) if up is None else up)
-    materials = _materials(rng, scene, setting)
+    planes = tuple(plane_roles or _plane_roles(len(scene.planes), setting))
+    materials = _materials(rng, planes)
     far = str(rng.choice(["photo", "leaves", "film", "dark"], p=[0.45, 0.25, 0.22, 0.08]))
     return Style(
         skins=_skins(rng, scene, assets, varieties),
@@ -165,11 +175,22 @@ def random_style(
         stem_colors=_stem_colors(rng, stems),
         leaf_roles=leaves,
         stem_roles=stems,
-        leaf_gloss=float(rng.uniform(0.05, 0.6)),
+        leaf_gloss=float(rng.uniform(0.05, 0.4)),
         leaf_relief=float(rng.uniform(0.15, 0.7)),
         leaf_photo=float(rng.uniform(0.3, 1.0)) if assets.leaves and rng.random() < 0.6 else 0.0,
         gloom_per_m=float(rng.uniform(0.0, 2.5)),
     )
+
+
+def _check(setting: str, roles: Sequence[str], plane_roles: Sequence[str]) -> None:
+    for given, known, what in (
+        ((setting,), SETTINGS, "setting"),
+        (roles, ROLES, "role of a leaf or stem"),
+        (plane_roles, tuple(_PLANES), "role of a plane"),
+    ):
+        for name in given:
+            if name not in known:
+                raise ValueError(f"no {what} {name!r}: choose one of {', '.join(known)}")
 
 
 def _up(scene: Scene, setting: str) -> Vector:
@@ -205,8 +226,6 @@ def _skins(
 
 def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
     # Fruit of one plant are alike, but not the same: some ripen, some grow pale.
-    from dataclasses import replace
-
     return replace(
         kin,
         base=jitter(rng, kin.base, 0.10),
@@ -218,15 +237,17 @@ def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
     )
 
 
-def _materials(rng: np.random.Generator, scene: Scene, setting: str) -> tuple[str, ...]:
-    if setting == "hanging":
-        return (FAR,) * len(scene.planes)
+def _plane_roles(count: int, setting: str) -> tuple[str, ...]:
     if setting == "crate":
-        sides = str(rng.choice(_CRATES))
-        floor = str(rng.choice((sides, "paper", "plastic", "mesh")))
-        return (floor, *[sides] * (len(scene.planes) - 1))[: len(scene.planes)]
-    bench = str(rng.choice(_BENCHES))
-    return (bench, *[FAR] * (len(scene.planes) - 1))[: len(scene.planes)]
+        return ("crate",) * count
+    first = "bench" if setting == "bench" else "far"
+    return (first, *["far"] * (count - 1))[:count]
+
+
+def _materials(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[str, ...]:
+    # All planes of a role are of one make: a crate has four sides.
+    known = {role: str(rng.choice(_PLANES[role])) for role in sorted(set(roles))}
+    return tuple(known[role] for role in roles)
 
 
 def _material_colors(rng: np.random.Generator, materials: tuple[str, ...]) -> tuple[Color, ...]:

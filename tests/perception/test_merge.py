@@ -108,7 +108,7 @@ def test_fruit_that_touch_stay_two(gap: int, long: int, wide: int) -> None:
 @given(data=st.data())
 def test_shifted_repeats_change_no_count_and_order_no_result(data: st.DataObject) -> None:
     # Three fruit side by side, each found up to three times, a few pixels off.
-    fruit = []
+    fruit: list[Instance] = []
     for k in range(3):
         for _ in range(data.draw(st.integers(1, 3))):
             shift = data.draw(st.integers(-8, 8))

@@ -107,7 +107,8 @@ def own_registry(
             for path in package.resolve(model.name).values():
                 (folder / "weights" / path.name).symlink_to(path)
     for task, name in (("segment", "tiny-seg"), ("pose", "tiny-pose")):
-        file = shutil.copy(own_networks[task], folder / "weights" / f"{name}.onnx")
+        file = folder / "weights" / f"{name}.onnx"
+        shutil.copy(own_networks[task], file)
         files = f'{{ role = "network", file = "{file.name}", sha256 = "{file_sha256(file)}" }}'
         entries.append((name, task, "AGPL-3.0-only", files))
     text = "".join(

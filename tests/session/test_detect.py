@@ -98,9 +98,8 @@ def test_coco_tools_load_and_score_it(
     run: tuple[DetectResult, list[tuple[int, int]]], row_a: Capture, tmp_path: Path
 ) -> None:
     coco = pytest.importorskip("pycocotools.coco")
-    from pycocotools import mask as coder
-    from pycocotools.cocoeval import COCOeval
-
+    coder = pytest.importorskip("pycocotools.mask")
+    evaluation = pytest.importorskip("pycocotools.cocoeval")
     result, _ = run
     page = read(result, "images.json")
     for image in page["images"]:
@@ -121,7 +120,7 @@ def test_coco_tools_load_and_score_it(
     truth_set = coco.COCO(str(tmp_path / "truth.json"))
     found = truth_set.loadRes(str(result.out / "results.json"))
     for kind in ("bbox", "segm", "keypoints"):
-        scored = COCOeval(truth_set, found, kind)
+        scored = evaluation.COCOeval(truth_set, found, kind)
         if kind == "keypoints":
             scored.params.kpt_oks_sigmas = np.full(5, 0.05)
         scored.evaluate()

@@ -281,15 +281,18 @@ def _stem(
         run[closer] = (k + share[closer]) * np.sqrt(long[k])
     normal = layers.normal[at] = _unit(normal)
     color = to_linear(style.stem_colors[index])
-    if style.stem_roles[index] == "string":
+    role = style.stem_roles[index]
+    if role == "string":
         tone = 1 + 0.2 * np.sin(run * 1600 + 6 * normal[:, 0])
+    elif role == "crate":
+        tone = 1 + 0.1 * sample(smooth_noise(rng, (64, 4), (6, 1), wrap=True), 0 * run, 90 * run)
     else:
         noise = smooth_noise(rng, (64, 4), (3, 1), wrap=True)
         tone = 1 + 0.12 * sample(noise, 2 + 2 * normal[:, 0], run * 400 % 63)
         tone *= 1 + 0.06 * np.cos(9 * np.arctan2(normal[:, 0], -normal[:, 2]))
     layers.albedo[at] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
     layers.gloss[at] = np.float32(0.15)
-    layers.through[at] = np.float32(0.1)
+    layers.through[at] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
 
 
 def _plane(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["FAR", "ROLES", "SETTINGS", "Style", "random_style"]
 
 SETTINGS = ("hanging", "bench", "crate")
-ROLES = ("leaf", "blossom", "stem", "stalk", "string")
+ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
 FAR = "far"
 
 _LEAVES = (
@@ -48,6 +48,14 @@ _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
         (170.0, 170.0, 166.0),
         (140.0, 116.0, 84.0),
         (40.0, 40.0, 42.0),
+    ),
+    "crate": (
+        (42.0, 44.0, 46.0),
+        (40.0, 100.0, 60.0),
+        (40.0, 90.0, 160.0),
+        (190.0, 160.0, 118.0),
+        (200.0, 202.0, 204.0),
+        (170.0, 50.0, 40.0),
     ),
 }
 _PLANES: dict[str, tuple[str, ...]] = {
@@ -78,7 +86,7 @@ class Style:
     leaf_colors, stem_colors : tuple of tuple of float
         One a leaf or stem, sRGB, 0 to 255.
     leaf_roles, stem_roles : tuple of str
-        One a leaf or stem: "leaf", "blossom"; "stem", "stalk", "string".
+        One a leaf or stem: "leaf", "blossom"; "stem", "stalk", "string", "blossom", "crate".
     leaf_gloss, leaf_relief : float
         How leaves shine, and how blistered they are, 0 to 1.
     leaf_photo : float

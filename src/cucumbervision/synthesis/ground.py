@@ -95,7 +95,7 @@ def _even(rng: np.random.Generator) -> NDArray[np.float32]:
 def _boards(rng: np.random.Generator) -> NDArray[np.float32]:
     grain = smooth_noise(rng, (_SIZE, _SIZE), (3, 90), wrap=True)
     broad = smooth_noise(rng, (_SIZE, _SIZE), (14, 300), wrap=True)
-    knots = smooth_noise(rng, (_SIZE, _SIZE), (1, 40), wrap=True)
+    knots = smooth_noise(rng, (_SIZE, _SIZE), (2, 40), wrap=True)
     tone = 1 + 0.12 * grain + 0.10 * broad + 0.05 * knots
     count = int(rng.integers(1, 9))
     board = np.arange(_SIZE) * count // _SIZE

@@ -150,10 +150,11 @@ def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightM
     if light.environment >= 0 and assets.environments:
         sky = assets.environments[light.environment % len(assets.environments)]
         sky = np.minimum(sky, _PEAK * sky.mean())
+        # A camera's white balance takes most of a sky's colour away.
+        sky = 0.6 * sky + 0.4 * sky.mean(axis=2, keepdims=True)
     else:
         sky = _drawn_sky(rng, light)
     nine = harmonics(sky)
-    # Half as much all round: no light is so one-sided among leaves and walls.
     level = float(irradiance(nine, np.array([[0.0, 0.0, 1.0]])).mean()) / np.pi
     sky, nine = sky / level, nine / level
     frame = _world(light)

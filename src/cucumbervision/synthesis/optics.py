@@ -82,7 +82,7 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
     True
     """
     scale = width / 1280
-    moved = rng.random() < 0.25
+    moved = rng.random() < 0.2
     dark = float(rng.beta(1.2, 5.0))
     return Exposure(
         stops=float(rng.normal(-0.1, 0.6)),
@@ -91,10 +91,10 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
         contrast=float(rng.uniform(0.9, 1.25)),
         saturation=float(rng.uniform(0.65, 1.12)),
         blur_px=float(rng.uniform(0.35, 0.6) + scale * rng.gamma(1.2, 0.4)),
-        motion_px=float(scale * rng.gamma(2.0, 3.0)) if moved else 0.0,
+        motion_px=float(scale * rng.gamma(2.0, 2.2)) if moved else 0.0,
         motion_deg=float(rng.uniform(0, 180)),
         focus_m=float(rng.uniform(0.4, 1.0)),
-        aperture_px_m=float(scale * rng.choice([0.0, rng.uniform(0.5, 5.0)])),
+        aperture_px_m=float(scale * rng.choice([0.0, rng.uniform(0.3, 3.0)])),
         shot=0.0001 + 0.004 * dark,
         read=0.0005 + 0.008 * dark,
         vignette=float(rng.uniform(0.0, 0.35)),

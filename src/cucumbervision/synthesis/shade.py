@@ -121,7 +121,10 @@ def paint_scene(
         elif kind == Kind.PLANE and style.materials[index] != FAR:
             name = style.materials[index]
             if name not in tiles:
-                tiles[name] = material_tile(rng, name, style.material_colors[index])
+                tile = material_tile(rng, name, style.material_colors[index])
+                # As coarse as the picture sees it, else its grain would flicker.
+                coarse = float(np.median(here[:, 2])) / camera.fx_px * tile.shape[0] / TILE_M
+                tiles[name] = cv2.GaussianBlur(tile, (0, 0), max(0.5 * coarse, 0.1))
             _plane(layers, at, scene.planes[index], tiles[name], name, here)
         else:
             layers.albedo[at] = far[at]

@@ -280,7 +280,7 @@ def skin_maps(
     color = dimmed(color, tone * (1 + (skin.wart_tone - 1) * warts))
     color = _ends(skin, color, along * length_m, length_m, wobble + 0.2 * fine)
     wax = np.clip(skin.bloom * (0.5 + 0.6 * coarse), 0, 0.5).astype(np.float32)
-    color = mix(color, to_linear((196.0, 208.0, 196.0)), 0.5 * wax)
+    color = mix(color, to_linear((196.0, 208.0, 196.0)), 0.4 * wax)
     gloss = np.clip(skin.gloss * (1 - 0.9 * wax) * (1 + 0.15 * fine), 0, 1)
     relief = np.stack([*_slopes(height, row_m, column_m), gloss], axis=-1)
     return SkinMaps(np.clip(color, 0.002, 0.9), relief.astype(np.float32))
@@ -317,6 +317,10 @@ def _close_up(
     tile = to_linear(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
     tile /= cv2.GaussianBlur(tile, (0, 0), max(size[0] / 5, 1.0)) + np.float32(0.01)
     tile = np.clip(tile, 0.5, 2.0)
+    # Streaks run along a fruit, whichever way the close-up was held.
+    grey = cv2.GaussianBlur(tile.mean(axis=2), (0, 0), max(size[0] / 40, 0.5))
+    if np.abs(np.diff(grey, axis=0)).sum() > np.abs(np.diff(grey, axis=1)).sum():
+        tile = tile.transpose(1, 0, 2)
     half = -(-shape[1] // 2)
     rows, columns = max(shape[0] - tile.shape[0], 0), max(half - tile.shape[1], 0)
     wide = np.pad(tile, ((0, rows), (0, columns), (0, 0)), "symmetric")[: shape[0], :half]

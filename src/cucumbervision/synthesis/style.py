@@ -139,8 +139,7 @@ def random_style(
         2.5 mm radius strings.
     plane_roles : sequence of str, optional
         What each plane is: "bench", "crate", "floor", "wall" or "far" (shows the far view); by
-        default the first is a bench when fruit lie on one, all are a crate's in a crate, and the
-        rest are far.
+        default the first is a bench unless fruit hang, and the rest are far.
     varieties : sequence of str, optional
         What each fruit is (`skin.LOOKS`); by default most fruit of a scene are of one variety.
     up : tuple of float, optional
@@ -246,9 +245,7 @@ def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
 
 
 def _plane_roles(count: int, setting: str) -> tuple[str, ...]:
-    if setting == "crate":
-        return ("crate",) * count
-    first = "bench" if setting == "bench" else "far"
+    first = "far" if setting == "hanging" else "bench"
     return (first, *["far"] * (count - 1))[:count]
 
 

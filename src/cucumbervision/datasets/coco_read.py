@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["ANNOTATIONS", "ROBOFLOW", "picture_of", "read_coco"]
+__all__ = ["ANNOTATIONS", "ROBOFLOW", "coco_files", "picture_of", "read_coco"]
 
 ANNOTATIONS = "annotations.json"
 ROBOFLOW = "_annotations.coco.json"
@@ -70,6 +70,11 @@ def read_coco(path: Path) -> DataSet:
         refused.extend(bad)
     points = _keypoint_names(files[0])
     return DataSet(root, tuple(pictures), tuple(names), points, refused=tuple(refused))
+
+
+def coco_files(path: Path) -> list[Path]:
+    """Give the COCO files of a set: one, or one a split."""
+    return [source.file for source in _find(path)]
 
 
 def _find(path: Path) -> list[_Source]:

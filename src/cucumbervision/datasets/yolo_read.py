@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.files import read_bytes, read_json
+from cucumbervision.datasets.classes import class_index
 from cucumbervision.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision.datasets.pictures import list_pictures, picture_size
 from cucumbervision.datasets.rle import Rle
@@ -102,7 +103,10 @@ def read_yolo(
     [19.5, 14.5, 59.5, 44.5]
     """
     found = find_yolo(path, names)
-    categories, index = _kept(found.names, keep)
+    if keep is None:
+        index, categories = {k: k for k in range(len(found.names))}, found.names
+    else:
+        index, categories = class_index(found.names, keep)
     origins = _origins(found.folder)
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
@@ -242,27 +246,6 @@ def label_file(picture: Path) -> Path:
             parts[k] = "labels"
             break
     return Path(*parts).with_suffix(".txt")
-
-
-def _kept(
-    names: Sequence[str], keep: Mapping[int | str, str] | None
-) -> tuple[tuple[str, ...], dict[int, int]]:
-    """Give the new categories and each kept class's index among them."""
-    if keep is None:
-        return tuple(names), {k: k for k in range(len(names))}
-    wanted = {str(k): v for k, v in keep.items()}
-    unknown = [k for k in wanted if k not in names and not (k.isdecimal() and int(k) < len(names))]
-    if unknown:
-        raise DataSetError(
-            f"no class is called {', '.join(unknown)}", remedy=f"there are {', '.join(names)}"
-        )
-    categories = tuple(dict.fromkeys(wanted.values()))
-    index = {}
-    for k, name in enumerate(names):
-        new = wanted.get(name, wanted.get(str(k)))
-        if new is not None:
-            index[k] = categories.index(new)
-    return categories, index
 
 
 def _origins(folder: Path) -> dict[str, dict[str, str]]:

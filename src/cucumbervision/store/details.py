@@ -9,10 +9,12 @@ from sqlalchemy import select
 from sqlalchemy.orm import aliased
 
 from cucumbervision.errors import StoreError
+from cucumbervision.store.groups import group_fruit
 from cucumbervision.store.lines import (
     CAPTURE_CELLS,
     FRUIT_CELLS,
     METHOD_CELLS,
+    built,
     cells_of,
     fruit_from_json,
     image_ref,
@@ -107,7 +109,8 @@ def _captures(connection: Connection, stop_id: int) -> tuple[CaptureRecord, ...]
         .order_by(CaptureLine.number)
     )
     return tuple(
-        CaptureRecord(
+        built(
+            CaptureRecord,
             *row[4:],
             *(images.get(sha256) for sha256 in row[1:4]),
             tuple(fruit.get(row[0], ())),
@@ -137,7 +140,7 @@ def _fruit_of_stop(connection: Connection, stop_id: int) -> dict[int, list[Fruit
         .order_by(MethodLine.fruit_id, MethodLine.number)
     )
     for row in cells_of(connection, of_methods):
-        one = MethodRecord(*row[3:], points(row[1]), unpack_um(row[2]))
+        one = built(MethodRecord, *row[3:], points(row[1]), unpack_um(row[2]))
         methods.setdefault(row[0], []).append(one)
     of_fruit = (
         select(
@@ -155,7 +158,7 @@ def _fruit_of_stop(connection: Connection, stop_id: int) -> dict[int, list[Fruit
     fruit: dict[int, list[FruitRecord]] = {}
     for row in cells_of(connection, of_fruit):
         keypoints = tuple(tuple(point) for point in row[2])
-        one_fruit = FruitRecord(*row[4:], keypoints, row[3], tuple(methods.get(row[0], ())))
+        one_fruit = built(FruitRecord, *row[4:], keypoints, row[3], tuple(methods.get(row[0], ())))
         fruit.setdefault(row[1], []).append(one_fruit)
     return fruit
 
@@ -183,9 +186,12 @@ def fruit_detail(connection: Connection, key: str) -> FruitDetail:
     stop = stop_record(connection, stop_key)
     capture = stop.captures[capture_number]
     original = next(one for one in capture.fruit if one.number == number)
-    view = next(one for one in fruit_views(connection, round_key) if one.key == key)
+    all_links = link_records(connection, round_key)
+    group = group_fruit({key, *(end for x in all_links for end in (x.first, x.second))}, all_links)
+    views = fruit_views(connection, round_key, sorted(group[key]))
+    view = next(one for one in views if one.key == key)
     corrected = _correction(connection, fruit_id)
-    links = [x for x in link_records(connection, round_key) if key in (x.first, x.second)]
+    links = [x for x in all_links if key in (x.first, x.second)]
     log = [action for action in action_views(connection, round_key, None) if key in action.fruit]
     return FruitDetail(
         replace(view, record=corrected or original),
@@ -230,6 +236,6 @@ def action_views(
     if round_key is not None:
         query = query.where(Round.key == checked_key(round_key, "round"))
     return [
-        ActionView(*row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
+        built(ActionView, *row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
         for row in cells_of(connection, query)
     ]

@@ -97,7 +97,8 @@ def make_engine(url: URL) -> Engine:
     """
     if url.get_backend_name() != "sqlite":
         try:
-            return create_engine(url, pool_pre_ping=True)
+            # A server whose databases have no encoding would give bytes for texts.
+            return create_engine(url, pool_pre_ping=True, connect_args={"client_encoding": "utf8"})
         except ModuleNotFoundError:
             raise MissingExtraError("psycopg", "postgres") from None
     Path(url.database or "").absolute().parent.mkdir(parents=True, exist_ok=True)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from cucumbervision.store.views import FruitView, LinkKind, LinkRecord, Verdict
+from cucumbervision.store.views import LinkKind, LinkRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping
 
-__all__ = ["group_fruit", "grouped"]
+__all__ = ["Candidate", "Standing", "group_fruit", "standings"]
 
 
 def group_fruit(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[str, frozenset[str]]:
@@ -41,6 +40,7 @@ def group_fruit(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[str, f
     ['a', 'b']
     """
     groups = {key: {key} for key in keys}
+    shared: dict[int, frozenset[str]] = {}
     foes: dict[str, set[str]] = {}
     same = []
     for link in links:
@@ -59,31 +59,54 @@ def group_fruit(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[str, f
         large |= small
         for key in small:
             groups[key] = large
-    return {key: frozenset(group) for key, group in groups.items()}
+    return {key: shared.setdefault(id(group), frozenset(group)) for key, group in groups.items()}
 
 
-def grouped(fruit: Sequence[FruitView], links: Iterable[LinkRecord]) -> list[FruitView]:
+class Candidate(NamedTuple):
+    """What decides whether a view of a fruit stands: more is better, the first thing first."""
+
+    not_rejected: bool
+    measured: bool
+    view_score: float
+
+
+class Standing(NamedTuple):
+    """A group: the view that stands, how many there are, when the fruit was first picked."""
+
+    best: str
+    views: int
+    picked_s: float | None
+
+
+def standings(
+    candidates: Mapping[str, Candidate], picked_s: Mapping[str, float], links: Iterable[LinkRecord]
+) -> dict[str, Standing]:
     """Give each detection its group, named by the view that stands, and when it was picked.
 
     A rejected view stands only where all are rejected, one without a length only where none
-    has one; then the highest view score counts, then the earlier stop.
+    has one; then the highest view score counts, then the view that comes first.
+
+    Parameters
+    ----------
+    candidates : mapping of str to Candidate
+        The detections in the order of their stops.
+    picked_s : mapping of str to float
+        When those that were marked so were picked.
+    links : iterable of LinkRecord
+        What links them.
+
+    Examples
+    --------
+    >>> views = {"a": Candidate(True, True, 0.4), "b": Candidate(True, True, 0.7)}
+    >>> standings(views, {"a": 9.0}, [LinkRecord(LinkKind.SAME, "a", "b")])["a"]
+    Standing(best='b', views=2, picked_s=9.0)
     """
-    members = group_fruit((one.key for one in fruit), links)
-    place = {one.key: at for at, one in enumerate(fruit)}
-    done: dict[frozenset[str], tuple[str, float | None]] = {}
-    views = []
-    for one in fruit:
-        group = members[one.key]
-        if group not in done:
-            # Sorted, for a set has no order that could be relied on.
-            all_views = [fruit[at] for at in sorted(place[key] for key in group)]
-            picked = [view.picked_s for view in all_views if view.picked_s is not None]
-            done[group] = max(all_views, key=_standing).key, min(picked, default=None)
-        best, picked_s = done[group]
-        views.append(replace(one, group=best, views=len(group), picked_s=picked_s))
-    return views
-
-
-def _standing(view: FruitView) -> tuple[bool, bool, float]:
-    record = view.record
-    return view.verdict is not Verdict.REJECTED, record.length_m is not None, record.view_score
+    place = {key: -at for at, key in enumerate(candidates)}
+    found: dict[str, Standing] = {}
+    for key, group in group_fruit(candidates, links).items():
+        if key not in found:
+            best = max(group, key=lambda one: (*candidates[one], place[one]))
+            times = [picked_s[one] for one in group if one in picked_s]
+            standing = Standing(best, len(group), min(times, default=None))
+            found.update(dict.fromkeys(group, standing))
+    return found

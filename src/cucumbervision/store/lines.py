@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -17,14 +17,15 @@ from cucumbervision.store.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from sqlalchemy import Connection, Select
+    from sqlalchemy import Connection
 
 __all__ = [
     "CAPTURE_CELLS",
     "FRUIT_CELLS",
     "METHOD_CELLS",
+    "built",
     "cells_of",
     "fruit_from_json",
     "image_ref",
@@ -33,6 +34,8 @@ __all__ = [
     "simple_cells",
     "unpack_um",
 ]
+
+T = TypeVar("T")
 
 _REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
 
@@ -107,9 +110,21 @@ def fruit_from_json(values: Mapping[str, Any]) -> FruitRecord:
     return FruitRecord(**{**values, "methods": methods, "keypoints": keypoints})
 
 
-def cells_of(connection: Connection, query: Select[Any]) -> Iterator[tuple[Any, ...]]:
+def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
     """Run a query and give its lines as plain cells."""
-    yield from cast("Iterator[tuple[Any, ...]]", connection.execute(query))
+    return cast("list[tuple[Any, ...]]", connection.execute(query).all())
+
+
+def built(kind: type[T], *cells: Any) -> T:
+    """Make a record from its fields in order.
+
+    Examples
+    --------
+    >>> built(MethodRecord, "M1", 0.2).length_m
+    0.2
+    """
+    make: Callable[..., T] = kind
+    return make(*cells)
 
 
 def image_ref(cells: Sequence[Any]) -> ImageRef | None:

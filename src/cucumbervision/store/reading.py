@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import aliased
 
-from cucumbervision.store.groups import grouped
+from cucumbervision.store.groups import Candidate, Standing, standings
 from cucumbervision.store.lines import (
     FRUIT_CELLS,
     METHOD_CELLS,
+    built,
     cells_of,
     fruit_from_json,
     image_ref,
@@ -55,6 +56,7 @@ __all__ = [
     "stop_views",
 ]
 
+_IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, FruitLine.number)
 IMAGE_COLUMNS = (Image.sha256, Image.suffix, Image.size_bytes, Image.width_px, Image.height_px)
 
 
@@ -134,20 +136,40 @@ def stop_views(connection: Connection, round_key: str) -> list[StopView]:
         .order_by(StopLine.taken_s, StopLine.id)
     )
     return [
-        StopView(row[0], round_key, *row[1:12], len(row[12]), image_ref(row[13:18]))
+        built(StopView, row[0], round_key, *row[1:12], len(row[12]), image_ref(row[13:18]))
         for row in cells_of(connection, query)
     ]
 
 
-def fruit_views(connection: Connection, round_key: str) -> list[FruitView]:
-    """List a round's detections in the order of its stops, marks and groups among them."""
+def fruit_views(
+    connection: Connection, round_key: str, keys: Sequence[str] | None = None
+) -> list[FruitView]:
+    """List a round's detections in the order of its stops, marks and groups among them.
+
+    `keys` gives those alone; their groups are right where all members are among them.
+    """
     round_id = round_id_of(connection, round_key)
     marks = _active_marks(connection, round_id)
-    views = [
-        _fruit_view(row, round_key, marks.get(row[0], {}))
-        for row in cells_of(connection, _fruit_query(round_id))
+    query = _fruit_query(round_id)
+    if keys is not None:
+        query = query.where(FruitLine.key.in_(keys))
+    rows = [
+        (row, marks.get(row[0], {})) for row in cells_of(connection, query.order_by(*_IN_ORDER))
     ]
-    return grouped(views, link_records(connection, round_key))
+    records = {row[0]: said.get("mask") or FruitRecord(*row[17:]) for row, said in rows}
+    candidates = {
+        row[0]: Candidate(
+            said.get("verdict") is not Verdict.REJECTED,
+            records[row[0]].length_m is not None,
+            records[row[0]].view_score,
+        )
+        for row, said in rows
+    }
+    picked = {row[0]: said["picked"] for row, said in rows if "picked" in said}
+    groups = standings(candidates, picked, link_records(connection, round_key))
+    return [
+        _fruit_view(row, round_key, records[row[0]], said, groups[row[0]]) for row, said in rows
+    ]
 
 
 def _fruit_query(round_id: int) -> Any:
@@ -173,33 +195,31 @@ def _fruit_query(round_id: int) -> Any:
         .outerjoin(Row, Row.id == StopLine.row_id)
         .outerjoin(Image, Image.sha256 == CaptureLine.thumbnail_sha256)
         .where(FruitLine.round_id == round_id)
-        .order_by(StopLine.taken_s, StopLine.id, CaptureLine.number, FruitLine.number)
     )
 
 
-def _fruit_view(row: Sequence[Any], round_key: str, marks: dict[str, Any]) -> FruitView:
-    key, stop_key, capture, name, side, step, taken_s, simulated = row[:8]
+def _fruit_view(
+    row: Sequence[Any],
+    round_key: str,
+    record: FruitRecord,
+    marks: dict[str, Any],
+    group: Standing,
+) -> FruitView:
     given, given_sd, fitted, fitted_sd = row[8:12]
-    record = marks["mask"] if "mask" in marks else FruitRecord(*row[17:])
     at, sd = (given, given_sd) if fitted is None else (fitted, fitted_sd)
-    along, along_sd = _along(at, sd, record)
-    return FruitView(
-        key,
-        stop_key,
+    return built(
+        FruitView,
+        *row[:2],
         round_key,
-        capture,
-        name,
-        side,
-        step,
-        taken_s,
-        simulated,
-        along,
-        along_sd,
+        *row[2:8],
+        *_along(at, sd, record),
         image_ref(row[12:17]),
         record,
         marks.get("verdict"),
-        marks.get("picked"),
+        group.picked_s,
         "mask" in marks,
+        group.best,
+        group.views,
     )
 
 
@@ -219,9 +239,10 @@ def _active_marks(connection: Connection, round_id: int) -> dict[str, dict[str, 
         .join(FruitLine, FruitLine.id == Mark.fruit_id)
         .where(FruitLine.round_id == round_id, Mark.ended_by_id.is_(None))
     )
+    verdicts = {str(verdict): verdict for verdict in Verdict}
     marks: dict[str, dict[str, Any]] = {}
     for key, slot, value, details in cells_of(connection, query):
-        said: Any = Verdict(value) if slot == "verdict" else float(details.get("at_s", 0.0))
+        said: Any = verdicts[value] if slot == "verdict" else details.get("at_s")
         if slot == "mask":
             corrected = fruit_from_json(details)
             said = FruitRecord(**{name: getattr(corrected, name) for name in FRUIT_CELLS})
@@ -247,8 +268,9 @@ def link_records(
     )
     if kind is not None:
         query = query.where(Link.kind == str(kind))
+    kinds = {str(one): one for one in LinkKind}
     return [
-        LinkRecord(LinkKind(row[0]), row[1], row[2], row[3], row[4] is not None)
+        LinkRecord(kinds[row[0]], row[1], row[2], row[3], row[4] is not None)
         for row in cells_of(connection, query)
     ]
 

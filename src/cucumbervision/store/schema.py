@@ -19,7 +19,6 @@ from sqlalchemy import (
     MetaData,
     Text,
     UniqueConstraint,
-    Uuid,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -66,7 +65,7 @@ class Round(Base):
     __tablename__ = "rounds"
 
     id: Mapped[int] = mapped_column(primary_key=True)
-    key: Mapped[str] = mapped_column(Uuid(as_uuid=False), unique=True)
+    key: Mapped[str] = mapped_column(unique=True)
     name: Mapped[str]
     house: Mapped[str]
     started_s: Mapped[float] = mapped_column(index=True)
@@ -116,7 +115,7 @@ class StopLine(Base):
     __tablename__ = "stops"
 
     id: Mapped[int] = mapped_column(primary_key=True)
-    key: Mapped[str] = mapped_column(Uuid(as_uuid=False), unique=True)
+    key: Mapped[str] = mapped_column(unique=True)
     content_sha256: Mapped[str]
     round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     row_id: Mapped[int | None] = mapped_column(ForeignKey("rows.id"), index=True)
@@ -180,7 +179,7 @@ class FruitLine(Base):
     __table_args__ = (UniqueConstraint("capture_id", "number"),)
 
     id: Mapped[int] = mapped_column(primary_key=True)
-    key: Mapped[str] = mapped_column(Uuid(as_uuid=False), unique=True)
+    key: Mapped[str] = mapped_column(unique=True)
     capture_id: Mapped[int] = mapped_column(ForeignKey("captures.id"))
     round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     number: Mapped[int]

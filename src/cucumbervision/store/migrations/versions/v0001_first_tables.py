@@ -50,7 +50,7 @@ def _rounds() -> None:
     op.create_table(
         "rounds",
         sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("key", sa.Uuid(as_uuid=False), nullable=False),
+        sa.Column("key", sa.Text(), nullable=False),
         sa.Column("name", sa.Text(), nullable=False),
         sa.Column("house", sa.Text(), nullable=False),
         sa.Column("started_s", sa.Double(), nullable=False),
@@ -110,7 +110,7 @@ def _stops() -> None:
     op.create_table(
         "stops",
         sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("key", sa.Uuid(as_uuid=False), nullable=False),
+        sa.Column("key", sa.Text(), nullable=False),
         sa.Column("content_sha256", sa.Text(), nullable=False),
         sa.Column("round_id", sa.Integer(), nullable=False),
         sa.Column("row_id", sa.Integer(), nullable=True),
@@ -192,7 +192,7 @@ def _fruit() -> None:
     op.create_table(
         "fruit",
         sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("key", sa.Uuid(as_uuid=False), nullable=False),
+        sa.Column("key", sa.Text(), nullable=False),
         sa.Column("capture_id", sa.Integer(), nullable=False),
         sa.Column("round_id", sa.Integer(), nullable=False),
         sa.Column("number", sa.Integer(), nullable=False),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -139,11 +139,11 @@ def _environments(folder: Path, bad: list[str]) -> tuple[NDArray[np.float32], ..
         small = cv2.resize(
             light[..., :3].astype(np.float32), _LIGHT_SIZE, interpolation=cv2.INTER_AREA
         )
-        found.append(np.ascontiguousarray(small[..., ::-1]))
+        found.append(np.ascontiguousarray(small[..., ::-1], np.float32))
     return tuple(found)
 
 
-def _read(path: Path, flag: int) -> NDArray[np.generic] | None:
+def _read(path: Path, flag: int) -> NDArray[Any] | None:
     # An empty file makes OpenCV raise, a broken one makes it give nothing.
     try:
         picture = cv2.imdecode(np.fromfile(path, np.uint8), flag)

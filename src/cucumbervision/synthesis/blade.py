@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -93,10 +93,12 @@ def blade_photo(rng: np.random.Generator, assets: Assets) -> NDArray[np.float32]
     size = int(rng.uniform(0.30, 0.5) * min(rows, columns))
     top = int(rng.uniform(0.35, 0.65) * (rows - size))
     left = int(rng.uniform(0.35, 0.65) * (columns - size))
-    piece = np.rot90(picture[top : top + size, left : left + size], int(rng.integers(4)))
+    piece: NDArray[Any] = np.rot90(
+        picture[top : top + size, left : left + size], int(rng.integers(4))
+    )
     piece = cv2.resize(np.ascontiguousarray(piece), (_SIZE, _SIZE), interpolation=cv2.INTER_AREA)
     light = to_linear(piece)
-    return np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0).astype(np.float32)
+    return np.asarray(np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0), np.float32)
 
 
 def blade_pixel(place: NDArray[np.float32]) -> NDArray[np.float32]:

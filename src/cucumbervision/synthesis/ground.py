@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -80,7 +80,7 @@ def material_tile(
     stain = smooth_noise(rng, (_SIZE, _SIZE), 120, wrap=True)
     tone = tone * (1 + 0.06 * stain)
     tile = to_linear(color) * tone[..., None]
-    return np.clip(tile, 0.003, 0.95).astype(np.float32)
+    return np.asarray(np.clip(tile, 0.003, 0.95), np.float32)
 
 
 def _even(rng: np.random.Generator) -> NDArray[np.float32]:
@@ -196,7 +196,7 @@ def _photo(
     scale = rng.uniform(0.5, 1.0) * min(columns / width, rows / height)
     wide, tall = max(int(scale * width), 2), max(int(scale * height), 2)
     top, left = int(rng.integers(rows - tall + 1)), int(rng.integers(columns - wide + 1))
-    piece = picture[top : top + tall, left : left + wide]
+    piece: NDArray[Any] = picture[top : top + tall, left : left + wide]
     if rng.random() < 0.5:
         piece = piece[:, ::-1]
     piece = cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=cv2.INTER_LINEAR)
@@ -224,7 +224,7 @@ def _blurred_leaves(rng: np.random.Generator, width: int, height: int) -> NDArra
     tone = smooth_noise(rng, shape, width / 40) + 0.6 * smooth_noise(rng, shape, width / 110)
     dark = to_linear(jitter(rng, (30.0, 44.0, 26.0)))
     light = to_linear(jitter(rng, (104.0, 136.0, 66.0)))
-    view = mix(dark, light, smoothstep(-1.2, 1.4, tone))
+    view: NDArray[Any] = mix(dark, light, smoothstep(-1.2, 1.4, tone))
     gap = smoothstep(1.0, 1.3, smooth_noise(rng, shape, width / 60) + rng.uniform(-0.4, 0.3))
     view = mix(view, (0.8, 0.85, 0.9), gap)
     view = cv2.GaussianBlur(view, (0, 0), rng.uniform(0.6, 3.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["Exposure", "expose", "random_exposure"]
 
 _KEY = 0.20  # what an automatic exposure makes of the picture's mean
-_BRIGHT = 1.5  # and the most it makes of its brightest part
 
 
 @dataclass(frozen=True)
@@ -25,6 +24,8 @@ class Exposure:
 
     Parameters
     ----------
+    highlights : float
+        The most that its metering makes of the brightest parts, full light being 1.
     stops : float
         Error of the exposure: 1 is twice the light.
     warmth, tint : float
@@ -49,6 +50,7 @@ class Exposure:
         Of JPEG, 1 to 100; 0 for no compression.
     """
 
+    highlights: float = 1.5
     stops: float = 0.0
     warmth: float = 0.0
     tint: float = 0.0
@@ -85,6 +87,7 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
     moved = rng.random() < 0.2
     dark = float(rng.beta(1.2, 5.0))
     return Exposure(
+        highlights=float(np.exp(rng.uniform(0.0, 2.0))),
         stops=float(rng.normal(-0.1, 0.6)),
         warmth=float(rng.normal(0, 0.10)),
         tint=float(rng.normal(0, 0.04)),
@@ -138,7 +141,7 @@ def expose(
     light = _gained(linear, exposure)
     light = _blurred(light, exposure, depth_m)
     light = _noisy(light, exposure, rng)
-    picture = to_srgb(_toned(light, exposure))
+    picture: NDArray[Any] = to_srgb(_toned(light, exposure))
     if exposure.sharpen > 0:
         soft = cv2.GaussianBlur(picture, (0, 0), 1.0)
         picture = cv2.addWeighted(picture, 1 + exposure.sharpen, soft, -exposure.sharpen, 0)
@@ -151,7 +154,9 @@ def _gained(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float
     few = linear[::8, ::8].reshape(-1, 3) @ np.array([0.25, 0.6, 0.15], np.float32)
     mean = float(np.minimum(few, 8 * np.median(few) + 1e-6).mean())
     bright = float(np.quantile(few, 0.98))
-    gain = min(_KEY / max(mean, 1e-6), _BRIGHT / max(bright, 1e-6)) * 2.0**exposure.stops
+    gain = (
+        min(_KEY / max(mean, 1e-6), exposure.highlights / max(bright, 1e-6)) * 2.0**exposure.stops
+    )
     white = np.array([1 + exposure.warmth, 1 + exposure.tint, 1 - exposure.warmth], np.float32)
     light = linear * (np.float32(gain) * np.clip(white, 0.4, 2.5))
     if exposure.vignette > 0:
@@ -181,7 +186,7 @@ def _defocused(
     far = np.where(depth_m > 0, depth_m, 10.0).astype(np.float32)
     blur = exposure.aperture_px_m * np.abs(1 / far - 1 / exposure.focus_m)
     for sigma in (1.0, 2.0, 4.0):
-        share = np.clip((blur - 0.5 * sigma) / (0.5 * sigma), 0, 1)
+        share: NDArray[Any] = np.clip((blur - 0.5 * sigma) / (0.5 * sigma), 0, 1)
         if share.max() == 0:
             break
         share = cv2.GaussianBlur(share.astype(np.float32), (0, 0), 1.0)[..., None]
@@ -197,7 +202,7 @@ def _path(exposure: Exposure) -> NDArray[np.float32]:
     for at in np.linspace(-0.5, 0.5, 4 * half + 1) * exposure.motion_px:
         x, y = half + at * np.cos(turn), half + at * np.sin(turn)
         kernel[int(np.rint(y)), int(np.rint(x))] += 1
-    return kernel / kernel.sum()
+    return np.asarray(kernel / kernel.sum())
 
 
 def _noisy(
@@ -206,7 +211,7 @@ def _noisy(
     if exposure.shot == 0 and exposure.read == 0:
         return light
     height, width = light.shape[:2]
-    green = rng.standard_normal((height, width), dtype=np.float32)
+    green: NDArray[Any] = rng.standard_normal((height, width), dtype=np.float32)
     green = cv2.GaussianBlur(green, (0, 0), 0.5)
     # One in four pixels of a Bayer pattern sees red, one blue; the rest lies between them.
     half = rng.standard_normal((2, -(-height // 2), -(-width // 2)), dtype=np.float32)
@@ -229,4 +234,5 @@ def _toned(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32
 
 def _compressed(picture: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     _, packed = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return np.ascontiguousarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)[..., ::-1], np.uint8)
+    unpacked: NDArray[Any] | None = cv2.imdecode(packed, cv2.IMREAD_COLOR)
+    return picture if unpacked is None else np.ascontiguousarray(unpacked[..., ::-1], np.uint8)

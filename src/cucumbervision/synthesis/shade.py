@@ -102,7 +102,7 @@ def paint_scene(
     grid = ray_grid(camera)
     depth = view.depth_m.astype(np.float32)
     x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
-    points = cv2.merge([x * depth, y * depth, depth]).reshape(-1, 3)
+    points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
     layers = _empty(view)
     far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
     photos = [blade_photo(rng, assets) if style.leaf_photo else None for _ in range(_PHOTOS)]
@@ -124,12 +124,16 @@ def paint_scene(
                 tile = material_tile(rng, name, style.material_colors[index])
                 # As coarse as the picture sees it, else its grain would flicker.
                 coarse = float(np.median(here[:, 2])) / camera.fx_px * tile.shape[0] / TILE_M
-                tiles[name] = cv2.GaussianBlur(tile, (0, 0), max(0.5 * coarse, 0.1))
+                tiles[name] = _softened(tile, 0.5 * coarse)
             _plane(layers, at, scene.planes[index], tiles[name], name, here)
         else:
             layers.albedo[at] = far[at]
             layers.far[at] = True
     return _lit(rng, layers, view, camera, style, assets)
+
+
+def _softened(tile: Array, sigma_px: float) -> Array:
+    return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px) if sigma_px > 0.3 else tile)
 
 
 def _check(scene: Scene, style: Style) -> None:

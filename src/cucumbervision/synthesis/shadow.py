@@ -5,7 +5,7 @@ All of it is worked out on a small picture and drawn up: shadows are soft.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -43,7 +43,7 @@ def _points(
     return x * depth_m, y[:, None] * depth_m
 
 
-def _grown(small: NDArray[np.float32], shape: tuple[int, ...], step: int) -> NDArray[np.float32]:
+def _grown(small: NDArray[Any], shape: tuple[int, ...], step: int) -> NDArray[np.float32]:
     grown = cv2.resize(
         small,
         (small.shape[1] * step, small.shape[0] * step),

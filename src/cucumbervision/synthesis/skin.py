@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -288,8 +288,8 @@ def skin_maps(
 
 def _ground(
     skin: Skin,
-    along: NDArray[np.float32],
-    around: NDArray[np.float32],
+    along: NDArray[Any],
+    around: NDArray[Any],
     coarse: NDArray[np.float32],
     fine: NDArray[np.float32],
     assets: Assets,
@@ -352,7 +352,7 @@ def _warts(
 def _ends(
     skin: Skin,
     color: NDArray[np.float32],
-    from_blossom_m: NDArray[np.float32],
+    from_blossom_m: NDArray[Any],
     length_m: float,
     noise: NDArray[np.float32],
 ) -> NDArray[np.float32]:

@@ -41,7 +41,7 @@ def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
     return _linear(values.astype(np.float32) / 255)
 
 
-def _linear(c: NDArray[np.float32]) -> NDArray[np.float32]:
+def _linear(c: NDArray[Any]) -> NDArray[np.float32]:
     bent = ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4
     return np.where(c <= 0.04045, c / 12.92, bent).astype(np.float32)
 
@@ -100,7 +100,7 @@ def _spread(color: ArrayLike, weight: NDArray[np.float32]) -> NDArray[np.float32
     return np.asarray(weight.reshape(-1, 1) @ values[None]).reshape(*weight.shape, 3)
 
 
-def dimmed(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray[np.float32]:
+def dimmed(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
     """Multiply each colour of shape (..., 3) by its own factor, shape (...).
 
     Examples

@@ -40,6 +40,9 @@ Minutes = Annotated[
     float | None,
     typer.Option("--epochs-limit-minutes", min=0, help="End after the epoch that passes this."),
 ]
+Check = Annotated[
+    bool, typer.Option("--check/--no-check", help="Refuse a data set with faults or leaks.")
+]
 Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Of the first stage.")]
 
 
@@ -61,6 +64,7 @@ def seg(
     workers: Workers = 0,
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
+    check: Check = True,
 ) -> None:
     """Train boxes and masks."""
     _train("seg", **locals())
@@ -84,6 +88,7 @@ def pose(
     workers: Workers = 0,
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
+    check: Check = True,
 ) -> None:
     """Train boxes and the five keypoints."""
     _train("pose", **locals())
@@ -113,3 +118,42 @@ def _train(
             watcher=console,
         )
     console.close(best)
+
+
+@app.command()
+def export(
+    source: Annotated[Path, typer.Argument(help="A run's folder, or a checkpoint (.pt).")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
+    name: Annotated[str, typer.Option("--name", help="What commands are to call it.")],
+    evaluation: Annotated[
+        Path | None, typer.Option("--evaluation", help="A JSON file to take into the card.")
+    ] = None,
+    credit: Annotated[
+        list[str] | None, typer.Option("--credit", help="Whom the card is to name; repeatable.")
+    ] = None,
+) -> None:
+    """Write the ONNX file and its card, and show its entry for the registry."""
+    from rich.console import Console
+
+    from cucumbervision.training.export_trained import export_trained
+    from cucumbervision.training.ship import registry_entry
+
+    card = export_trained(source, out, name, evaluation=evaluation, credits=credit or ())
+    console = Console(highlight=False, markup=False)
+    for suffix in (".onnx", ".md", ".json"):
+        console.print(str(out / f"{name}{suffix}"), soft_wrap=True)
+    console.print(f"\n{registry_entry(card)}", soft_wrap=True)
+
+
+@app.command(hidden=True)
+def ship(
+    exported: Annotated[Path, typer.Argument(help="Folder that `train export` wrote.")],
+    name: Annotated[str, typer.Option("--name", help="The network's name.")],
+) -> None:
+    """Put an exported network into the package (for maintainers)."""
+    from rich.console import Console
+
+    from cucumbervision.training.ship import ship as put
+
+    for path in put(exported, name):
+        Console(highlight=False).print(str(path), soft_wrap=True)

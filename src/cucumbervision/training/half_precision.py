@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-__all__ = ["PRECISIONS", "choose_precision", "cpu_has_bfloat16", "narrow", "widen"]
+__all__ = ["PRECISIONS", "channels_last", "choose_precision", "cpu_has_bfloat16", "narrow", "widen"]
 
 PRECISIONS = ("auto", "f32", "bf16")
 """What can be asked for."""
@@ -65,6 +65,19 @@ def choose_precision(asked: str, device: str) -> str:
     if asked != "auto":
         return asked
     return "bf16" if device == "cpu" and cpu_has_bfloat16() else "f32"
+
+
+def channels_last(model: Any) -> None:
+    """Keep a network's weights with the channels innermost, which is quicker on the CPU too.
+
+    Parameters
+    ----------
+    model : torch.nn.Module
+        Its values stay as they are. Ultralytics writes files in the usual order again.
+    """
+    import torch
+
+    model.to(memory_format=torch.channels_last)
 
 
 def narrow(model: Any) -> None:

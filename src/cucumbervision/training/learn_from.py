@@ -1,13 +1,19 @@
-"""The pictures to learn from: a `data.yaml` made complete for one class and five points."""
+"""The pictures to learn from: checked, and a `data.yaml` made complete for one class, five points.
+
+A data set with faults is refused here, before any hour is spent.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from cucumbervision.datasets.card import dataset_card
+from cucumbervision.datasets.checks import check_folder, require_clean
+from cucumbervision.datasets.yolo import write_yolo
 from cucumbervision.errors import TrainingError
 
-__all__ = ["KEYPOINT_SIGMA", "TASKS", "write_data_file"]
+__all__ = ["DATA_CARD", "KEYPOINT_SIGMA", "TASKS", "prepare_data", "write_data_file"]
 
 TASKS = {"seg": "segment", "pose": "pose"}
 """Our tasks, and what Ultralytics calls them."""
@@ -15,10 +21,52 @@ TASKS = {"seg": "segment", "pose": "pose"}
 KEYPOINT_SIGMA = 0.05
 """Tolerance of every keypoint in the object keypoint similarity, of the loss and of validation."""
 
+DATA_CARD = "data.md"
+"""Name of the data set's card in the run's folder."""
+
 _KEYPOINTS = 5
 
 
-def write_data_file(data: Path, task: str, run: Path) -> Path:
+def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Path:
+    """Check a data set, write its card into the run's folder, and its `data.yaml`.
+
+    Parameters
+    ----------
+    data : Path
+        A folder in the hub's form or COCO's, of which a YOLO copy is written into the run's
+        folder; or a YOLO folder or its data.yaml, read where it is.
+    task : str
+        'seg' or 'pose'.
+    run : Path
+        Folder of the training.
+    check : bool
+        Look for faults, and for the same picture in two splits. A set in another form than
+        YOLO's is read anyway, and then refused if it cannot be.
+
+    Returns
+    -------
+    Path
+        The `data.yaml` to train on.
+
+    Raises
+    ------
+    DataSetError
+        If it is no data set; with all its faults (`FaultyDataSetError`) if it has some.
+    TrainingError
+        As `write_data_file`.
+    """
+    yaml = data / "data.yaml" if data.is_dir() else data
+    if check or not yaml.is_file():
+        dataset, findings = check_folder(data, duplicates=check)
+        require_clean(findings, data)
+        run.mkdir(parents=True, exist_ok=True)
+        (run / DATA_CARD).write_text(dataset_card(dataset, "Trained on"), encoding="utf-8")
+        if not (data.is_dir() and yaml.is_file()) and data.suffix not in (".yaml", ".yml"):
+            yaml = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
+    return write_data_file(yaml, task, run)
+
+
+def write_data_file(path: Path, task: str, run: Path) -> Path:
     """Write the run's own `data.yaml`: absolute paths, one class, and the keypoints' tolerance.
 
     Ultralytics reads `kpt_oks_sigmas` from it, for the loss and for validation; without it five
@@ -27,8 +75,8 @@ def write_data_file(data: Path, task: str, run: Path) -> Path:
 
     Parameters
     ----------
-    data : Path
-        A data.yaml, or the folder that holds it.
+    path : Path
+        A data.yaml.
     task : str
         'seg' or 'pose'.
     run : Path
@@ -47,7 +95,6 @@ def write_data_file(data: Path, task: str, run: Path) -> Path:
     """
     import yaml
 
-    path = data / "data.yaml" if data.is_dir() else data
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
@@ -57,7 +104,9 @@ def write_data_file(data: Path, task: str, run: Path) -> Path:
             remedy="give a folder with data.yaml, images/ and labels/",
         ) from error
     if not isinstance(values, dict):
-        raise TrainingError("is no data set's description", source=path)
+        raise TrainingError(
+            "is no data set's description", source=path, remedy="name train, val and names in it"
+        )
     _check(values, task, path)
     own: dict[str, Any] = {
         "path": str((path.parent / str(values.get("path") or ".")).resolve()),

@@ -8,12 +8,13 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.training.export_yolo import import_ultralytics
 from cucumbervision.training.half_precision import choose_precision
-from cucumbervision.training.learn_from import TASKS, write_data_file
+from cucumbervision.training.learn_from import TASKS, prepare_data
+from cucumbervision.training.settings import TrainOptions, choose_device, stage_settings
 from cucumbervision.training.stages import (
     DONE,
     RUNNING,
@@ -28,64 +29,6 @@ __all__ = ["DEFAULT_STAGES", "EpochReport", "TrainOptions", "TrainWatcher", "tra
 
 DEFAULT_STAGES = "320x8,448x6,640x2"
 """The plan where none is given."""
-
-_AUGMENTATION: dict[str, Any] = {
-    # Fruit hang or lie at any angle, and none of the five points is left or right.
-    "degrees": 45.0,
-    "flipud": 0.5,
-    "fliplr": 0.5,
-    "scale": 0.5,
-    "translate": 0.1,
-    "hsv_h": 0.02,
-    "hsv_s": 0.6,
-    "hsv_v": 0.45,
-    "mosaic": 0.5,
-    "erasing": 0.0,
-}
-
-
-@dataclass(frozen=True)
-class TrainOptions:
-    """How to train.
-
-    Parameters
-    ----------
-    batch : int
-        Pictures at a time.
-    device : str
-        'auto' (a graphics card where there is one), 'cpu', or a card's number.
-    precision : str
-        'auto', 'f32' or 'bf16'; see `half_precision`.
-    freeze : int
-        Layers from the front that stay as they are; 10 is the whole backbone.
-    patience : int
-        Epochs of a stage without a better result before it ends.
-    seed : int
-        Of the random numbers.
-    cache : str
-        Where decoded pictures are kept: 'ram', 'disk' or 'none'.
-    threads, workers : int
-        Threads of torch (0: as many as there are cores), and processes that load pictures.
-    minutes : float, optional
-        End after the epoch in which this time has passed; `resume` goes on.
-    learning_rate : float
-        Of the first stage, by AdamW; later stages begin at half of it.
-    overrides : mapping
-        Further settings of Ultralytics, which win.
-    """
-
-    batch: int = 8
-    device: str = "auto"
-    precision: str = "auto"
-    freeze: int = 0
-    patience: int = 20
-    seed: int = 0
-    cache: str = "ram"
-    threads: int = 0
-    workers: int = 0
-    minutes: float | None = None
-    learning_rate: float = 0.001
-    overrides: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -162,6 +105,8 @@ def train(
     ------
     TrainingError
         If the plan, the data, the weights or the folder cannot be used.
+    DataSetError
+        If the data set has faults; with the list of them.
     MissingExtraError
         If the extra `train` is not installed.
     """
@@ -169,9 +114,12 @@ def train(
     if task not in TASKS:
         raise TrainingError(f"no task is called {task!r}", remedy="use seg or pose")
     out = out.resolve()
-    state = _resumed(task, out, stages) if resume else _begun(task, data, out, init, stages)
-    state = state if resume else replace(state, seed=options.seed)
     import_ultralytics()
+    if resume:
+        state = _resumed(task, out, stages)
+    else:
+        begun = _begun(task, data, out, init, stages, check=options.check)
+        state = replace(begun, seed=options.seed)
     state.save(out)
     clock = _Clock(options.minutes)
     for index, stage in enumerate(state.stages):
@@ -184,7 +132,7 @@ def train(
 
 
 def _begun(
-    task: str, data: Path | None, out: Path, init: str | None, stages: str | None
+    task: str, data: Path | None, out: Path, init: str | None, stages: str | None, *, check: bool
 ) -> RunState:
     if RunState.exists(out):
         raise TrainingError(
@@ -203,7 +151,7 @@ def _begun(
                 remedy=f"download them from Ultralytics, or begin with --init yolo26n-{task}.yaml",
             )
         weights = str(path)
-    written = write_data_file(data, task, out)
+    written = prepare_data(data, task, out, check=check)
     return RunState(task=task, data=str(written), init=weights, stages=plan)
 
 
@@ -244,10 +192,10 @@ def _run_stage(
         state = state.at(index, status=RUNNING)
         link.state = state
         state.save(out)
-        device = _device(options.device)
+        device = choose_device(options.device)
         trainer = make_trainer(
             TASKS[state.task],
-            _settings(state, index, out, options, device, last if last.is_file() else None),
+            stage_settings(state, index, out, options, device, last if last.is_file() else None),
             link,
             threads=options.threads or os.cpu_count() or 1,
             workers=options.workers,
@@ -311,83 +259,6 @@ def _append(path: Path, report: EpochReport) -> None:
         if new:
             writer.writeheader()
         writer.writerow(row)
-
-
-def _settings(
-    state: RunState,
-    index: int,
-    out: Path,
-    options: TrainOptions,
-    device: str,
-    last: Path | None,
-) -> dict[str, Any]:
-    """Ultralytics' settings of one stage."""
-    stage = state.stages[index]
-    settings: dict[str, Any] = {
-        "data": state.data,
-        "save_dir": str(state.folder(out, index)),
-        "device": device,
-        "batch": options.batch,
-        "cache": False if options.cache == "none" else options.cache,
-        "patience": options.patience,
-        "freeze": options.freeze or None,
-        "plots": False,
-    }
-    if last:
-        return settings | {"model": str(last), "resume": str(last)}
-    return (
-        settings
-        | _start(state, index, out)
-        | {
-            "epochs": stage.epochs,
-            "imgsz": stage.size_px,
-            "optimizer": "AdamW",
-            "lr0": options.learning_rate * (1.0 if index == 0 else 0.5),
-            "lrf": 0.1,
-            "momentum": 0.9,
-            "warmup_epochs": 1.0,
-            "warmup_bias_lr": 0.0,
-            "nbs": max(16, options.batch),
-            "close_mosaic": min(3, max(1, stage.epochs // 3)),
-            "seed": state.seed,
-            "deterministic": False,
-            "amp": device != "cpu",
-            "exist_ok": True,
-            **_AUGMENTATION,
-            **(options.overrides or {}),
-        }
-    )
-
-
-def _start(state: RunState, index: int, out: Path) -> dict[str, Any]:
-    """Say which network and weights a stage begins with."""
-    if index:
-        return {"model": str(state.folder(out, index - 1) / "weights" / "best.pt")}
-    if not state.init.endswith(".pt"):
-        return {"model": state.init, "pretrained": False}
-    from ultralytics.nn.tasks import load_checkpoint
-
-    try:
-        network, _ = load_checkpoint(state.init)
-    # Unpickling a broken checkpoint can raise anything.
-    except Exception as error:
-        raise TrainingError(
-            f"Ultralytics cannot load these weights ({error})",
-            source=state.init,
-            remedy="give a YOLO26 checkpoint (.pt)",
-        ) from error
-    if network.task == TASKS[state.task]:
-        return {"model": state.init}
-    scale = str(network.yaml.get("scale") or "n")
-    return {"model": f"yolo26{scale}-{state.task}.yaml", "pretrained": state.init}
-
-
-def _device(asked: str) -> str:
-    import torch
-
-    if asked != "auto":
-        return asked
-    return "0" if torch.cuda.is_available() else "cpu"
 
 
 def _epochs_done(checkpoint: Path) -> int:

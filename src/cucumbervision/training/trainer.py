@@ -6,10 +6,12 @@ Nothing of Ultralytics is forked: one subclass of its trainer, and its callbacks
 from __future__ import annotations
 
 import time
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cucumbervision.training.half_precision import narrow, widen
+from cucumbervision.training.half_precision import channels_last, narrow, widen
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,7 +73,7 @@ def make_trainer(
         dict.__setitem__(SETTINGS, name, False)
     base: Any = {"segment": SegmentationTrainer, "pose": PoseTrainer}[task]
 
-    class Training(_SafeFiles, base):  # type: ignore[misc]
+    class Training(_Ours, base):  # type: ignore[misc]
         """Named without 'Trainer', so that Ultralytics ties no outside services to it."""
 
     trainer = Training(overrides=overrides)
@@ -79,20 +81,28 @@ def make_trainer(
     trainer.args.workers = workers
     _listen(trainer, watcher, threads)
     trainer.add_callback("on_train_start", lambda t: _share_of_heads(t, span))
+    if overrides["device"] == "cpu":
+        trainer.add_callback("on_train_start", lambda t: channels_last(t.model))
     if bfloat16:
         trainer.add_callback("on_train_epoch_start", lambda t: narrow(t.model))
         trainer.add_callback("on_train_epoch_end", lambda t: widen(t.model))
     return trainer
 
 
-class _SafeFiles:
+class _Ours:
     """What the trainer does otherwise: its files are replaced whole, never half written."""
 
     wdir: Path
     last: Path
     best: Path
 
+    def get_dataloader(self, *args: Any, **kwargs: Any) -> Any:
+        """Load the pictures without Ultralytics' own bar on the standard output."""
+        with redirect_stdout(StringIO()):
+            return super().get_dataloader(*args, **kwargs)  # type: ignore[misc]
+
     def save_model(self) -> bool:
+        """Write `last.pt` and `best.pt`."""
         last, best = self.last, self.best
         self.last, self.best = self.wdir / "last.part", self.wdir / "best.part"
         try:

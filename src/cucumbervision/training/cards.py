@@ -1,0 +1,171 @@
+"""The card of a trained network: data, figures and the command that gave them, limits, licence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cucumbervision.errors import TrainingError
+
+__all__ = ["MAKERS", "ModelCard", "card_markdown", "read_card", "write_card"]
+
+_LICENCE = "AGPL-3.0-only"
+MAKERS = ("Network and its first weights: Ultralytics YOLO26, AGPL-3.0",)
+"""Whom every card names."""
+
+_LIMITS = (
+    "One class. Zucchini may count as cucumbers; other long fruit, leaves and stems should not, "
+    "but sometimes will.",
+    "Trained for fruit at 0.3 to 1.2 m; small, far or mostly hidden fruit are missed more often.",
+    "Fruit that overlap may be given one mask, and one hidden in its middle two boxes.",
+    "Stored in half precision and computed in full; not quantised to 8 bits, since what that "
+    "costs was not measured.",
+)
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What is said of one exported network.
+
+    Parameters
+    ----------
+    name : str
+        What commands call it.
+    task : str
+        'segment' or 'pose'.
+    file : str
+        Name of the ONNX file.
+    sha256 : str
+        Of that file.
+    size_bytes : int
+        Of that file.
+    checkpoint_sha256 : str
+        Of the checkpoint that it was exported from.
+    began_with : str
+        Weights that the training began with.
+    plan : str
+        Stages, as in '320x8,640x2'; empty where only a checkpoint is known.
+    command : str
+        What trained it, without the paths of the machine.
+    metrics : mapping of str to float
+        Of the chosen epoch, on the validation pictures.
+    evaluation : mapping
+        A later evaluation's result, with its own command.
+    data : str
+        The data set's card, in Markdown.
+    licence : str
+        SPDX identifier.
+    credits, limits : tuple of str
+        A sentence each.
+    versions : mapping of str to str
+        Of torch and Ultralytics.
+    """
+
+    name: str
+    task: str
+    file: str
+    sha256: str
+    size_bytes: int
+    checkpoint_sha256: str
+    began_with: str = ""
+    plan: str = ""
+    command: str = ""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    evaluation: Mapping[str, Any] = field(default_factory=dict)
+    data: str = ""
+    licence: str = _LICENCE
+    credits: tuple[str, ...] = MAKERS
+    limits: tuple[str, ...] = _LIMITS
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
+    """Write a card for people (.md) and for programs (.json).
+
+    Parameters
+    ----------
+    card : ModelCard
+        The card.
+    out : Path
+        Folder; the files are named as the network.
+
+    Returns
+    -------
+    tuple of Path
+        The Markdown file and the JSON file.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    page, record = out / f"{card.name}.md", out / f"{card.name}.json"
+    page.write_text(card_markdown(card), encoding="utf-8")
+    text = json.dumps(asdict(card), indent=2, ensure_ascii=False)
+    record.write_text(text + "\n", encoding="utf-8")
+    return page, record
+
+
+def read_card(path: Path) -> ModelCard:
+    """Read a card's JSON file.
+
+    Raises
+    ------
+    TrainingError
+        If it cannot be read.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        for name in ("credits", "limits"):
+            values[name] = tuple(values[name])
+        return ModelCard(**values)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise TrainingError(
+            f"the card cannot be read ({type(error).__name__}: {error})",
+            source=path,
+            remedy="export the network again",
+        ) from error
+
+
+def card_markdown(card: ModelCard) -> str:
+    """Put a card into Markdown.
+
+    Examples
+    --------
+    >>> print(card_markdown(ModelCard("c-seg", "segment", "c-seg.onnx", "ab", 5, "cd"))[:9])
+    # c-seg
+    """
+    lines = [
+        f"# {card.name}",
+        "",
+        f"YOLO26, task {card.task}, one class (cucumber)"
+        + (
+            ", five keypoints from the blossom end to the stem end." if card.task == "pose" else "."
+        ),
+        "",
+        f"- file: `{card.file}`, {card.size_bytes / 1e6:.2f} MB, SHA-256 `{card.sha256}`",
+        f"- exported from a checkpoint with SHA-256 `{card.checkpoint_sha256}`",
+        f"- licence: {card.licence}",
+    ]
+    if card.began_with:
+        lines.append(f"- began with: `{card.began_with}`")
+    if card.plan:
+        lines.append(f"- stages (pixels x epochs): {card.plan}")
+    lines += [f"- {name} {version}" for name, version in card.versions.items()]
+    if card.metrics:
+        lines += ["", "## Figures", "", "On the validation pictures, by:", ""]
+        lines += ["```", card.command, "```", "", *_table(card.metrics)]
+    if card.evaluation:
+        text = json.dumps(card.evaluation, indent=2, ensure_ascii=False)
+        lines += ["", "## Evaluation", "", "```json", text, "```"]
+    lines += ["", "## Limits", "", *(f"- {limit}" for limit in card.limits)]
+    lines += ["", "## Credits", "", *(f"- {credit}" for credit in card.credits)]
+    if card.data:
+        # The data set's own headings go one level down.
+        data = [f"#{line}" if line.startswith("#") else line for line in card.data.splitlines()]
+        lines += ["", *data]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _table(metrics: Mapping[str, float]) -> list[str]:
+    rows = [f"| {name} | {value:.4f} |" for name, value in metrics.items()]
+    return ["| figure | value |", "|---|--:|", *rows]

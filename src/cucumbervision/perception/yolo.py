@@ -41,6 +41,9 @@ class YoloDetector:
         A detection's score must exceed it, 0 to 1.
     full_precision : bool
         As for `open_network`.
+    most : int, optional
+        Detections a picture at most, the best ones: with next to no least confidence there are
+        hundreds, and each mask is drawn at full size.
 
     Raises
     ------
@@ -54,8 +57,10 @@ class YoloDetector:
         runtime: str = "auto",
         confidence: float = DEFAULT_CONFIDENCE,
         full_precision: bool = False,
+        most: int | None = None,
     ) -> None:
         self._network = open_network(path, runtime, full_precision=full_precision)
+        self._most = most
         self._layout = read_layout(self._network)
         self._confidence = confidence
         if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
@@ -116,7 +121,7 @@ class YoloDetector:
             else choose_raw(output, classes, self._confidence, one_to_one=layout.one_to_one)
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
-        return self._instances(rows, prototypes, box)
+        return self._instances(rows[: self._most], prototypes, box)
 
     def _instances(
         self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox

@@ -1,0 +1,198 @@
+"""Let the networks look at the test's pictures, as `detect` and `measure` would."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.evaluation.eyes.frames import Frame, SeenFruit, Stage, seen_fruit
+from cucumbervision.evaluation.eyes.outcomes import matches_of
+from cucumbervision.perception.merge import join_pieces, merge_instances
+from cucumbervision.perception.yolo import YoloDetector, with_keypoints
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+    from cucumbervision.perception.sam import Segmenter
+
+__all__ = ["FLOOR", "MOST", "Eyes", "Looked", "found_of", "look_at", "open_eyes", "shipped"]
+
+FLOOR = 0.001
+"""Least confidence for average precision, which judges the ranking of all detections."""
+
+MOST = 100
+"""Detections a picture that are judged, best first, as COCO does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Eyes:
+    """The networks, loaded.
+
+    Parameters
+    ----------
+    segment, pose : YoloDetector, optional
+        The detectors.
+    segmenters : mapping of str to Segmenter
+        SAM by prompt; empty without.
+    confidence : float
+        At which recall and precision are judged and fruit are measured.
+    models : list of dict
+        File, SHA-256 and runtime of each, for the provenance.
+    """
+
+    segment: YoloDetector | None
+    pose: YoloDetector | None
+    segmenters: Mapping[str, Segmenter]
+    confidence: float
+    models: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What was seen in one picture.
+
+    Parameters
+    ----------
+    frame : Frame
+        Truth and detections.
+    kept : tuple of Instance
+        What is reported at the confidence, best first, with keypoints and the detector's masks.
+    seconds : dict of str to float
+        How long each network took.
+    """
+
+    frame: Frame
+    kept: tuple[Instance, ...]
+    seconds: dict[str, float]
+
+
+def open_eyes(
+    segment: Path | None,
+    pose: Path | None,
+    segmenter: str | None,
+    *,
+    runtime: str = "auto",
+    confidence: float = 0.30,
+    floor: float = FLOOR,
+) -> Eyes:
+    """Load the networks.
+
+    Parameters
+    ----------
+    segment, pose : Path, optional
+        ONNX files.
+    segmenter : str, optional
+        A SAM of the registry.
+    runtime : str
+        As in `open_network`.
+    confidence : float
+        At which detections count.
+    floor : float
+        Below it there are no detections at all; average precision needs it low.
+
+    Raises
+    ------
+    ModelError
+        If a file cannot be loaded.
+    """
+    from cucumbervision.evaluation.eyes.overlaps import PROMPTS_COMPARED
+    from cucumbervision.perception.registry import file_sha256
+    from cucumbervision.perception.sam import Segmenter
+
+    models: list[dict[str, Any]] = []
+
+    def load(path: Path | None) -> YoloDetector | None:
+        if path is None:
+            return None
+        network = YoloDetector(path, runtime, floor, full_precision=True, most=MOST)
+        models.append(
+            {"file": path.name, "sha256": file_sha256(path), "task": network.task}
+            | {"runtime": network.runtime}
+        )
+        return network
+
+    loaded = load(segment), load(pose)
+    drawn: dict[str, Segmenter] = {}
+    if segmenter is not None:
+        for prompt in PROMPTS_COMPARED:
+            drawn[prompt] = Segmenter(segmenter, runtime, prompt, full_precision=True)
+        models.append({"file": segmenter, "runtime": drawn[PROMPTS_COMPARED[0]].runtime})
+    return Eyes(*loaded, drawn, confidence, models)
+
+
+def look_at(
+    frame: Frame,
+    color: NDArray[np.uint8],
+    eyes: Eyes,
+    depth_m: NDArray[np.float32] | None = None,
+) -> Looked:
+    """Let the detectors look at one picture.
+
+    Parameters
+    ----------
+    frame : Frame
+        Its truth.
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    eyes : Eyes
+        The networks.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Tells how far away each detection is.
+    """
+    seconds: dict[str, float] = {}
+
+    def detect(name: str, network: YoloDetector | None) -> tuple[Instance, ...]:
+        if network is None:
+            return ()
+        start = time.perf_counter()
+        found = network.detect(color)
+        seconds[name] = time.perf_counter() - start
+        return found
+
+    segmented, posed = detect("segment", eyes.segment), detect("pose", eyes.pose)
+    kept = shipped(segmented, posed, eyes.confidence)
+
+    def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
+        return tuple(seen_fruit(one, depth_m) for one in found)
+
+    frame = replace(
+        frame,
+        segmented=coded(segmented),
+        posed=coded(posed),
+        kept=coded(kept),
+        has_masks=eyes.segment is not None and eyes.segment.task == "segment",
+    )
+    return Looked(frame, kept, seconds)
+
+
+def shipped(
+    segmented: Sequence[Instance], posed: Sequence[Instance], confidence: float
+) -> tuple[Instance, ...]:
+    """Give what a user gets of two networks' detections: each fruit once, with keypoints.
+
+    The same as `session.networks.Detectors.find`, which runs the networks for itself.
+
+    Parameters
+    ----------
+    segmented, posed : sequence of Instance
+        Of the two networks; without the first, the second's are taken.
+    confidence : float
+        A score must exceed it.
+    """
+    found = merge_instances([one for one in segmented or posed if one.score > confidence])
+    if not segmented or not posed or not found:
+        return found
+    poses = merge_instances([one for one in posed if one.score > confidence])
+    return with_keypoints(join_pieces(found, poses), poses)
+
+
+def found_of(looked: Looked, confidence: float) -> dict[int, Instance]:
+    """Give what was reported of each true fruit, by its place in `Frame.true`."""
+    matches, _, required = matches_of(looked.frame, confidence, Stage.KEPT)
+    return {required[t]: looked.kept[s] for t, s in matches.pairs}

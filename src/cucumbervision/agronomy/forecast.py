@@ -1,0 +1,306 @@
+"""How many fruit will be in which class on each of the next days, by fruit, row and house.
+
+The posterior is simulated: each draw takes spreads, a house, its rows and the days to come, which
+all fruit share, and each fruit's own length, growth and luck. Counts of a row or house are hence as
+uncertain as what their fruit have in common makes them, not only as the sum of single fruit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.agronomy.fruit import FruitState, check_fruit, natural_key
+from cucumbervision.agronomy.futures import Futures, simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import EllipsisType
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.agronomy.growth import Growth
+    from cucumbervision.agronomy.profile import CropProfile
+
+__all__ = ["Counts", "Detection", "Forecast", "FruitState", "forecast"]
+
+SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no likelier than this
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How many fruit the camera finds.
+
+    Parameters
+    ----------
+    found, found_sd : float
+        Share of the fruit that are found, and how sure that is.
+    false : float
+        Share of the found that are no fruit, or the same fruit twice.
+    """
+
+    found: float = 1.0
+    found_sd: float = 0.0
+    false: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """A number of fruit: its mean, and the ends of its interval. Arrays of one shape, float64."""
+
+    expected: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """What is to be expected of N fruit in R rows over D days, today (day 0) included.
+
+    Parameters
+    ----------
+    today : float
+        Day 0, on the fruit's count of days.
+    days : ndarray of int64, shape (D,)
+        0 to the last day.
+    classes : tuple of str, length C
+        The profile's classes, best first, then 'too short' and 'too long'.
+    pick : tuple of str
+        The classes that are ready to be picked.
+    rows : tuple of str, length R
+        In walking order.
+    fruit : tuple of FruitState, length N
+        Fruit on the plant, by row; those marked picked are left out.
+    probability : ndarray of float64, shape (N, D, C)
+        To be in each class on each day if not picked; Monte Carlo, to about 0.5 / sqrt(draws).
+    house, by_row : Counts, shapes (D, C) and (R, D, C)
+        Fruit in each class if nothing is picked meanwhile.
+    picks, row_picks : Counts, shapes (D, C) and (R, D, C)
+        Fruit that become ready that day: what is picked if every ready fruit is picked every day,
+        by the class it then has.
+    complete : ndarray of bool, shape (D, C)
+        Whether the fruit seen today are all that can be in that class by then. Where not, fruit
+        too small to be measured today come on top.
+    level : float
+        Of the intervals.
+    """
+
+    today: float
+    days: NDArray[np.int64]
+    classes: tuple[str, ...]
+    pick: tuple[str, ...]
+    rows: tuple[str, ...]
+    fruit: tuple[FruitState, ...]
+    probability: NDArray[np.float64]
+    house: Counts
+    by_row: Counts
+    picks: Counts
+    row_picks: Counts
+    complete: NDArray[np.bool_]
+    level: float
+
+    @property
+    def ready(self) -> NDArray[np.float64]:
+        """Probability of each fruit to be ready today, shape (N,), float64."""
+        chosen = [self.classes.index(name) for name in self.pick]
+        return np.asarray(self.probability[:, 0, chosen].sum(axis=1), np.float64)
+
+
+def forecast(
+    fruit: Sequence[FruitState],
+    growth: Growth,
+    profile: CropProfile,
+    days: int = 7,
+    seed: int = 0,
+    *,
+    today: float | None = None,
+    detection: Detection | None = None,
+    scale_sd: float = 0.0,
+    draws: int = 320,
+    level: float = 0.8,
+) -> Forecast:
+    """Forecast the classes of fruit.
+
+    Parameters
+    ----------
+    fruit : sequence of FruitState
+        The fruit; those marked picked are left out.
+    growth : Growth
+        The posterior of growth. A fruit whose `fruit_id` has links is forecast by its own.
+    profile : CropProfile
+        Classes, and which of them are picked.
+    days : int
+        Days ahead.
+    seed : int
+        The same seed gives the same figures.
+    today : float, optional
+        Day 0; by default the latest day of the fruit. Fruit seen earlier are carried on to it.
+    detection : Detection, optional
+        Share of fruit that the camera misses or invents; by default none. Missed fruit are taken
+        to be like the found ones of their row.
+    scale_sd : float
+        Relative standard deviation of an error that all lengths share: the camera's depth scale,
+        0.01 until a bar of known length was measured. It is taken out of each fruit's own.
+    draws : int
+        Draws from the posterior; a multiple of `growth.HYPER_DRAWS`, rounded up.
+    level : float
+        Of the intervals.
+
+    Raises
+    ------
+    ForecastError
+        If a fruit's figures or an option cannot be, or two fruit have one name.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
+    >>> from cucumbervision.agronomy.profile_files import load_profile
+    >>> profile = load_profile("long-cucumber")
+    >>> growth = fit_growth([], GrowthPrior.of(profile))
+    >>> fruit = [FruitState(str(k), "1", 0.1 * k, 0.22, 0.004) for k in range(50)]
+    >>> found = forecast(fruit, growth, profile)
+    >>> found.classes
+    ('I', 'II', 'too short', 'too long')
+    >>> found.house.expected[0].tolist()  # all are class II today
+    [0.0, 50.0, 0.0, 0.0]
+    >>> bool(found.house.expected[2, 0] > 40)  # most are class I in two days
+    True
+    """
+    check_fruit(fruit)
+    left = sorted(
+        (f for f in fruit if not f.picked),
+        key=lambda f: (natural_key(f.row), f.side, f.position_m, f.fruit_id),
+    )
+    now = max((f.day for f in fruit), default=0.0) if today is None else today
+    rng = np.random.default_rng(seed)
+    futures = simulate(left, growth, now, days, draws, scale_sd, rng)
+    tally = _Tally(
+        left,
+        profile,
+        growth.curve.unslowed(profile.edges_m),
+        futures,
+        detection or Detection(),
+        rng,
+    )
+    shape = (len(left), days + 1, len(profile.outcomes))
+    probability, standing, picked = np.empty(shape), [], []
+    for day in range(days + 1):
+        probability[:, day], in_class, newly_ready = tally.day(day)
+        standing.append(in_class)
+        picked.append(newly_ready)
+    house, by_row = _counts(np.stack(standing, axis=2), level, rng)
+    picks, row_picks = _counts(np.stack(picked, axis=2), level, rng)
+    return Forecast(
+        now,
+        np.arange(days + 1),
+        profile.outcomes,
+        profile.pick,
+        tally.rows,
+        tuple(left),
+        probability,
+        house,
+        by_row,
+        picks,
+        row_picks,
+        _complete(futures, growth, profile),
+        level,
+    )
+
+
+class _Tally:
+    """Counts classes day by day; remembers which fruit were ready before."""
+
+    def __init__(
+        self,
+        fruit: Sequence[FruitState],
+        profile: CropProfile,
+        edges_m: NDArray[np.float64],
+        futures: Futures,
+        detection: Detection,
+        rng: np.random.Generator,
+    ) -> None:
+        names = [c.name for c in profile.classes]
+        self.rows = tuple(dict.fromkeys(f.row for f in fruit))
+        at = {name: k for k, name in enumerate(self.rows)}
+        self._profile, self._futures = profile, futures
+        self._edges = edges_m.astype(np.float32)
+        self._weights = _weights(futures.unslowed_m.shape[1:], detection, rng)
+        self._of_bin = np.array(profile.outcome_of_bin, np.int8)
+        best = [names.index(f.best_class) if f.best_class else 0 for f in fruit]
+        self._best = np.array(best, np.int8)
+        self._ready = np.array([name in profile.pick for name in profile.outcomes])
+        row = np.array([at[f.row] for f in fruit], np.int64)
+        shape = futures.unslowed_m.shape[1:]
+        self._cell = (np.arange(shape[0])[:, None] * len(self.rows) + row) * len(profile.outcomes)
+        self._before = np.zeros(shape, bool)
+
+    def day(self, day: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Give probabilities (N, C), and counts in class and newly ready, (draws, R, C)."""
+        lengths = self._futures.unslowed_m[day]
+        bins = np.zeros(lengths.shape, np.int8)
+        for edge in self._edges:
+            bins += lengths >= edge
+        found = self._of_bin[bins]
+        classes = len(self._profile.classes)
+        if self._best.any():
+            found = np.where(found < classes, np.maximum(found, self._best), found)
+        share = np.stack([(found == k).mean(axis=0) for k in range(classes + 2)], axis=1)
+        now = self._ready[found] & ~self._before
+        self._before |= now
+        cells = self._cell + found
+        return share, self._count(cells, ...), self._count(cells, now)
+
+    def _count(
+        self, cells: NDArray[np.int64], where: NDArray[np.bool_] | EllipsisType
+    ) -> NDArray[np.float64]:
+        shape = (len(cells), len(self.rows), len(self._profile.outcomes))
+        weights = None if self._weights is None else self._weights[where].ravel()
+        counted = np.bincount(cells[where].ravel(), weights, minlength=int(np.prod(shape)))
+        return counted.reshape(shape).astype(np.float64)
+
+
+def _weights(
+    shape: tuple[int, ...], detection: Detection, rng: np.random.Generator
+) -> NDArray[np.float32] | None:
+    """Draw how many fruit each found one stands for: itself, unless false, and missed ones.
+
+    Of fruit found with probability q, the missed ones before each found one are geometric. None
+    where each stands for itself.
+    """
+    if detection == Detection():
+        return None
+    weights = np.ones(shape, np.float32)
+    if detection.false > 0:
+        weights *= rng.random(shape, np.float32) >= detection.false
+    if detection.found < 1 or detection.found_sd > 0:
+        q = rng.normal(detection.found, detection.found_sd, (shape[0], 1)).clip(0.05, 1.0)
+        weights += rng.geometric(np.broadcast_to(q, shape)).astype(np.float32) - 1
+    return weights
+
+
+def _counts(
+    drawn: NDArray[np.float64], level: float, rng: np.random.Generator
+) -> tuple[Counts, Counts]:
+    """Give the house's and the rows' counts of draws, shape (draws, R, D, C)."""
+    ends = [0.5 - level / 2, 0.5 + level / 2]
+    found = []
+    for counts in (drawn.sum(axis=1), drawn):
+        # Half a fruit to and fro: whole numbers between these ends then hold `level` on average,
+        # where plain quantiles of small counts would hold far more.
+        spread = counts + rng.uniform(-0.5, 0.5, counts.shape)
+        low, high = np.quantile(spread, ends, axis=0)
+        found.append(Counts(counts.mean(axis=0), np.ceil(low) + 0.0, np.floor(high)))
+    return found[0], found[1]
+
+
+def _complete(futures: Futures, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:
+    """Say up to when no fruit that is too small today can be in a class."""
+    unslowed = growth.curve.unslowed
+    grown = unslowed(profile.acceptance.min_cm / 100) + futures.newcomer_m
+    entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
+    reach = [(grown >= unslowed(entry)).mean(axis=1) for entry in entries]
+    complete = np.stack(reach, axis=1) <= SURELY_COMPLETE
+    complete[1:, len(profile.classes)] = False  # 'too short' grows by new fruit every day
+    return complete

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from cucumbervision.synthesis.assets import Assets
-from cucumbervision.synthesis.blade import blade_photo, blade_pixel, blade_texture
+from cucumbervision.synthesis.blade import blade_level, blade_photo, blade_pixel, blade_texture
 
 
 def test_a_blade_has_veins_and_an_even_tone() -> None:
@@ -26,9 +26,17 @@ def test_a_place_on_the_blade_finds_its_pixel() -> None:
 def test_a_piece_of_a_photo_keeps_its_drawing_not_its_colour() -> None:
     rng = np.random.default_rng(1)
     leaf = rng.integers(60, 120, (300, 400, 3), dtype=np.uint8)
-    piece = blade_photo(rng, Assets(leaves=(leaf,)))
-    assert piece is not None
+    piece, *_, coarse = blade_photo(rng, Assets(leaves=(leaf,)))
     assert piece.shape == (192, 192, 3)
     assert np.allclose(piece.mean(axis=(0, 1)), 1.0, atol=0.12)
     assert piece.std() > 0.05
-    assert blade_photo(rng, Assets()) is None
+    assert coarse.std() < 0.5 * piece.std()
+    assert blade_photo(rng, Assets()) == ()
+
+
+def test_a_small_leaf_gets_a_coarse_drawing() -> None:
+    # 192 pixels over 2.6 half axes are 74 a half axis; with 18 the texture is four times too fine.
+    level = blade_level(18.5)
+    assert level == 2
+    fine, coarse = (np.abs(np.diff(blade_texture(1, k)[..., 1])).mean() for k in (0, level))
+    assert coarse < 0.6 * fine

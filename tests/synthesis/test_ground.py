@@ -26,6 +26,16 @@ def test_a_material_has_its_colour(material: str) -> None:
     assert np.allclose(tile.mean(axis=(0, 1)), expected, rtol=0.35, atol=0.01)
 
 
+def test_a_material_seen_from_afar_has_no_fine_grain() -> None:
+    near, far = (
+        material_tile(np.random.default_rng(1), "cloth", (200.0, 200.0, 200.0), pixel_m)
+        for pixel_m in (0.0, 0.006)
+    )
+    fine = [np.abs(np.diff(tile[..., 0], axis=1)).mean() for tile in (near, far)]
+    assert fine[1] < 0.3 * fine[0]
+    assert far.mean() == pytest.approx(near.mean(), rel=0.01)
+
+
 def test_an_unknown_material_is_refused() -> None:
     with pytest.raises(ValueError, match="choose one of wood, steel"):
         material_tile(np.random.default_rng(1), "gold", (200.0, 160.0, 40.0))

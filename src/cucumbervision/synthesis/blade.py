@@ -15,24 +15,27 @@ if TYPE_CHECKING:
 
     from cucumbervision.synthesis.assets import Assets
 
-__all__ = ["BLADES", "blade_photo", "blade_pixel", "blade_texture"]
+__all__ = ["BLADES", "blade_level", "blade_photo", "blade_pixel", "blade_texture"]
 
-BLADES = 32  # as many there are to choose from
+BLADES = 16  # as many there are to choose from
 
 _SIZE = 192
+_LEVELS = 3
 _REACH = 1.3  # the texture spans that many half axes to each side
 _BASE = -0.8  # where the stalk meets the blade
 _MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
 
 
-@lru_cache(maxsize=BLADES)
-def blade_texture(number: int) -> NDArray[np.float32]:
+@lru_cache(maxsize=4 * BLADES)
+def blade_texture(number: int, level: int = 0) -> NDArray[np.float32]:
     """Draw a leaf's blade.
 
     Parameters
     ----------
     number : int
-        Which of them, from 0 to `BLADES` - 1: drawing one takes as long as painting ten leaves.
+        Which of them, from 0 to `BLADES` - 1; each is drawn once and kept.
+    level : int
+        How coarse, as `blade_level` says.
 
     Returns
     -------
@@ -40,6 +43,8 @@ def blade_texture(number: int) -> NDArray[np.float32]:
         Tone about 1; vein, 0 to 1; slope along and across the blade, for relief 1. Rows run
         across the blade, columns along it to its tip, over 1.3 half axes to each side.
     """
+    if level:
+        return _coarser(blade_texture(number), level)
     rng = np.random.default_rng(number)
     line = ((np.arange(_SIZE, dtype=np.float32) + 0.5) * (2 / _SIZE) - 1) * _REACH
     s, t = np.meshgrid(line, line)
@@ -71,7 +76,7 @@ def blade_texture(number: int) -> NDArray[np.float32]:
     return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
 
 
-def blade_photo(rng: np.random.Generator, assets: Assets) -> NDArray[np.float32] | None:
+def blade_photo(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
     """Cut a piece of a leaf out of a photo.
 
     Parameters
@@ -83,11 +88,12 @@ def blade_photo(rng: np.random.Generator, assets: Assets) -> NDArray[np.float32]
 
     Returns
     -------
-    ndarray of float32, shape (192, 192, 3), or None
-        Linear RGB over its own mean, its middle third to half; None without leaves.
+    tuple of ndarray of float32, shape (192, 192, 3)
+        Linear RGB over its own mean, a third to half of the photo, for each `blade_level`; empty
+        without leaves.
     """
     if not assets.leaves:
-        return None
+        return ()
     picture = assets.leaves[rng.integers(len(assets.leaves))]
     rows, columns = picture.shape[:2]
     size = int(rng.uniform(0.30, 0.5) * min(rows, columns))
@@ -98,7 +104,29 @@ def blade_photo(rng: np.random.Generator, assets: Assets) -> NDArray[np.float32]
     )
     piece = cv2.resize(np.ascontiguousarray(piece), (_SIZE, _SIZE), interpolation=cv2.INTER_AREA)
     light = to_linear(piece)
-    return np.asarray(np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0), np.float32)
+    drawing = np.asarray(np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0), np.float32)
+    return tuple(_coarser(drawing, level) for level in range(_LEVELS + 1))
+
+
+def blade_level(half_px: float) -> int:
+    """Say how often a texture must be halved for a leaf of so many pixels from middle to tip.
+
+    Without it veins would flicker on small leaves.
+
+    Examples
+    --------
+    >>> [blade_level(half_px) for half_px in (200.0, 74.0, 37.0, 1.0)]
+    [0, 0, 1, 3]
+    """
+    fine = _SIZE / (2 * _REACH)
+    return min(max(round(float(np.log2(fine / max(half_px, 1.0)))), 0), _LEVELS)
+
+
+def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+    # Blurred as much as halving it so often would; its size stays.
+    if level == 0:
+        return texture
+    return np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.5 * 2.0**level))
 
 
 def blade_pixel(place: NDArray[np.float32]) -> NDArray[np.float32]:

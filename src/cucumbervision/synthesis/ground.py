@@ -50,7 +50,10 @@ def material_color(rng: np.random.Generator, material: str) -> tuple[float, floa
 
 
 def material_tile(
-    rng: np.random.Generator, material: str, color: tuple[float, float, float]
+    rng: np.random.Generator,
+    material: str,
+    color: tuple[float, float, float],
+    pixel_m: float = 0.0,
 ) -> NDArray[np.float32]:
     """Draw a material.
 
@@ -62,6 +65,8 @@ def material_tile(
         One of `MATERIALS`.
     color : tuple of float
         sRGB, 0 to 255.
+    pixel_m : float
+        What a pixel of the picture spans on it, metres: finer grain would flicker, and is blurred.
 
     Returns
     -------
@@ -80,7 +85,9 @@ def material_tile(
     stain = smooth_noise(rng, (_SIZE, _SIZE), 120, wrap=True)
     tone = tone * (1 + 0.06 * stain)
     tile = to_linear(color) * tone[..., None]
-    return np.asarray(np.clip(tile, 0.003, 0.95), np.float32)
+    tile = np.asarray(np.clip(tile, 0.003, 0.95), np.float32)
+    sigma_px = 0.5 * pixel_m * _SIZE / TILE_M
+    return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px)) if sigma_px > 0.3 else tile
 
 
 def _even(rng: np.random.Generator) -> NDArray[np.float32]:

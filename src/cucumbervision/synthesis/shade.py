@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.synthesis.blade import BLADES, blade_photo, blade_pixel, blade_texture
+from cucumbervision.synthesis.blade import (
+    BLADES,
+    blade_level,
+    blade_photo,
+    blade_pixel,
+    blade_texture,
+)
 from cucumbervision.synthesis.ground import TILE_M, far_view, material_tile
 from cucumbervision.synthesis.light import light_maps
 from cucumbervision.synthesis.raycast import ray_grid
@@ -105,7 +111,7 @@ def paint_scene(
     points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
     layers = _empty(view)
     far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
-    photos = [blade_photo(rng, assets) if style.leaf_photo else None for _ in range(_PHOTOS)]
+    photos = [blade_photo(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
     tiles: dict[str, Array] = {}
     for kind, index, at in _bodies(view):
         here = points[at]
@@ -115,25 +121,19 @@ def paint_scene(
             _fruit(rng, layers, at, tube, skin, here, surface, camera, assets)
         elif kind == Kind.LEAF:
             photo = photos[rng.integers(_PHOTOS)]
-            _leaf(rng, layers, at, scene.leaves[index], style, index, here, photo)
+            _leaf(rng, layers, at, scene.leaves[index], style, index, here, camera, photo)
         elif kind == Kind.STEM:
             _stem(rng, layers, at, scene.stems[index], style, index, here)
         elif kind == Kind.PLANE and style.materials[index] != FAR:
             name = style.materials[index]
             if name not in tiles:
-                tile = material_tile(rng, name, style.material_colors[index])
-                # As coarse as the picture sees it, else its grain would flicker.
-                coarse = float(np.median(here[:, 2])) / camera.fx_px * tile.shape[0] / TILE_M
-                tiles[name] = _softened(tile, 0.5 * coarse)
+                seen_m = float(np.median(here[:, 2])) / camera.fx_px
+                tiles[name] = material_tile(rng, name, style.material_colors[index], seen_m)
             _plane(layers, at, scene.planes[index], tiles[name], name, here)
         else:
             layers.albedo[at] = far[at]
             layers.far[at] = True
     return _lit(rng, layers, view, camera, style, assets)
-
-
-def _softened(tile: Array, sigma_px: float) -> Array:
-    return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px) if sigma_px > 0.3 else tile)
 
 
 def _check(scene: Scene, style: Style) -> None:
@@ -233,14 +233,16 @@ def _leaf(
     style: Style,
     index: int,
     points: Array,
-    photo: Array | None,
+    camera: Intrinsics,
+    photo: tuple[Array, ...],
 ) -> None:
     frame = leaf.frame.astype(np.float32)
     local = (points - leaf.centre_m.astype(np.float32)) @ frame.T
     flip = np.float32(rng.choice((-1.0, 1.0)))
     x = blade_pixel(local[:, 0] / np.float32(leaf.half_length_m))
     y = blade_pixel(flip * local[:, 1] / np.float32(leaf.half_width_m))
-    found = sample(blade_texture(int(rng.integers(BLADES))), x, y)
+    level = blade_level(camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
+    found = sample(blade_texture(int(rng.integers(BLADES)), level), x, y)
     below = found[:, 2:] * np.float32(style.leaf_relief)
     bend = np.asarray(leaf.bend_per_m, np.float32)
     slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
@@ -256,8 +258,8 @@ def _leaf(
         color = 0.65 * color + 0.35 * to_linear((140, 158, 122))
     vein = np.float32(0.0 if withered else rng.uniform(0.02, 0.35)) * found[:, 1]
     albedo = mix(color, pale, vein)
-    if photo is not None and not withered:
-        albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo, x, y) - 1)
+    if photo and not withered:
+        albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo[level], x, y) - 1)
     layers.albedo[at] = dimmed(albedo, np.ascontiguousarray(found[:, 0]))
     layers.gloss[at] = np.float32(0.0 if under or withered else style.leaf_gloss)
     layers.through[at] = np.float32(0.55)

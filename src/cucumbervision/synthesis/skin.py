@@ -141,7 +141,7 @@ LOOKS: dict[str, _Look] = {
     ),
     # pale, striped: Asian and white-green
     "pale": _Look(
-        _PALE + _FRESH[1:2],
+        _PALE[:3] + _FRESH[1:2],
         (_PALE[2], _YELLOW[1], _PALE[3]),
         (0.2, 0.8),
         (0.0, 1.5),

@@ -109,14 +109,18 @@ class Cluster:
         """Give the address of one of its databases."""
         return f"postgresql://tester@/{database}?host={quote(str(self._folder), safe='')}"
 
-    def new_database(self) -> str:
-        """Make an empty database and give its address."""
+    def say(self, command: str, database: str = "postgres") -> None:
+        """Run one command of SQL."""
         import psycopg
 
-        name = f"db_{uuid.uuid4().hex[:12]}"
-        where = f"host={self._folder} user=tester dbname=postgres"
+        where = f"host={self._folder} user=tester dbname={database}"
         with psycopg.connect(where, autocommit=True) as connection:
-            connection.execute(f"CREATE DATABASE {name}".encode())
+            connection.execute(command.encode())
+
+    def new_database(self) -> str:
+        """Make an empty database and give its address."""
+        name = f"db_{uuid.uuid4().hex[:12]}"
+        self.say(f"CREATE DATABASE {name}")
         return self.url(name)
 
 

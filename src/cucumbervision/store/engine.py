@@ -94,6 +94,8 @@ def make_engine(url: URL) -> Engine:
     ------
     MissingExtraError
         If PostgreSQL's driver is not installed.
+    StoreError
+        If the file's folder cannot be made.
     """
     if url.get_backend_name() != "sqlite":
         try:
@@ -101,7 +103,13 @@ def make_engine(url: URL) -> Engine:
             return create_engine(url, pool_pre_ping=True, connect_args={"client_encoding": "utf8"})
         except ModuleNotFoundError:
             raise MissingExtraError("psycopg", "postgres") from None
-    Path(url.database or "").absolute().parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(url.database or "").absolute().parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"cannot be made ({error.strerror})", source=folder, remedy="name another folder"
+        ) from None
     engine = create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S})
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
@@ -152,7 +160,3 @@ def store_errors(url: URL) -> Iterator[None]:
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
         raise StoreError(fault, source=named(url), remedy=remedy) from error
-    except OSError as error:
-        raise StoreError(
-            f"cannot be opened ({error.strerror})", source=named(url), remedy="check the folder"
-        ) from error

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.errors import StoreError
+from cucumbervision.store.engine import begin, database_url, named
+from cucumbervision.store.repository import open_store
+
+
+@pytest.mark.parametrize("where", ["", ":memory:", "sqlite://", "mysql://u@h/d", "http://x", "://"])
+def test_what_is_no_place_for_a_store_is_refused(where: str) -> None:
+    with pytest.raises(StoreError, match="give the path of a file, or postgresql"):
+        database_url(where)
+
+
+def test_a_password_is_never_shown() -> None:
+    url = database_url("postgresql://u:secret@127.0.0.1:1/d")
+    assert "secret" not in named(url)
+    with pytest.raises(StoreError) as refused:
+        open_store("postgresql://u:secret@127.0.0.1:1/d?connect_timeout=2")
+    assert "secret" not in str(refused.value)
+    assert "check that the PostgreSQL server runs" in str(refused.value)
+
+
+def test_sqlite_runs_as_safely_as_it_can(tmp_path: Path) -> None:
+    with open_store(tmp_path / "a.db") as store, begin(store.engine) as connection:
+
+        def pragma(name: str) -> object:
+            return connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+
+        assert pragma("journal_mode") == "wal"
+        assert pragma("synchronous") == 2  # FULL
+        assert pragma("foreign_keys") == 1
+        assert pragma("busy_timeout") == 30000
+
+
+def test_a_file_that_is_no_database_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a database, " * 100)
+    with pytest.raises(StoreError, match=r"notes\.txt: file is not a database; name another file"):
+        open_store(path)
+    assert path.read_text() == "not a database, " * 100
+
+
+def test_a_folder_is_no_store(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="unable to open database file; check the folder"):
+        open_store(tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StoreError, match=r"cannot be made .File exists.; name another folder"):
+        open_store(tmp_path / "file" / "house.db")
+
+
+def test_who_writes_for_too_long_is_named_as_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.db"
+    open_store(path).close()
+    monkeypatch.setattr("cucumbervision.store.engine.BUSY_TIMEOUT_S", 0.1)
+    other = sqlite3.connect(path)
+    other.execute("BEGIN IMMEDIATE")
+    with open_store(path) as store:
+        assert store.rounds() == []  # who reads never waits
+        with (
+            pytest.raises(StoreError, match="is locked; another program is writing"),
+            begin(store.engine, write=True),
+        ):
+            pass
+    other.close()

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import inspect, text
+
+from cucumbervision.errors import StoreError, StoreVersionError
+from cucumbervision.store.engine import begin, database_url, make_engine
+from cucumbervision.store.migrate import HEAD, MIGRATIONS, REVISIONS, VERSION_TABLE
+from cucumbervision.store.repository import open_store
+from cucumbervision.store.schema import Base
+
+
+def test_the_known_revisions_are_those_of_the_files() -> None:
+    scripts = ScriptDirectory(str(MIGRATIONS))
+    assert scripts.get_heads() == [HEAD]
+    assert [s.revision for s in reversed(list(scripts.walk_revisions()))] == list(REVISIONS)
+
+
+def test_the_migrations_make_the_tables_that_the_code_speaks_of(address: str) -> None:
+    with open_store(address) as store, store.engine.connect() as connection:
+        options = {"version_table": VERSION_TABLE, "compare_type": True}
+        context = MigrationContext.configure(connection, opts=options)
+        assert compare_metadata(context, Base.metadata) == []
+        assert set(inspect(connection).get_table_names()) == {*Base.metadata.tables, VERSION_TABLE}
+
+
+def test_a_newer_store_is_refused_and_stays_as_it_is(address: str) -> None:
+    with open_store(address) as store, begin(store.engine, write=True) as connection:
+        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '0999'"))
+    with pytest.raises(StoreVersionError, match=f"0999 is newer .* {HEAD}; update cucumbervision"):
+        open_store(address)
+    engine = make_engine(database_url(address))
+    with begin(engine) as connection:
+        found = connection.execute(text(f"SELECT version_num FROM {VERSION_TABLE}")).scalar()
+    engine.dispose()
+    assert found == "0999"
+
+
+def test_another_programs_tables_are_left_alone(address: str) -> None:
+    engine = make_engine(database_url(address))
+    with begin(engine, write=True) as connection:
+        connection.execute(text("CREATE TABLE fruit (name TEXT)"))
+        connection.execute(text("INSERT INTO fruit VALUES ('pear')"))
+    with pytest.raises(StoreError, match=r"tables of another program \(fruit\); name another"):
+        open_store(address)
+    with begin(engine) as connection:
+        assert connection.execute(text("SELECT name FROM fruit")).scalar() == "pear"
+        assert inspect(connection).get_table_names() == ["fruit"]
+    engine.dispose()
+
+
+def test_what_fails_half_way_leaves_nothing_behind(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The last table of all cannot be made: all before it must go again.
+    engine = make_engine(database_url(address))
+    with begin(engine, write=True) as connection:
+        connection.execute(text("CREATE TABLE links (name TEXT)"))
+    monkeypatch.setattr("cucumbervision.store.migrate._check_free", lambda *_: None)
+    with pytest.raises(StoreError, match="already exists"):
+        open_store(address)
+    with begin(engine) as connection:
+        assert inspect(connection).get_table_names() == ["links"]
+    engine.dispose()
+
+
+def test_several_may_open_a_new_store_at_once(address: str) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        for store in pool.map(lambda _: open_store(address), range(4)):
+            assert store.rounds() == []
+            store.close()
+
+
+def test_an_empty_file_becomes_a_store(tmp_path: Path) -> None:
+    (tmp_path / "a.db").touch()
+    with open_store(tmp_path / "a.db") as store:
+        assert store.rounds() == []

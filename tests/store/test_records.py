@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import math
+import uuid
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import StoreError
+from cucumbervision.store.lines import fruit_from_json, pack_um, points, unpack_um
+from cucumbervision.store.records import (
+    FruitRecord,
+    checked_key,
+    content_sha256,
+    key_of,
+    new_key,
+    record_json,
+)
+
+
+def test_new_keys_differ_and_made_keys_do_not() -> None:
+    assert new_key() != new_key()
+    assert key_of("a", 1) == key_of("a", "1")
+    # Parts are not merely strung together.
+    assert len({key_of("a", "bc"), key_of("ab", "c"), key_of("abc")}) == 3
+    assert uuid.UUID(key_of("a")).version == 5
+
+
+@pytest.mark.parametrize("key", ["", "stop-1", None, 7])
+def test_what_is_no_uuid_is_refused_by_name(key: str) -> None:
+    with pytest.raises(StoreError, match=r"stop key .* is no UUID; take one"):
+        checked_key(key, "stop")
+
+
+def test_a_key_is_the_same_however_it_is_written() -> None:
+    key = new_key()
+    assert checked_key(key.upper(), "stop") == key
+    assert checked_key(key.replace("-", ""), "stop") == key
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, np.float32(0.2), object()])
+def test_only_finite_plain_numbers_are_stored(value: float) -> None:
+    with pytest.raises(StoreError, match="cannot be stored"):
+        record_json(FruitRecord(1, length_m=value))
+
+
+def test_a_content_hash_tells_records_apart_to_the_last_digit() -> None:
+    one = FruitRecord(1, length_m=0.3)
+    assert content_sha256(one) == content_sha256(FruitRecord(1, length_m=0.3))
+    assert content_sha256(one) != content_sha256(FruitRecord(1, length_m=math.nextafter(0.3, 1)))
+
+
+def test_a_fruit_comes_back_from_json() -> None:
+    fruit = FruitRecord(3, keypoints=((1.5, 2.5, 0.25),), mask="123", flags="end-hidden")
+    assert fruit_from_json(record_json(fruit)) == fruit
+
+
+def test_paths_keep_whole_micrometres() -> None:
+    packed = pack_um([(0.123456, -1.0, 1999.0)])
+    assert len(packed) == 12
+    assert points(packed) == ((0.123456, -1.0, 1999.0),)
+    assert unpack_um(b"") == ()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 3000.0])
+def test_a_path_of_no_positions_is_refused(value: float) -> None:
+    with pytest.raises(StoreError, match="no position"):
+        pack_um([value])

@@ -88,11 +88,11 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
     dark = float(rng.beta(1.2, 5.0))
     return Exposure(
         highlights=float(np.exp(rng.uniform(0.0, 2.0))),
-        stops=float(rng.normal(-0.1, 0.6)),
+        stops=float(rng.normal(0.25, 0.7)),
         warmth=float(rng.normal(0, 0.10)),
         tint=float(rng.normal(0, 0.04)),
         contrast=float(rng.uniform(0.9, 1.25)),
-        saturation=float(rng.uniform(0.65, 1.12)),
+        saturation=float(rng.uniform(0.75, 1.55)),
         blur_px=float(rng.uniform(0.35, 0.6) + scale * rng.gamma(1.2, 0.4)),
         motion_px=float(scale * rng.gamma(2.0, 2.2)) if moved else 0.0,
         motion_deg=float(rng.uniform(0, 180)),

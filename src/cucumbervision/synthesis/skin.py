@@ -112,14 +112,15 @@ class _Look:
 
 
 _DARK = ((28.0, 66.0, 30.0), (36.0, 78.0, 34.0), (48.0, 92.0, 40.0), (30.0, 72.0, 48.0))
-_FRESH = ((62.0, 112.0, 46.0), (78.0, 128.0, 52.0), (54.0, 100.0, 44.0))
+_FRESH = ((62.0, 114.0, 36.0), (78.0, 130.0, 40.0), (52.0, 102.0, 36.0))
+_BRIGHT = ((96.0, 150.0, 46.0), (114.0, 158.0, 52.0), (84.0, 144.0, 36.0))
 _PALE = ((128.0, 160.0, 86.0), (150.0, 176.0, 108.0), (176.0, 192.0, 130.0), (190.0, 204.0, 160.0))
 _YELLOW = ((150.0, 164.0, 70.0), (172.0, 176.0, 88.0), (128.0, 152.0, 64.0))
 
 LOOKS: dict[str, _Look] = {
     # smooth, dark, long: under glass
     "long": _Look(
-        _DARK + _FRESH[:2],
+        _DARK + _FRESH + _BRIGHT[:2],
         (_FRESH[1], _YELLOW[2], _FRESH[0]),
         (0.0, 0.35),
         (0.0, 0.3),
@@ -130,7 +131,7 @@ LOOKS: dict[str, _Look] = {
     ),
     # spiny, warty: slicers
     "slicing": _Look(
-        _DARK,
+        _DARK + _FRESH[:2] + _BRIGHT[2:],
         (_YELLOW[2], _PALE[0], _FRESH[1]),
         (0.1, 0.55),
         (0.6, 3.0),
@@ -152,7 +153,7 @@ LOOKS: dict[str, _Look] = {
     ),
     # small and smooth: snacks
     "mini": _Look(
-        _FRESH + _DARK[1:3],
+        _FRESH + _DARK[1:3] + _BRIGHT,
         (_YELLOW[2], _FRESH[1], _PALE[0]),
         (0.0, 0.4),
         (0.0, 0.2),
@@ -163,7 +164,7 @@ LOOKS: dict[str, _Look] = {
     ),
     # stout and bumpy, light towards the blossom: gherkins
     "pickling": _Look(
-        _FRESH + _DARK[2:3],
+        _FRESH + _DARK[2:3] + _BRIGHT[1:],
         (_PALE[1], _PALE[0], _YELLOW[1]),
         (0.25, 0.9),
         (1.0, 4.0),

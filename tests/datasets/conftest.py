@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -46,8 +47,12 @@ def make_set(tmp_path: Path) -> Callable[..., DataSet]:
         pictures = []
         for k, split in enumerate(splits.split()):
             rng = np.random.default_rng(k)
-            coarse = rng.integers(0, 256, (HEIGHT // 8, WIDTH // 8, 3), np.uint8)
-            write_png(folder / f"images/{k:06d}.png", coarse.repeat(8, 0).repeat(8, 1))
+            # Every picture in a colour of its own: none shows another's scene.
+            base = np.array([40 + 170 * (k >> bit & 1) for bit in range(3)])
+            noise = rng.integers(-40, 41, (HEIGHT // 8, WIDTH // 8, 3))
+            coarse = (base + noise).astype(np.uint8)
+            smooth = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+            write_png(folder / f"images/{k:06d}.png", smooth)
             depth = rng.integers(400, 900, (HEIGHT, WIDTH)).astype(np.uint16)
             write_png(folder / f"depth/{k:06d}.png", depth)
             pictures.append(

@@ -64,6 +64,9 @@ def convert(
     source: Annotated[str, typer.Option(help="Whose pictures, where none is stated.")] = "",
     licence: Annotated[str, typer.Option(help="Their licence, where none is stated.")] = "",
     copy: Copy = False,
+    splits: Annotated[
+        str, typer.Option(help="YOLO: which splits to write, by commas.", metavar="A,B")
+    ] = "train,val,test",
     no_paint: Annotated[
         bool,
         typer.Option("--no-paint", help="YOLO: leave regions to ignore visible in train too."),
@@ -86,6 +89,7 @@ def convert(
             source=source,
             licence=licence,
             link=not copy,
+            splits=splits,
             paint=not no_paint,
         )
     )

@@ -28,16 +28,17 @@ if TYPE_CHECKING:
 
 __all__ = ["card", "check", "convert", "merge", "pseudo", "split"]
 
-_WIDTH = 120
+_WIDE = 500  # one line a finding, for files and pipes
 
 
 def check(folder: Path, names: str, *, duplicates: bool) -> int:
     """Print a set's faults as a table; give 1 if there are any."""
     with _progress("looking") as tick:
         dataset, findings = check_folder(folder, _list(names), duplicates=duplicates, progress=tick)
-    console = _console()
+    console = _console(_WIDE)
     if findings:
-        table = Table("kind", "where", "fault", "remedy", title=f"{folder}: what is wrong")
+        table = Table("kind", "where", "fault", "remedy")
+        table.title, table.title_justify = f"{folder}: what is wrong", "left"
         for column in table.columns:
             column.overflow = "fold"
         for finding in findings:
@@ -60,6 +61,7 @@ def convert(
     source: str,
     licence: str,
     link: bool,
+    splits: str,
     paint: bool,
 ) -> int:
     """Write a set in another form and say what came of it; give 1 if something was left out."""
@@ -73,6 +75,7 @@ def convert(
             source=source,
             licence=licence,
             link=link,
+            splits=_list(splits),
             paint_ignored=("train",) if paint else (),
             progress=tick,
         )
@@ -166,9 +169,9 @@ def _list(names: str) -> list[str]:
     return [name.strip() for name in names.split(",") if name.strip()]
 
 
-def _console() -> Console:
+def _console(width: int = 120) -> Console:
     # A file or a pipe has no width of its own; 80 columns would cut the table.
-    return Console(highlight=False, width=None if Console().is_terminal else _WIDTH)
+    return Console(highlight=False, width=None if Console().is_terminal else width)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.datasets.bop import write_bop
 from cucumbervision.datasets.classes import keep_classes
 from cucumbervision.datasets.coco import write_coco
+from cucumbervision.datasets.labels import SPLITS
 from cucumbervision.datasets.yolo import write_yolo
 from cucumbervision.errors import DataSetError
 
@@ -76,6 +77,7 @@ def convert_dataset(
     source: str = "",
     licence: str = "",
     link: bool = True,
+    splits: Sequence[str] = SPLITS,
     paint_ignored: Sequence[str] = ("train",),
     progress: Callable[[int], None] | None = None,
 ) -> str:
@@ -92,7 +94,7 @@ def convert_dataset(
         As in `keep_classes`; all classes without it.
     source, licence : str
         Of pictures that state none.
-    link, paint_ignored, progress
+    link, splits, paint_ignored, progress
         As in `write_yolo`.
 
     Returns
@@ -126,7 +128,13 @@ def convert_dataset(
         scenes = write_bop(dataset, out, link=link, progress=progress)
         return f"{len(dataset.pictures)} pictures in {len(scenes)} scenes in {out}"
     done = write_yolo(
-        dataset, out, _TASKS[form], link=link, paint_ignored=paint_ignored, progress=progress
+        dataset,
+        out,
+        _TASKS[form],
+        splits=splits,
+        link=link,
+        paint_ignored=paint_ignored,
+        progress=progress,
     )
     parts = ", ".join(f"{count} {split}" for split, count in done.pictures.items())
     return (

@@ -90,7 +90,7 @@ def place_file(source: Path, target: Path, *, link: bool) -> None:
     """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.exists() and target.samefile(source):
+        if target.resolve() == source.resolve() or (link and _same(source, target)):
             return
         target.unlink(missing_ok=True)
         if link:
@@ -110,6 +110,10 @@ def place_file(source: Path, target: Path, *, link: bool) -> None:
         raise DataSetError(
             f"cannot be written ({error.strerror})", source=target, remedy="choose another folder"
         ) from None
+
+
+def _same(source: Path, target: Path) -> bool:
+    return target.exists() and target.samefile(source)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,6 +59,7 @@ def write_yolo(
     out: Path,
     task: str = "segment",
     *,
+    splits: Sequence[str] = SPLITS,
     link: bool = True,
     paint_ignored: Sequence[str] = ("train",),
     progress: Callable[[int], None] | None = None,
@@ -74,6 +75,8 @@ def write_yolo(
     task : str
         'segment' (one polygon a fruit, parts joined, holes filled), 'pose' (five keypoints with
         visibility; a fruit without any has five of visibility 0) or 'detect'.
+    splits : sequence of str
+        Which splits to write: a test set of boxes alone has no place among masks.
     link : bool
         Pictures become second names of the same files where the disk can; else copies.
     paint_ignored : sequence of str
@@ -97,6 +100,7 @@ def write_yolo(
     Format: Ultralytics, "Instance Segmentation / Pose Estimation Datasets Overview".
     `pictures.json` beside `data.yaml` keeps scene, source and licence, which the format has not.
     """
+    dataset = _chosen(dataset, splits)
     _require(dataset, task)
     names = flat_names(p.file for p in dataset.pictures)
     counts = dict.fromkeys(SPLITS, 0)
@@ -131,6 +135,17 @@ def write_yolo(
     return WrittenYolo(out / "data.yaml", counts, lines, painted, holes)
 
 
+def _chosen(dataset: DataSet, splits: Sequence[str]) -> DataSet:
+    unknown = [split for split in splits if split not in SPLITS]
+    if unknown:
+        raise DataSetError(
+            f"no split is called {unknown[0]!r}", remedy=f"choose of {', '.join(SPLITS)}"
+        )
+    # Pictures without a split stay, to be refused.
+    chosen = {*splits, *({p.split for p in dataset.pictures} - set(SPLITS))}
+    return replace(dataset, pictures=tuple(p for p in dataset.pictures if p.split in chosen))
+
+
 def _require(dataset: DataSet, task: str) -> None:
     if task not in TASKS:
         raise DataSetError(
@@ -153,7 +168,7 @@ def _require(dataset: DataSet, task: str) -> None:
         raise DataSetError(
             f"{len(bare)} labels have a box but no mask, first in {bare[0]}",
             source=dataset.folder,
-            remedy="draw masks first: cucumbervision data pseudo",
+            remedy="draw masks first (cucumbervision data pseudo) or leave that split out",
         )
 
 

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cucumbervision.cli.train import app
+from cucumbervision.cli.train_console import epoch_line
+from cucumbervision.errors import MissingExtraError, TrainingError
+from cucumbervision.training.train import EpochReport
+
+needs_extra = pytest.mark.skipif(
+    importlib.util.find_spec("ultralytics") is None, reason="needs the extra 'train'"
+)
+
+
+def test_help_names_both_tasks_and_export_alone() -> None:
+    text = CliRunner().invoke(app, ["--help"]).output
+    for word in ("seg", "pose", "export"):
+        assert word in text
+    assert "ship" not in text
+
+
+def test_an_epoch_is_a_line() -> None:
+    metrics = {"train/box_loss": 1.25, "train/cls_loss": 0.5, "metrics/mAP50-95(P)": 0.81}
+    report = EpochReport(2, 3, 448, 5, 6, 61.4, metrics)
+    assert epoch_line(report) == (
+        "stage 2/3  448 px  epoch 5/6  61 s  loss 1.750  points mAP 0.810"
+    )
+
+
+@needs_extra
+@pytest.mark.train
+@pytest.mark.parametrize("command", ["seg", "pose"])
+def test_errors_come_through(command: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, [command, "--out", str(tmp_path), "--resume"])
+    assert isinstance(result.exception, TrainingError)
+    assert "there is no training to go on with" in str(result.exception)
+
+
+@needs_extra
+@pytest.mark.train
+def test_export_names_what_is_missing(tmp_path: Path) -> None:
+    words = ["export", str(tmp_path), "--out", str(tmp_path / "out"), "--name", "a"]
+    result = CliRunner().invoke(app, words)
+    assert isinstance(result.exception, TrainingError)
+    assert "no finished weights" in str(result.exception)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="the extra is there")
+def test_missing_extra_is_named(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["seg", "--out", str(tmp_path), "--resume"])
+    assert isinstance(result.exception, MissingExtraError)

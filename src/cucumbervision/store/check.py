@@ -101,7 +101,7 @@ def check_store(
 
 def _named(store: Store) -> dict[str, ImageRef]:
     with begin(store.engine) as connection:
-        refs = [ImageRef(*row) for row in connection.execute(select(*IMAGE_COLUMNS)).tuples()]
+        refs = [ImageRef(*row) for row in connection.execute(select(*IMAGE_COLUMNS)).all()]
     return {ref.sha256: ref for ref in refs}
 
 

@@ -299,7 +299,10 @@ def _method_record(measurement: Measurement) -> MethodRecord:
     tube, fit, path = measurement.tube, measurement.fit, measurement.path_m
     diameter: NDArray[np.float64] | None = None
     if fit is not None:
-        path, diameter = fit.traits.axis_m, fit.traits.diameter_m
+        path = fit.traits.axis_m
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        diameter = np.interp(along, fit.traits.along_m, fit.traits.diameter_m)
     kept = np.zeros(0, int)
     if path is not None:
         kept = np.unique(np.linspace(0, len(path) - 1, min(len(path), PATH_POINTS)).round())

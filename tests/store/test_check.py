@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cucumbervision.store.check import check_store
+from cucumbervision.store.records import CaptureRecord, ImageRef
+from cucumbervision.store.repository import Store
+
+if TYPE_CHECKING:
+    from tests.store.conftest import MakeStop
+
+
+def age(path: Path, seconds: float = 7200) -> Path:
+    then = time.time() - seconds
+    os.utime(path, (then, then))
+    return path
+
+
+@pytest.fixture
+def refs(store: Store, make_stop: MakeStop) -> list[ImageRef]:
+    """Three pictures of one stop, two hours old."""
+    refs = [store.images.put(b"picture %d" % k, ".png", 1, 1) for k in range(3)]
+    capture = CaptureRecord("a", color=refs[0], depth=refs[1], thumbnail=refs[2])
+    store.save_stop(make_stop(1, captures=(capture,)))
+    for ref in refs:
+        age(store.images.path(ref))
+    return refs
+
+
+def test_a_sound_store(store: Store, refs: list[ImageRef]) -> None:
+    report = check_store(store, remove=True)
+    assert (report.pictures, report.sound) == (3, True)
+    assert (report.orphans, report.removed) == ((), ())
+    assert store.stop(store.stops(store.rounds()[1].key)[0].key).captures[0].depth == refs[1]
+    assert store.stops(store.rounds()[1].key)[0].thumbnail == refs[2]
+
+
+def test_what_is_missing_or_damaged_is_named_and_left(store: Store, refs: list[ImageRef]) -> None:
+    missing, damaged = (store.images.path(ref) for ref in refs[:2])
+    missing.unlink()
+    damaged.write_bytes(b"something else")
+    report = check_store(store, remove=True)
+    assert (report.missing, report.damaged, report.sound) == ((missing,), (damaged,), False)
+    assert damaged.exists()
+    quick = check_store(store, contents=False)
+    assert (quick.missing, quick.damaged) == ((missing,), ())
+
+
+def test_orphans_are_found_and_removed_once_they_are_old(
+    store: Store, refs: list[ImageRef]
+) -> None:
+    old = age(store.images.path(store.images.put(b"orphan", ".png", 1, 1)))
+    young = store.images.path(store.images.put(b"on its way", ".png", 1, 1))
+    broken_off = old.with_name(".writing-123")
+    broken_off.write_bytes(b"half a pict")
+    age(broken_off)
+    found = check_store(store)
+    assert (found.orphans, found.removed) == (tuple(sorted((broken_off, old))), ())
+    assert old.exists()
+    assert check_store(store, remove=True).removed == found.orphans
+    left = {store.images.path(ref) for ref in refs} | {young}
+    assert {p for p in store.images.folder.rglob("*") if p.is_file()} == left
+
+
+@pytest.mark.parametrize("used", ["named", "put"])
+def test_an_orphan_that_somebody_uses_just_now_is_brought_back(
+    store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch, used: str
+) -> None:
+    """Between finding an orphan and removing it another program saves a stop with it."""
+    ref = store.images.put(b"orphan", ".png", 1, 1)
+    path = age(store.images.path(ref))
+    take_away = Path.replace
+
+    def meanwhile(self: Path, target: Path) -> Path:
+        if self == path:
+            if used == "put":
+                store.images.put(b"orphan", ".png", 1, 1)
+            else:
+                store.save_stop(make_stop(1, captures=(CaptureRecord("a", color=ref),)))
+        return take_away(self, target)
+
+    monkeypatch.setattr(Path, "replace", meanwhile)
+    assert check_store(store, remove=True).removed == ()
+    assert store.images.read(ref) == b"orphan"
+
+
+def test_a_check_that_was_killed_is_made_good_by_the_next(
+    store: Store, refs: list[ImageRef]
+) -> None:
+    path = store.images.path(refs[0])
+    path.replace(path.with_name(f"{path.name}.removing"))
+    assert check_store(store).missing == (path,)
+    assert check_store(store, remove=True).sound
+    assert store.images.read(refs[0]) == b"picture 0"
+
+
+def test_sqlites_own_faults_are_told(store: Store, refs: list[ImageRef]) -> None:
+    if store.engine.dialect.name != "sqlite":
+        pytest.skip("PostgreSQL checks its keys itself, always")
+    # Past the store, as another program might do it.
+    raw = store.engine.raw_connection()
+    raw.cursor().execute("PRAGMA foreign_keys = OFF")
+    raw.cursor().execute("UPDATE captures SET stop_id = 999")
+    raw.close()
+    report = check_store(store)
+    assert report.faults == ("captures names a line of stops that is not there",)
+    assert not report.sound

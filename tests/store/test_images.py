@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.errors import StoredImageError, StoreError
+from cucumbervision.store.images import DEPTH_UNIT_M, THUMBNAIL_PX, ImageStore
+from cucumbervision.store.records import ImageRef
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> ImageStore:
+    return ImageStore(tmp_path / "pictures")
+
+
+@pytest.fixture
+def color() -> np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]:
+    return np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+
+
+def test_a_picture_is_named_by_its_content_and_comes_back_exactly(
+    images: ImageStore, color: np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]
+) -> None:
+    ref = images.put_color(color)
+    path = images.path(ref)
+    data = path.read_bytes()
+    assert ref == ImageRef(hashlib.sha256(data).hexdigest(), ".png", len(data), 64, 48)
+    assert path.relative_to(images.folder).parts == (
+        ref.sha256[:2],
+        ref.sha256[2:4],
+        f"{ref.sha256}.png",
+    )
+    np.testing.assert_array_equal(images.read_color(ref), color)
+    assert list(images.unfinished()) == []
+
+
+def test_a_jpeg_is_small_and_close(images: ImageStore) -> None:
+    ramp = np.linspace(0, 255, 640).astype(np.uint8)
+    color = np.stack(np.broadcast_arrays(ramp, 120, ramp[::-1]), axis=-1)[None].repeat(480, 0)
+    ref = images.put_color(color.astype(np.uint8), lossless=False)
+    assert ref.suffix == ".jpg"
+    worst = np.abs(images.read_color(ref).astype(int) - color).max()
+    assert worst <= 6
+
+
+@pytest.mark.parametrize(("size", "small"), [((480, 848), (181, 320)), ((20, 10), (20, 10))])
+def test_a_thumbnail_keeps_the_shape(
+    images: ImageStore, size: tuple[int, int], small: tuple[int, int]
+) -> None:
+    ref = images.put_thumbnail(np.full((*size, 3), (10, 150, 60), np.uint8))
+    picture = images.read_color(ref)
+    assert picture.shape == (*small, 3)
+    assert max(picture.shape) <= THUMBNAIL_PX
+    assert np.abs(picture.astype(int) - (10, 150, 60)).max() <= 3
+
+
+def test_depth_comes_back_to_half_a_step_and_what_is_no_reading_as_0(images: ImageStore) -> None:
+    depth = np.array([[0.1, 0.45454, 4.99996, 6.5535], [0, np.nan, np.inf, 7.0]], np.float32)
+    back = images.read_depth(images.put_depth(depth))
+    assert back.dtype == np.float32
+    np.testing.assert_allclose(back[0], depth[0], atol=0.5 * DEPTH_UNIT_M + 1e-6)
+    assert back[1].tolist() == [0, 0, 0, 0]
+    stored = cv2.imread(str(next(images.files())), cv2.IMREAD_UNCHANGED)
+    assert stored is not None
+    assert stored.dtype == np.uint16
+    assert stored.tolist() == [[1000, 4545, 50000, 65535], [0, 0, 0, 0]]
+
+
+def test_the_same_picture_is_written_once(
+    images: ImageStore, color: np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]
+) -> None:
+    path = images.path(images.put_color(color))
+    os.utime(path, (1000.0, 1000.0))
+    before = path.stat()
+    images.put_color(color)
+    after = path.stat()
+    assert after.st_ino == before.st_ino
+    # Used just now: no check may take it for an orphan of long ago.
+    assert after.st_mtime > before.st_mtime + 1000
+    assert len(list(images.files())) == 1
+
+
+def test_a_damaged_picture_is_noticed_and_put_again_beside_it(
+    images: ImageStore, color: np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]
+) -> None:
+    ref = images.put_color(color)
+    path = images.path(ref)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-100])
+    with pytest.raises(StoredImageError, match="its content is not what its name says; copy"):
+        images.read_color(ref)
+    images.put_color(color)
+    np.testing.assert_array_equal(images.read_color(ref), color)
+    [damaged] = [p for p in images.files() if p != path]
+    assert damaged.read_bytes() == whole[:-100]
+
+
+def test_a_missing_picture_is_named(images: ImageStore) -> None:
+    with pytest.raises(StoredImageError, match=r"ab{3}\.png: cannot be read"):
+        images.read(ImageRef("abbb", ".png", 1, 1, 1))
+
+
+def test_what_is_no_picture_is_said(images: ImageStore) -> None:
+    ref = images.put(b"no picture", ".png", 1, 1)
+    with pytest.raises(StoredImageError, match="is no picture that can be read"):
+        images.read_color(ref)
+    with pytest.raises(StoreError, match=r"'\.gif' pictures are not stored"):
+        images.put(b"x", ".gif", 1, 1)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "pictures").write_text("a file")
+    with pytest.raises(StoreError, match=r"cannot be written .* send the stop again"):
+        ImageStore(tmp_path / "pictures").put(b"x", ".png", 1, 1)
+
+
+def test_what_cannot_be_finished_leaves_nothing(
+    images: ImageStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(StoreError, match=r"No space left on device.*; make room"):
+        images.put(b"x", ".png", 1, 1)
+    assert [p for p in images.folder.rglob("*") if p.is_file()] == []

@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "kill_stops.py"
+
+
+def test_a_program_killed_again_and_again_loses_and_doubles_nothing(
+    address: str, tmp_path: Path
+) -> None:
+    options = ["--url", address, "--images", str(tmp_path / "pictures"), "--stops", "8"]
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARK), *options], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "8 stops: none lost, none doubled" in done.stdout
+    killed = int(done.stdout.split("killed ")[1].split(",")[0])
+    assert killed >= 5

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.readers import open_source
+from cucumbervision.errors import CaptureError
+from cucumbervision.measurement.results import Fruit, Length, Method
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.session.finders import dataset_instances
+from cucumbervision.session.intervals import with_simulated_interval
+from cucumbervision.session.options import MeasureOptions
+from cucumbervision.session.results import Failure
+from cucumbervision.session.rows import fruit_row
+from cucumbervision.store.records import RoundRecord, record_json
+from cucumbervision.store.repository import Store, open_store
+from cucumbervision.store.results import (
+    MeasuredCapture,
+    artifact_records,
+    fruit_record,
+    records_from_result,
+    view_score,
+)
+from cucumbervision.synthesis.demo import bundled_captures
+
+
+@pytest.fixture(scope="module")
+def measured() -> MeasuredCapture:
+    """A bundled capture with its rows, as a run leaves them."""
+    refs = {ref.name: ref for ref in open_source(bundled_captures())}
+    capture = refs["simulated-row-a"].load()
+    capture = replace(capture, stop=Stop("3", "left", 1.2, 4), timestamp_s=1234.5)
+    fruit = [measure_fruit(capture, instance) for instance in dataset_instances(capture)]
+    rows = [
+        with_simulated_interval(fruit_row(capture, n, one), one, Length.THREAD, scale_known=False)
+        for n, one in enumerate(fruit, 1)
+    ]
+    return MeasuredCapture(capture, fruit, rows)
+
+
+def test_a_measured_capture_is_saved_and_comes_back_whole(
+    tmp_path: Path, measured: MeasuredCapture
+) -> None:
+    walk = RoundRecord(name="morning")
+    failure = Failure("folder", "b", "CaptureError", str(CaptureError("is empty")))
+    with open_store(tmp_path / "house.db") as store:
+        store.save_round(walk)
+        stop = records_from_result(
+            walk.key,
+            [measured],
+            position_sd_m=0.03,
+            images=store.images,
+            artifacts=artifact_records(MeasureOptions(), [{"name": "sam", "sha256": "ab"}]),
+            failures=[failure],
+        )
+        store.save_stop(stop)
+        assert store.stop(stop.key) == stop
+        _check_place(store, walk.key)
+        saved = store.stop(stop.key).captures[0]
+        assert saved.color is not None
+        assert saved.depth is not None
+        assert saved.thumbnail is not None
+        np.testing.assert_array_equal(store.images.read_color(saved.color), measured.capture.color)
+        depth = store.images.read_depth(saved.depth)
+        np.testing.assert_allclose(depth, measured.capture.depth_m, atol=6e-5)
+        assert store.images.read_color(saved.thumbnail).shape[1] == 320
+    assert stop.failures[0]["error"] == "CaptureError"
+    assert [(a.kind, a.name) for a in stop.artifacts[1:]] == [
+        ("config", "measure"),
+        ("model", "sam"),
+    ]
+    assert stop.artifacts[1].sha256 == MeasureOptions().sha256
+
+
+def _check_place(store: Store, key: str) -> None:
+    [view] = store.stops(key)
+    assert (view.row, view.side, view.position_m, view.step) == ("3", "left", 1.2, 4)
+    assert (view.position_sd_m, view.taken_s, view.fruit, view.failures) == (0.03, 1234.5, 3, 1)
+
+
+def test_a_fruits_record_says_what_its_row_says(measured: MeasuredCapture) -> None:
+    [stop] = records_from_result("r", [measured]).captures
+    for record, row, fruit in zip(stop.fruit, measured.rows, measured.fruit, strict=True):
+        for metres, column in (
+            ("length_m", "length_cm"),
+            ("interval_low_m", "interval_low_cm"),
+            ("thread_m", "thread_cm"),
+            ("distance_m", "distance_cm"),
+        ):
+            assert 100 * getattr(record, metres) == pytest.approx(row[column], abs=1e-9)
+        assert 1000 * (record.diameter_max_m or 0) == pytest.approx(
+            row["diameter_max_mm"], abs=0.01
+        )
+        assert 1e6 * (record.volume_m3 or 0) == pytest.approx(row["volume_ml"], abs=0.06)
+        assert (record.method, record.flags, record.box_x1_px) == (
+            row["method"],
+            row["flags"],
+            row["box_x1_px"],
+        )
+        assert record.mask is not None
+        assert fruit.mask is not None
+        assert (decode_rle(record.mask, stop.height_px, stop.width_px) == fruit.mask).all()
+        assert [m.method for m in record.methods] == [str(m) for m in Method]
+
+
+def test_a_fruit_lies_where_the_picture_shows_it(measured: MeasuredCapture) -> None:
+    # Of `SCENES`: the middles of the three fruit, camera coordinates.
+    drawn = [(-0.17, 0.52), (0.02, 0.55), (0.20, 0.50)]
+    [capture] = records_from_result("r", [measured]).captures
+    found = sorted((f.centre_x_m, f.centre_z_m, f.offset_m) for f in capture.fruit if f.centre_x_m)
+    for (x, z), (x_m, z_m, offset_m) in zip(drawn, found, strict=True):
+        assert x_m == offset_m == pytest.approx(x, abs=0.015)
+        assert z_m == pytest.approx(z, abs=0.03)
+
+
+def test_a_tubes_axis_is_kept_with_a_diameter_at_every_point(measured: MeasuredCapture) -> None:
+    record = fruit_record(measured.capture, 1, measured.fruit[0], measured.rows[0])
+    tube = next(m for m in record.methods if m.method == "M6")
+    assert tube.centreline_m is not None
+    assert len(tube.path_m) == len(tube.diameter_m) == 48
+    along = np.linalg.norm(np.diff(np.array(tube.path_m), axis=0), axis=1).sum()
+    assert along == pytest.approx(tube.centreline_m, rel=0.01)
+    assert max(tube.diameter_m) == pytest.approx(record.diameter_max_m or 0, rel=0.02)
+    # The thinned path still begins and ends where the fruit does.
+    fit = measured.fruit[0].measurements[Method.M6].fit
+    assert fit is not None
+    np.testing.assert_allclose(tube.path_m[-1], fit.traits.axis_m[-1], atol=1e-6)
+
+
+def test_a_fruit_that_nothing_measured_is_kept_too(measured: MeasuredCapture) -> None:
+    nothing = measure_fruit(measured.capture, Instance(np.array([0.5, 0.5, 9.5, 9.5])))
+    dark = replace(measured.capture, depth_m=np.zeros_like(measured.capture.depth_m))
+    nothing = measure_fruit(dark, nothing.instance)
+    record = fruit_record(dark, 1, nothing, fruit_row(dark, 1, nothing))
+    assert (record.length_m, record.method, record.view_score) == (None, None, 0.0)
+    assert (record.reason, record.mask, record.centre_x_m) == ("no-depth", None, None)
+    assert record_json(record)["methods"][0]["reason"] == "no-depth"
+
+
+def test_a_view_that_shows_less_scores_less(measured: MeasuredCapture) -> None:
+    fruit: Fruit = measured.fruit[0]
+    row = {**measured.rows[0], "fill": 0.9, "hidden_share": 0.0, "flags": ""}
+    best = view_score(fruit, row)
+    assert best == pytest.approx(0.9 * fruit.instance.score)
+    assert view_score(fruit, {**row, "hidden_share": 0.25}) == pytest.approx(0.75 * best)
+    assert view_score(fruit, {**row, "flags": "cut-by-frame"}) == pytest.approx(best / 2)
+    assert view_score(fruit, {**row, "flags": "cut-by-frame end-hidden"}) == pytest.approx(best / 4)
+    plain = replace(fruit, selected=fruit.measurements[Method.M3])
+    assert view_score(plain, row) == pytest.approx(best / 2)
+
+
+def test_provenance_of_numpy_numbers_and_paths_is_stored(measured: MeasuredCapture) -> None:
+    odd: Capture = replace(
+        measured.capture,
+        provenance={"gain": np.float32(0.5), "list": np.arange(2), "from": Path("a")},
+    )
+    [capture] = records_from_result("r", [MeasuredCapture(odd, (), ())]).captures
+    assert capture.provenance == {"gain": 0.5, "list": [0, 1], "from": "a"}

@@ -14,6 +14,7 @@ import numpy as np
 
 from cucumbervision.agronomy.fruit import FruitState, check_fruit, natural_key
 from cucumbervision.agronomy.futures import Futures, simulate
+from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,11 +40,23 @@ class Detection:
         Share of the fruit that are found, and how sure that is.
     false : float
         Share of the found that are no fruit, or the same fruit twice.
+
+    Raises
+    ------
+    ForecastError
+        If one of them is no share.
     """
 
     found: float = 1.0
     found_sd: float = 0.0
     false: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.found <= 1 and 0 <= self.found_sd < 1 and 0 <= self.false < 1):
+            raise ForecastError(
+                f"found {self.found} (sd {self.found_sd}), false {self.false}",
+                remedy="give shares from 0 to 1, of which something is found and not all is false",
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +181,8 @@ def forecast(
     >>> bool(found.house.expected[2, 0] > 40)  # most are class I in two days
     True
     """
-    check_fruit(fruit)
+    _check(days, draws, scale_sd, level)
+    check_fruit(fruit, [c.name for c in profile.classes])
     left = sorted(
         (f for f in fruit if not f.picked),
         key=lambda f: (natural_key(f.row), f.side, f.position_m, f.fruit_id),
@@ -207,6 +221,14 @@ def forecast(
         _complete(futures, growth, profile),
         level,
     )
+
+
+def _check(days: int, draws: int, scale_sd: float, level: float) -> None:
+    if days < 0 or draws < 1 or not 0 <= scale_sd < 1 or not 0 < level < 1:
+        raise ForecastError(
+            f"{days} days, {draws} draws, scale sd {scale_sd}, level {level}",
+            remedy="give 0 or more days, at least one draw, and shares from 0 to 1",
+        )
 
 
 class _Tally:

@@ -52,13 +52,13 @@ class FruitState:
     picked: bool = False
 
 
-def check_fruit(fruit: Sequence[FruitState]) -> None:
+def check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
     """Refuse fruit that nothing can be forecast from.
 
     Raises
     ------
     ForecastError
-        Naming the first fruit at fault, or a name that two fruit have.
+        Naming the first fruit at fault: figures, `best_class`, or a name that two fruit have.
     """
     seen: set[str] = set()
     for one in fruit:
@@ -68,6 +68,11 @@ def check_fruit(fruit: Sequence[FruitState]) -> None:
                 f"fruit {one.fruit_id!r}: length {one.length_m} m, sd {one.sd_m} m, day {one.day}, "
                 f"position {one.position_m} m",
                 remedy="give finite figures, length and sd positive; leave unmeasured fruit out",
+            )
+        if one.best_class and one.best_class not in classes:
+            raise ForecastError(
+                f"fruit {one.fruit_id!r}: no class is called {one.best_class!r}",
+                remedy=f"take one of {', '.join(classes)}",
             )
         if one.fruit_id in seen:
             raise ForecastError(

@@ -178,8 +178,8 @@ def grade(fruit: FruitTraits, profile: CropProfile) -> Grade:
     length = fruit.length_m(profile.length)
     mass = None if fruit.volume_m3 is None else 1000 * fruit.volume_m3 * profile.density.kg_m3
     if length is None:
-        missing = f"{profile.length} length: no tube could be fitted, or it was not measured"
-        return Grade(Verdict.MISSING, "", (), {}, (missing,), mass_g=mass)
+        no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
+        return Grade(Verdict.MISSING, "", (), {}, (no_length,), mass_g=mass)
     limits = profile.acceptance
     length_cm = round(100 * length, 6)
     if not limits.min_cm <= length_cm <= limits.max_cm:

@@ -55,7 +55,7 @@ class Basis:
         """Give how much of each whole day lies between `start` and `end`, shape (N, days)."""
         days = self.first_day + np.arange(self.days)
         upper = np.minimum(end[:, None], days + 1)
-        return np.maximum(upper - np.maximum(start[:, None], days), 0.0)
+        return np.asarray(np.maximum(upper - np.maximum(start[:, None], days), 0.0))
 
 
 @dataclass(frozen=True, eq=False)

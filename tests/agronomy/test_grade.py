@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cucumbervision.agronomy.belief import LengthBelief
+from cucumbervision.agronomy.grade import OUT_OF_GRADE, FruitTraits, Verdict, grade
+from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.measurement.results import Length
+
+LONG = load_profile("long-cucumber")
+# 400 g at 960 kg/m3, straight, as long as the weight asks for.
+SOUND = FruitTraits(
+    thread_m=0.30, chord_m=0.28, inner_arc_mm_per_10cm=4.0, volume_m3=0.4 / 960, diameter_max_m=0.04
+)
+
+
+def sure(thread_m: float, half: float) -> FruitTraits:
+    belief = LengthBelief.from_interval(thread_m, thread_m / (1 + half), thread_m * (1 + half))
+    return replace(SOUND, thread_m=thread_m, belief=belief, belief_of=Length.THREAD)
+
+
+@pytest.mark.parametrize(
+    ("thread_m", "name", "said"),
+    [
+        (0.1999, OUT_OF_GRADE, "thread length 20.0 cm is under 20"),
+        (0.20, "II", "class II: thread length 20.0 cm is in [20, 25)"),
+        (0.2499, "II", "class II: thread length 25.0 cm is in [20, 25)"),
+        (0.25, "I", "class I: thread length 25.0 cm is in [25, 35)"),
+        (0.3499, "I", "class I"),
+        (0.35, OUT_OF_GRADE, "out of grade: thread length 35.0 cm is 35 or more"),
+    ],
+)
+def test_classes_of_the_paper_hold_their_lower_end(thread_m: float, name: str, said: str) -> None:
+    found = grade(replace(SOUND, thread_m=thread_m), LONG)
+    assert found.name == name
+    assert said in found.rules[0]
+    assert found.verdict is (Verdict.OUT if name == OUT_OF_GRADE else Verdict.IN_CLASS)
+
+
+@pytest.mark.parametrize(
+    ("arc", "shape", "name", "best"),
+    [
+        (10.0, "practically straight", "I", "I"),
+        (10.1, "slightly crooked", "II", "II"),
+        (20.0, "slightly crooked", "II", "II"),
+        (20.1, "crooked", "II", "II"),
+    ],
+)
+def test_crooked_fruit_are_lowered(arc: float, shape: str, name: str, best: str) -> None:
+    found = grade(replace(SOUND, inner_arc_mm_per_10cm=arc), LONG)
+    assert (found.shape, found.name, found.best_class) == (shape, name, best)
+    if name == "II":
+        assert found.rules[0].startswith(f"at best class II, {shape}: inner arc {arc:.1f} mm")
+        assert "FFV-15" in found.rules[0]
+        assert found.rules[1].startswith("class I: thread length 30.0 cm")
+
+
+def test_mass_is_volume_times_the_profiles_density() -> None:
+    found = grade(SOUND, LONG)
+    assert found.mass_g == pytest.approx(400)
+    assert found.weight_class == "250 to 500 g"
+
+
+def test_light_fruit_is_in_no_class() -> None:
+    found = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
+    assert (found.verdict, found.name) == (Verdict.OUT, OUT_OF_GRADE)
+    assert found.rules[0].startswith("too light: about 249 g, at least 250 g are asked for (Reg")
+
+
+def test_heavy_fruit_must_be_long_for_class_one() -> None:
+    heavy = replace(SOUND, volume_m3=0.5 / 960)
+    short = grade(replace(heavy, chord_m=0.299), LONG)
+    assert (short.name, short.weight_class) == ("II", "500 g and more")
+    assert short.rules[0].startswith("not class I: chord 29.9 cm, 500 g and more must be 30 cm")
+    assert grade(replace(heavy, chord_m=0.30), LONG).name == "I"
+
+
+def test_probabilities_come_from_the_interval() -> None:
+    found = grade(sure(0.25, 0.02), LONG)
+    assert found.probabilities == pytest.approx({"I": 0.5, "II": 0.5, OUT_OF_GRADE: 0.0}, abs=1e-6)
+    assert found.verdict is Verdict.BORDERLINE
+    assert found.rules[0].startswith("borderline: ")
+    clear = grade(sure(0.30, 0.02), LONG)
+    assert clear.verdict is Verdict.IN_CLASS
+    assert clear.probabilities["I"] > 0.999
+
+
+def test_borderline_begins_at_80_percent() -> None:
+    # 5 % of each side is beyond an end of the interval: the end at 25 cm leaves 95 % for class I.
+    assert grade(sure(0.25 * 1.02, 0.02), LONG).probabilities["I"] == pytest.approx(0.95, abs=1e-6)
+    # Half a standard deviation above the limit leaves 69 %.
+    assert grade(sure(0.25 * 1.02 ** (0.5 / 1.6449), 0.02), LONG).verdict is Verdict.BORDERLINE
+
+
+def test_shape_moves_probability_to_the_class_it_allows() -> None:
+    found = grade(replace(sure(0.25, 0.02), inner_arc_mm_per_10cm=15.0), LONG)
+    assert found.probabilities == pytest.approx({"I": 0.0, "II": 1.0, OUT_OF_GRADE: 0.0}, abs=1e-6)
+    assert found.verdict is Verdict.IN_CLASS
+
+
+def test_interval_of_another_length_says_nothing() -> None:
+    belief = LengthBelief.from_interval(0.28, 0.27, 0.29)
+    found = grade(replace(SOUND, belief=belief, belief_of=Length.CENTRELINE), LONG)
+    assert found.probabilities == {}
+    assert found.missing == ("interval of the thread length: no probabilities",)
+
+
+def test_missing_traits_are_named() -> None:
+    found = grade(FruitTraits(thread_m=0.30), LONG)
+    assert found.name == "I"
+    assert [m.split(":")[0] for m in found.missing] == [
+        "inner arc height",
+        "volume",
+        "interval of the thread length",
+    ]
+    nothing = grade(FruitTraits(centreline_m=0.3), LONG)
+    assert (nothing.verdict, nothing.name) == (Verdict.MISSING, "")
+    assert nothing.missing[0].startswith("thread length: no tube could be fitted")
+
+
+@pytest.mark.parametrize(("thread_m", "refused"), [(0.049, True), (0.05, False), (0.801, True)])
+def test_lengths_that_cannot_be_are_refused(thread_m: float, refused: bool) -> None:
+    found = grade(FruitTraits(thread_m=thread_m), LONG)
+    assert (found.verdict is Verdict.REFUSED) == refused
+    if refused:
+        assert "is accepted from 5 to 80 cm; measure again" in found.rules[0]
+
+
+def test_aubergine_and_bean_are_graded_by_width() -> None:
+    aubergine = load_profile("aubergine")
+    thin = FruitTraits(chord_m=0.18, volume_m3=0.2 / 650, diameter_max_m=0.0399)
+    assert grade(thin, aubergine).rules[0].startswith("too thin: 39.9 mm, at least 40 mm")
+    wide = grade(replace(thin, diameter_max_m=0.04), aubergine)
+    assert (wide.name, wide.weight_class) == ("ready", "100 to 300 g")
+    bean = load_profile("green-bean")
+    widths = {0.006: "very fine", 0.0061: "fine", 0.009: "fine", 0.012: "average", 0.0121: ""}
+    for width, name in widths.items():
+        pod = FruitTraits(thread_m=0.12, diameter_max_m=width)
+        assert grade(pod, bean).diameter_class == name
+
+
+def test_row_of_a_table_is_read_with_its_calibration() -> None:
+    row = {
+        "thread_cm": "25.2",
+        "chord_cm": "24",
+        "length_cm": "26",
+        "length_kind": "thread",
+        "interval_low_cm": "25.5",
+        "interval_high_cm": "26.5",
+        "interval_of": "thread",
+        "inner_arc_mm_per_10cm": "3.5",
+        "volume_ml": "420",
+        "diameter_max_mm": None,
+    }
+    traits = FruitTraits.from_row(row)
+    assert (traits.thread_m, traits.chord_m, traits.diameter_max_m) == (0.26, 0.24, None)
+    assert traits.belief is not None
+    assert traits.belief.median_m == 0.26
+    assert grade(traits, LONG).verdict is Verdict.IN_CLASS
+
+
+def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:
+    row = {
+        "length_cm": 25.2,
+        "length_kind": "surface-chord",
+        "thread_cm": None,
+        "interval_low_cm": 24.0,
+        "interval_high_cm": 26.0,
+        "interval_of": "centreline",
+    }
+    assert grade(FruitTraits.from_row(row), LONG).verdict is Verdict.MISSING

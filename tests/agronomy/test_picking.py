@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import pytest
+
+from cucumbervision.agronomy.forecast import Forecast, FruitState, forecast
+from cucumbervision.agronomy.fruit import mark_picked
+from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
+from cucumbervision.agronomy.picking import pick_list
+from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.errors import ForecastError
+
+LONG = load_profile("long-cucumber")
+FRUIT = [
+    FruitState("a", "10", 1.0, 0.30, 0.003),
+    FruitState("b", "2", 5.0, 0.30, 0.003, side="left"),
+    FruitState("c", "2", 2.0, 0.26, 0.003, side="right"),
+    FruitState("d", "2", 3.0, 0.20, 0.003),
+    FruitState("e", "10", 4.0, 0.38, 0.003),
+    FruitState("f", "10", 2.0, 0.25, 0.01),
+]
+
+
+def found(fruit: list[FruitState]) -> Forecast:
+    return forecast(fruit, fit_growth([], GrowthPrior.of(LONG)), LONG)
+
+
+def test_list_is_in_walking_order_with_fruit_too_long_in_it() -> None:
+    picks = pick_list(found(FRUIT), 0.8)
+    assert [(p.fruit.fruit_id, p.name) for p in picks] == [
+        ("c", "I"),
+        ("b", "I"),
+        ("e", "too long"),
+        ("a", "I"),
+    ]
+    assert [p.fruit.fruit_id for p in pick_list(found(FRUIT), 0.8, back_and_forth=False)] == [
+        "c",
+        "b",
+        "a",
+        "e",
+    ]
+
+
+def test_threshold_decides_on_uncertain_fruit() -> None:
+    listed = {p.fruit.fruit_id: p.ready for p in pick_list(found(FRUIT), 0.2)}
+    assert 0.35 < listed["f"] < 0.65
+
+
+def test_picked_fruit_are_not_listed_again() -> None:
+    left = mark_picked(FRUIT, {"b", "e"})
+    assert [p.fruit.fruit_id for p in pick_list(found(left), 0.8)] == ["c", "a"]
+
+
+def test_threshold_that_is_no_probability_is_refused() -> None:
+    with pytest.raises(ForecastError, match="give a probability"):
+        pick_list(found(FRUIT), 0.0)

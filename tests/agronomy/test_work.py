@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import pytest
+
+from cucumbervision.agronomy.forecast import FruitState, forecast
+from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
+from cucumbervision.agronomy.histories import Spreads
+from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.agronomy.work import Rates, plan_work
+from cucumbervision.errors import ForecastError
+
+LONG = load_profile("long-cucumber")
+STEADY = fit_growth([], GrowthPrior(0.03, Spreads(1e-9, 1e-9, 1e-9, 1e-9, 1e-9)))
+
+
+def fruit_of(row: str, count: int, length_m: float) -> list[FruitState]:
+    return [FruitState(f"{row}-{k}", row, 0.1 * k, length_m, 1e-6) for k in range(count)]
+
+
+def test_hours_and_crates_by_hand() -> None:
+    # Ready today: 60 in row 1. Tomorrow 25 of row 2 grow from 23 to 26 cm.
+    found = forecast(fruit_of("1", 60, 0.28) + fruit_of("2", 25, 0.23), STEADY, LONG)
+    plan = plan_work(found, Rates(fruit_per_hour=120, minutes_per_row=6, fruit_per_crate=12))
+    assert [day.fruit.expected for day in plan] == [60, 25, 0, 0, 0, 0, 0, 0]
+    assert plan[0].hours.expected == pytest.approx(60 / 120 + 0.1)
+    assert plan[1].hours.expected == pytest.approx(25 / 120 + 0.1)
+    assert plan[2].hours.expected == 0
+    assert [day.crates["I"].expected for day in plan[:3]] == [5, 3, 0]
+    assert [day.complete for day in plan] == [True] * 7 + [False]
+
+
+def test_crates_of_a_class_may_hold_another_number() -> None:
+    profile = LONG.model_copy(update={"pick": ("I", "II")})
+    found = forecast(fruit_of("1", 30, 0.28) + fruit_of("2", 30, 0.22), STEADY, profile)
+    crates = plan_work(found, Rates(fruit_per_crate=12, fruit_per_crate_of={"II": 20}))[0].crates
+    assert (crates["I"].expected, crates["II"].expected) == (3, 2)
+
+
+def test_interval_is_the_counts_interval() -> None:
+    fruit = [FruitState(str(k), "1", 0.1 * k, 0.24, 0.005) for k in range(200)]
+    found = forecast(fruit, fit_growth([], GrowthPrior.of(LONG)), LONG)
+    tomorrow = plan_work(found, Rates(fruit_per_hour=100, minutes_per_row=0))[1]
+    assert tomorrow.fruit.low == found.picks.low[1, 0]
+    assert tomorrow.hours.high == pytest.approx(found.picks.high[1, 0] / 100)
+    assert tomorrow.fruit.low < tomorrow.fruit.expected < tomorrow.fruit.high
+
+
+@pytest.mark.parametrize(
+    ("rates", "fault"),
+    [
+        ({"fruit_per_hour": 0.0}, "fruit_per_hour is 0"),
+        ({"fruit_per_hour": float("inf")}, "fruit_per_hour is inf"),
+        ({"minutes_per_row": -1.0}, "minutes_per_row is -1"),
+        ({"fruit_per_crate": 0}, "fruit_per_crate is 0"),
+        ({"fruit_per_crate_of": {"I": 1.5}}, "fruit_per_crate of I is 1.5"),
+    ],
+)
+def test_rates_that_cannot_be_are_refused(rates: dict[str, object], fault: str) -> None:
+    with pytest.raises(ForecastError, match=fault):
+        Rates(**rates)  # type: ignore[arg-type]
+
+
+def test_rate_of_an_unknown_class_is_refused() -> None:
+    found = forecast(fruit_of("1", 2, 0.28), STEADY, LONG)
+    with pytest.raises(ForecastError, match="no class is called 'III'; take of I, II"):
+        plan_work(found, Rates(fruit_per_crate_of={"III": 5}))

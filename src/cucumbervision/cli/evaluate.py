@@ -58,7 +58,7 @@ def models(
         Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")
     ] = None,
     segmenter: Annotated[
-        SegmenterChoice, typer.Option(help="Who draws masks; none leaves lengths out too.")
+        SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
     ] = SegmenterChoice.mobile_sam,
     runtime: Annotated[
         RuntimeChoice, typer.Option(help="What runs the networks.")

@@ -12,7 +12,7 @@ from cucumbervision.perception.merge import join_pieces, merge_instances
 from cucumbervision.perception.yolo import YoloDetector, with_keypoints
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     import numpy as np
@@ -38,8 +38,8 @@ class Eyes:
     ----------
     segment, pose : YoloDetector, optional
         The detectors.
-    segmenters : mapping of str to Segmenter
-        SAM by prompt; empty without.
+    segmenter : Segmenter, optional
+        SAM.
     confidence : float
         At which recall and precision are judged and fruit are measured.
     models : list of dict
@@ -48,7 +48,7 @@ class Eyes:
 
     segment: YoloDetector | None
     pose: YoloDetector | None
-    segmenters: Mapping[str, Segmenter]
+    segmenter: Segmenter | None
     confidence: float
     models: list[dict[str, Any]] = field(default_factory=list)
 
@@ -101,7 +101,6 @@ def open_eyes(
     ModelError
         If a file cannot be loaded.
     """
-    from cucumbervision.evaluation.eyes.overlaps import PROMPTS_COMPARED
     from cucumbervision.perception.registry import file_sha256
     from cucumbervision.perception.sam import Segmenter
 
@@ -118,12 +117,11 @@ def open_eyes(
         return network
 
     loaded = load(segment), load(pose)
-    drawn: dict[str, Segmenter] = {}
+    sam = None
     if segmenter is not None:
-        for prompt in PROMPTS_COMPARED:
-            drawn[prompt] = Segmenter(segmenter, runtime, prompt, full_precision=True)
-        models.append({"file": segmenter, "runtime": drawn[PROMPTS_COMPARED[0]].runtime})
-    return Eyes(*loaded, drawn, confidence, models)
+        sam = Segmenter(segmenter, runtime, full_precision=True)
+        models.append({"file": segmenter, "runtime": sam.runtime})
+    return Eyes(*loaded, sam, confidence, models)
 
 
 def look_at(

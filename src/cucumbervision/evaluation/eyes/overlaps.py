@@ -17,7 +17,14 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.sam import Segmenter
 
-__all__ = ["PROMPTS_COMPARED", "OverlapRow", "capture_overlaps", "mask_overlap", "overlap_rows"]
+__all__ = [
+    "PROMPTS_COMPARED",
+    "OverlapRow",
+    "capture_overlaps",
+    "draw_by_prompt",
+    "mask_overlap",
+    "overlap_rows",
+]
 
 PROMPTS_COMPARED = ("box", "box+point")
 
@@ -111,17 +118,26 @@ def overlap_rows(
     return rows
 
 
-def capture_overlaps(
-    capture: Capture, segmenters: Mapping[str, Segmenter], scene: str
-) -> list[OverlapRow]:
+def draw_by_prompt(
+    segmenter: Segmenter, color: NDArray[np.uint8], asked: Sequence[Instance]
+) -> dict[str, tuple[Instance, ...]]:
+    """Let SAM draw every fruit's mask by each of `PROMPTS_COMPARED`, the shipped one last."""
+    drawn = {}
+    for prompt in PROMPTS_COMPARED:
+        segmenter.prompt = prompt
+        drawn[prompt] = segmenter.segment(color, asked)
+    return drawn
+
+
+def capture_overlaps(capture: Capture, segmenter: Segmenter, scene: str) -> list[OverlapRow]:
     """Prompt SAM by the boxes of a capture's own true masks.
 
     Parameters
     ----------
     capture : Capture
         With masks.
-    segmenters : mapping of str to Segmenter
-        By prompt.
+    segmenter : Segmenter
+        SAM.
     scene : str
         What its near-duplicates share.
     """
@@ -129,7 +145,7 @@ def capture_overlaps(
 
     true = dataset_instances(capture)
     asked = [replace(one, mask=None, mask_source=None) for one in true]
-    drawn = {name: one.segment(capture.color, asked) for name, one in segmenters.items()}
+    drawn = draw_by_prompt(segmenter, capture.color, asked)
     pairs = [(k, one.mask, asked[k]) for k, one in enumerate(true) if one.mask is not None]
     return overlap_rows(
         (capture.name, scene), pairs, drawn, simulated=capture.simulated, prompt_box="true"

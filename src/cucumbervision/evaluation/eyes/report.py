@@ -200,8 +200,8 @@ def _length_sections(summary: Summary) -> list[Section]:
     asked = list(dict.fromkeys((one.truth, one.group) for one in summary.lengths))
     tables = [length_table(summary, truth, group) for truth, group in asked]
     intro = (
-        "Every fruit measured twice: on its true mask and keypoints, and on what detector, SAM "
-        "(box + centre) and pose network made of it.",
+        "Every fruit measured twice: on its true mask and keypoints, and on what the networks "
+        "made of it (SAM, where it took part, prompted by box and centre).",
     )
     return [Section("Lengths", intro, tuple(tables))] if tables else []
 

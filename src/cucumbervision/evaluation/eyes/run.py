@@ -18,6 +18,7 @@ from cucumbervision.evaluation.eyes.overlaps import (
     PROMPTS_COMPARED,
     OverlapRow,
     capture_overlaps,
+    draw_by_prompt,
     overlap_rows,
 )
 from cucumbervision.evaluation.eyes.truth import (
@@ -56,7 +57,7 @@ class EyesPlan:
     segment, pose : Path, optional
         Networks, ONNX; those of the registry without.
     segmenter : str, optional
-        SAM's name in the registry; None for no masks of SAM's and no lengths on them.
+        SAM's name in the registry; None measures on the detector's own masks.
     runtime : str
         As in `open_network`.
     confidence : float
@@ -179,8 +180,7 @@ def evaluate_eyes(
         runtime=plan.runtime,
         confidence=plan.confidence,
     )
-    segmented = spread(held_out.pictures, plan.sam_limit if eyes.segmenters else 0)
-    with_sam = {picture.file for picture in segmented}
+    measured = {picture.file for picture in spread(held_out.pictures, plan.sam_limit)}
     frames: list[Frame] = []
     overlaps: list[OverlapRow] = []
     records: list[Record] = []
@@ -189,7 +189,7 @@ def evaluate_eyes(
         color, capture = _read(picture, held_out)
         depth_m = None if capture is None else capture.depth_m
         looked = look_at(frame_of(picture, held_out.data, depth_m), color, eyes, depth_m)
-        if picture.file in with_sam:
+        if picture.file in measured:
             masked, rows = _segment(looked, color, eyes, picture.source == DRAWN)
             overlaps += rows
             if capture is not None:
@@ -247,10 +247,15 @@ def _read(picture: LabelledPicture, held_out: HeldOut) -> tuple[NDArray[np.uint8
 def _segment(
     looked: Looked, color: NDArray[np.uint8], eyes: Eyes, simulated: bool
 ) -> tuple[dict[int, Instance], list[OverlapRow]]:
-    """Draw SAM's masks of what was found, by both prompts; the second is the shipped one."""
+    """Draw SAM's masks of what was found, by both prompts; the second is the shipped one.
+
+    Without SAM the detector's own masks stay.
+    """
     frame, found = looked.frame, found_of(looked, eyes.confidence)
     asked = list(found.values())
-    drawn = {name: one.segment(color, asked) for name, one in eyes.segmenters.items()}
+    if eyes.segmenter is None:
+        return found, []
+    drawn = draw_by_prompt(eyes.segmenter, color, asked)
     numbered = dict(zip(found, range(len(asked)), strict=True))
     pairs = []
     for number, place in numbered.items():
@@ -267,7 +272,7 @@ def _segment(
 def _captures(
     plan: EyesPlan, eyes: Eyes, report: Callable[[str, int, int], None] | None
 ) -> list[OverlapRow]:
-    if not eyes.segmenters or not plan.captures:
+    if eyes.segmenter is None or not plan.captures:
         return []
     from cucumbervision.capture.readers import open_source
 
@@ -275,7 +280,7 @@ def _captures(
     for path in plan.captures:
         source = open_source(path)
         for ref in source:
-            rows += capture_overlaps(ref.load(), eyes.segmenters, path.name)
+            rows += capture_overlaps(ref.load(), eyes.segmenter, path.name)
             if report is not None:
                 report(path.name, 1, source.total or 0)
     return rows

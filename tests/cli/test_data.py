@@ -46,13 +46,16 @@ def test_from_boxes_without_yaml_to_ultralytics(photos: Path, tmp_path: Path) ->
     assert dataset.categories == ("cucumber",)
     assert dataset.pictures[0].labels[0].box.tolist() == [19.5, 29.5, 99.5, 59.5]
 
-    result = call("split", hub, "--scene-pattern", r"\d\d", "--seed", "3")
+    result = call("split", hub, "--scene-pattern", r"\d\d", "--shares", "50:10:40")
     assert result.exit_code == 0, result.output
-    assert "train │ 14" in result.output
+    assert "train │ 10" in result.output
     assert {p.split for p in read_coco(hub).pictures} == {"train", "val", "test"}
 
     result = call("pseudo", hub, "--runtime", "onnxruntime")
     assert result.exit_code == 0, result.output
+    boxes = [x for p in read_coco(hub).in_split("test") for x in p.labels]
+    assert boxes
+    assert not any(x.pseudo or x.mask_code for x in boxes)
     labels = [x for p in read_coco(hub).pictures if p.split != "test" for x in p.labels]
     assert f"{len(labels)} masks drawn, 0 did not fit" in result.output
     assert all(x.pseudo and x.mask_code for x in labels)

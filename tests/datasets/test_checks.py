@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -152,14 +153,15 @@ def test_a_copy_in_another_split_is_found(make_set: MakeSet, change: str) -> Non
     dataset = make_set("train train train val")
     color = read_color(dataset.path(dataset.pictures[1]))
     file = dataset.folder / "images/000003.png"
-    changed = {
+    changes: dict[str, Any] = {
         "jpeg": cv2.imdecode(
             cv2.imencode(".jpg", color, [cv2.IMWRITE_JPEG_QUALITY, 60])[1], cv2.IMREAD_COLOR
         ),
         "turned": cv2.rotate(color, cv2.ROTATE_90_CLOCKWISE),
         "mirrored": color[:, ::-1],
         "smaller": cv2.resize(color, (96, 72), interpolation=cv2.INTER_AREA),
-    }[change]
+    }
+    changed = np.asarray(changes[change])
     write_png(file, np.ascontiguousarray(changed))
     height, width = changed.shape[:2]
     pictures = list(dataset.pictures)

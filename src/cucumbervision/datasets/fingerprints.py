@@ -95,13 +95,13 @@ def _fingerprint(color_rgb: NDArray[np.uint8], corners: Any) -> Fingerprint:
     shares = cv2.calcHist([lab], [0, 1, 2], None, [6, 16, 16], [0, 256, 64, 192, 64, 192])
     # White and black ground is no scene: on it, all product photos would look alike.
     shares[0, 7:9, 7:9] = shares[-1, 7:9, 7:9] = 0
-    shares = shares.ravel() / max(float(shares.sum()), 1.0)
+    colors = np.sqrt(shares.ravel() / max(float(shares.sum()), 1.0))
     points, features = corners.detectAndCompute(
         cv2.cvtColor(scaled(_CORNER_SIDE), cv2.COLOR_RGB2GRAY), None
     )
     return Fingerprint(
         np.array([_hash(turned) for turned in _turned(grey)], np.uint64),
-        np.sqrt(shares).astype(np.float32),
+        colors.astype(np.float32),
         np.array([p.pt for p in points], np.float32).reshape(-1, 2),
         np.zeros((0, 32), np.uint8) if features is None else features,
     )
@@ -135,9 +135,9 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
     found = []
     for i, one in enumerate(left):
         bits = np.bitwise_count(turned ^ one.hashes[0]).min(axis=1)
-        for j in np.flatnonzero(bits <= COPY_BITS):
+        for j in np.flatnonzero(bits <= COPY_BITS).tolist():
             if float(one.colors @ right[j].colors) >= 1 - COPY_COLOR**2:
-                found.append((i, int(j)))
+                found.append((i, j))
     return found
 
 
@@ -159,8 +159,9 @@ def shared_corners(a: Fingerprint, b: Fingerprint) -> int:
     good = [m for m, second in pairs if m.distance < 0.75 * second.distance]
     if len(good) < SCENE_CORNERS:
         return 0
-    ends = [a.points_px[[m.queryIdx for m in good]], b.points_px[[m.trainIdx for m in good]]]
-    _, agree = cv2.estimateAffinePartial2D(*ends, ransacReprojThreshold=6)
+    start, end = a.points_px[[m.queryIdx for m in good]], b.points_px[[m.trainIdx for m in good]]
+    # Its stubs do not know that there may be no answer.
+    agree: Any = cv2.estimateAffinePartial2D(start, end, ransacReprojThreshold=6)[1]
     return 0 if agree is None else int(agree.sum())
 
 

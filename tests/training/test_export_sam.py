@@ -142,6 +142,28 @@ def test_full_precision_export_agrees_with_torch(mobile: Path, exact: tuple[Path
         np.testing.assert_allclose(ours, theirs, atol=1e-4 * np.abs(theirs).max())
 
 
+def test_a_lower_picture_needs_no_padding(mobile: Path, exact: tuple[Path, Path]) -> None:
+    # Ultralytics can set the encoder's size too; its decoder cannot, so that one is compared
+    # with itself: rows of the embedding that are not there are not looked at.
+    rng = np.random.default_rng(6)
+    picture = rng.normal(size=(1, 3, 592, 1024)).astype(np.float32)
+    sam = load_sam(mobile, "mobile_sam")
+    sam.image_encoder.set_imgsz([592, 1024])
+    with torch.no_grad():
+        wanted = sam.image_encoder(torch.from_numpy(picture)).numpy()
+    embedding = open_network(exact[0], "onnxruntime").run({"image": picture})["embedding"]
+    np.testing.assert_allclose(embedding, wanted, atol=1e-4 * np.abs(wanted).max())
+    feeds: dict[str, Array] = {
+        "embedding": embedding,
+        "points": rng.uniform(0, 590, (2, 3, 2)).astype(np.float32),
+        "labels": np.tile(np.array([1, 2, 3]), (2, 1)),
+    }
+    answer = open_network(exact[1], "onnxruntime").run(feeds)
+    assert answer["logits"].shape == (2, 3, 148, 256)
+    assert np.isfinite(answer["logits"]).all()
+    assert answer["ious"].shape == (2, 3)
+
+
 def test_a_padding_point_is_what_sam_adds_to_a_point_alone(
     mobile: Path, exact: tuple[Path, Path]
 ) -> None:

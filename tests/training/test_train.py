@@ -67,7 +67,8 @@ def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     # Six pictures, four at a time.
     assert notes.fractions == [0.5, 1.0, 0.5, 1.0]
-    train("seg", None, run, resume=True, stages="64x2,96x1", options=QUICK)
+    other = TrainOptions(**{**vars(QUICK), "batch": 2, "learning_rate": 0.1})
+    train("seg", None, run, resume=True, stages="64x2,96x1", options=other)
     return run
 
 
@@ -94,6 +95,20 @@ def best_fitness(run: Path, stage: int) -> float:
     with (run / "metrics.csv").open() as file:
         found = [float(r["fitness"]) for r in csv.DictReader(file) if r["stage"] == str(stage)]
     return max(found)
+
+
+def test_a_run_keeps_how_it_learns(seg_run: Path) -> None:
+    assert RunState.load(seg_run).learning == {
+        "batch": 4,
+        "freeze": 0,
+        "patience": 20,
+        "learning_rate": 0.001,
+        "overrides": None,
+    }
+    used = (seg_run / "stage2-96px" / "args.yaml").read_text().splitlines()
+    # The second stage came by --resume with other options.
+    for line in ("batch: 4", "imgsz: 96", "lr0: 0.0005", "optimizer: AdamW", "nms: false"):
+        assert line in used
 
 
 def test_a_finished_plan_has_nothing_to_do(seg_run: Path) -> None:
@@ -186,6 +201,24 @@ def test_points_are_judged_by_the_narrow_tolerance(pose_set: Path, tmp_path: Pat
     assert "predict" not in vars(trainer.model)
     assert trainer.validator.end2end
     assert 0 < trainer.metrics["val/pose_loss"] < 1e4
+
+
+def test_small_batches_leave_the_norms(seg_run: Path, seg_set: Path, tmp_path: Path) -> None:
+    import_ultralytics()
+    import torch
+    from ultralytics.nn.tasks import load_checkpoint
+
+    init = seg_run / "best.pt"
+    options = TrainOptions(**{**vars(QUICK), "batch": 3})
+    train("seg", seg_set, tmp_path / "run", init=str(init), stages="64x1", options=options)
+    before, after = (
+        load_checkpoint(str(path))[0].float().state_dict()
+        for path in (init, tmp_path / "run/best.pt")
+    )
+    means = [key for key in before if key.endswith("running_mean")]
+    assert len(means) > 100
+    assert all(torch.equal(before[key], after[key]) for key in means)
+    assert not torch.equal(before["model.0.conv.weight"], after["model.0.conv.weight"])
 
 
 def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:

@@ -32,13 +32,15 @@ ARCHITECTURES = ("mobile_sam", "sam_vit_b")
 
 _OPSET = 17
 _ENCODER: dict[str, Any] = {"input_names": ["image"], "output_names": ["embedding"]}
+_FREE_HEIGHT = {"dynamic_axes": {"image": {2: "height"}, "embedding": {2: "rows"}}}
 _DECODER: dict[str, Any] = {
     "input_names": ["embedding", "points", "labels"],
     "output_names": ["logits", "ious"],
     "dynamic_axes": {
+        "embedding": {2: "rows"},
         "points": {0: "prompts", 1: "points_each"},
         "labels": {0: "prompts", 1: "points_each"},
-        "logits": {0: "prompts"},
+        "logits": {0: "prompts", 2: "fine_rows"},
         "ious": {0: "prompts"},
     },
 }
@@ -139,6 +141,9 @@ def export_sam(
     (-1 padding, 0 background, 1 foreground, 2 and 3 a box's corners); it gives `logits`, float32
     (N, 3, 256, 256), and `ious`, float32 (N, 3): the three masks of SAM's multimask output.
 
+    MobileSAM's encoder also takes fewer rows, a multiple of 16, and every decoder an embedding of
+    fewer rows: a wide picture then needs no padding below it.
+
     Parameters
     ----------
     checkpoint : Path
@@ -178,11 +183,12 @@ def _trace_both(sam: Any, encoder: Path, decoder: Path) -> None:
     import torch
 
     _fix_channels(sam.image_encoder)
+    free = _free_height(sam.image_encoder)
     picture, embedding = torch.zeros(1, 3, 1024, 1024), torch.zeros(1, 256, 64, 64)
     points = torch.arange(12, dtype=torch.float32).reshape(2, 3, 2)
     labels = torch.tensor([[1, 2, 3], [-1, 2, 3]])
     with torch.no_grad():
-        _trace(sam.image_encoder, (picture,), encoder, _ENCODER)
+        _trace(sam.image_encoder, (picture,), encoder, _ENCODER | (_FREE_HEIGHT if free else {}))
         _trace(_prompt_decoder(sam), (embedding, points, labels), decoder, _DECODER)
 
 
@@ -206,6 +212,59 @@ def _normalise(norm: Any, picture: Any) -> Any:
     return torch.nn.functional.layer_norm(
         picture.permute(0, 2, 3, 1), tuple(norm.weight.shape), norm.weight, norm.bias, norm.eps
     ).permute(0, 3, 1, 2)
+
+
+def _free_height(encoder: Any) -> bool:
+    """Have a TinyViT take its height from the picture; say whether the encoder is one."""
+    from ultralytics.models.sam.modules.tiny_encoder import PatchMerging, TinyViT, TinyViTBlock
+
+    if not isinstance(encoder, TinyViT):
+        return False
+    for module in encoder.modules():
+        if isinstance(module, TinyViTBlock):
+            module.forward = partial(_attend, module)
+        elif isinstance(module, PatchMerging):
+            module.forward = partial(_merge, module)
+    encoder.forward = partial(_encode, encoder)
+    return True
+
+
+def _attend(block: Any, x: Any) -> Any:
+    """Do what Ultralytics' TinyViTBlock does to one picture, with as many rows as it has."""
+    import torch
+
+    side, width, channels = block.window_size, block.input_resolution[1], x.shape[2]
+    grid = x.reshape(1, -1, width, channels)
+    height = grid.shape[1]
+    below, beside = (side - height % side) % side, -width % side
+    padded = torch.nn.functional.pad(grid, (0, 0, 0, beside, 0, below))
+    across = (width + beside) // side
+    windows = padded.reshape(-1, side, across, side, channels).transpose(1, 2)
+    seen = block.attn(windows.reshape(-1, side * side, channels))
+    seen = seen.reshape(-1, across, side, side, channels).transpose(1, 2)
+    seen = seen.reshape(1, -1, width + beside, channels)[:, :height, :width]
+    x = x + seen.reshape(1, -1, channels)
+    local = block.local_conv(x.transpose(1, 2).reshape(1, channels, -1, width))
+    x = local.reshape(1, channels, -1).transpose(1, 2)
+    return x + block.mlp(x)
+
+
+def _merge(merging: Any, x: Any) -> Any:
+    """Do what Ultralytics' PatchMerging does to one picture, with as many rows as it has."""
+    if x.ndim == 3:
+        x = x.reshape(1, -1, merging.input_resolution[1], merging.dim).permute(0, 3, 1, 2)
+    x = merging.act(merging.conv1(x))
+    x = merging.conv3(merging.act(merging.conv2(x)))
+    return x.flatten(2).transpose(1, 2)
+
+
+def _encode(encoder: Any, x: Any) -> Any:
+    """Do what Ultralytics' TinyViT does to one picture, with as many rows as it has."""
+    x = encoder.patch_embed(x)
+    for layer in encoder.layers:
+        x = layer(x)
+    x = x.reshape(1, -1, encoder.patches_resolution[1] // 4, x.shape[2])
+    return encoder.neck(x.permute(0, 3, 1, 2))
 
 
 def _prompt_decoder(sam: Any) -> Any:
@@ -232,10 +291,10 @@ def _prompt_decoder(sam: Any) -> Any:
             # The picture stays one row until the prompts differ: the first layer's share of it
             # is the same for all of them.
             picture = embedding + self.prompt.no_mask_embed.weight.reshape(1, -1, 1, 1)
-            tokens, picture = head.transformer(
-                picture, self.prompt.get_dense_pe(), torch.cat([own, sparse], dim=1)
-            )
-            picture = picture.transpose(1, 2).reshape(-1, 256, 64, 64)
+            rows = embedding.shape[2]
+            places = self.prompt.get_dense_pe()[:, :, :rows]
+            tokens, picture = head.transformer(picture, places, torch.cat([own, sparse], dim=1))
+            picture = picture.transpose(1, 2).reshape(-1, 256, rows, 64)
             enlarge, norm, *rest = head.output_upscaling
             detail = _normalise(norm, enlarge(picture))
             for step in rest:
@@ -244,7 +303,7 @@ def _prompt_decoder(sam: Any) -> Any:
             weights = torch.stack(
                 [head.output_hypernetworks_mlps[i](tokens[:, 1 + i]) for i in (1, 2, 3)], dim=1
             )
-            logits = (weights @ detail).reshape(-1, 3, 256, 256)
+            logits = (weights @ detail).reshape(-1, 3, 4 * rows, 256)
             return logits, head.iou_prediction_head(tokens[:, 0])[:, 1:]
 
     return PromptDecoder().eval()

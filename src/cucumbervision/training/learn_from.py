@@ -5,6 +5,7 @@ A data set with faults is refused here, before any hour is spent.
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +94,7 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
         If there is no data.yaml, it cannot be read, it has no training or validation pictures,
         more classes than one, or (pose) other than five keypoints.
     """
-    import yaml
-
+    yaml = import_module("yaml")  # without types of its own, and only in the extra
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:

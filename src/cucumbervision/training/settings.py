@@ -11,7 +11,10 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.training.learn_from import TASKS
 from cucumbervision.training.stages import RunState
 
-__all__ = ["TrainOptions", "choose_device", "stage_settings"]
+__all__ = ["LEARNING", "TrainOptions", "choose_device", "stage_settings"]
+
+LEARNING = ("batch", "freeze", "patience", "learning_rate", "overrides")
+"""Options that a run keeps from its beginning; the others are the machine's, and may change."""
 
 _AUGMENTATION: dict[str, Any] = {
     # Fruit hang or lie at any angle, and none of the five points is left or right.

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from cucumbervision.errors import TrainingError
 
@@ -137,6 +138,8 @@ class RunState:
         Of the random numbers.
     seconds : float
         Time spent in finished epochs.
+    learning : dict
+        Options that must not change on the way: see `LEARNING` in `settings`.
     """
 
     task: str
@@ -145,6 +148,7 @@ class RunState:
     stages: tuple[Stage, ...]
     seed: int = 0
     seconds: float = 0.0
+    learning: dict[str, Any] = field(default_factory=dict)
 
     def folder(self, run: Path, index: int) -> Path:
         """Folder of a stage inside the run's folder."""

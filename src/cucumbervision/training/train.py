@@ -14,7 +14,7 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.training.export_yolo import import_ultralytics
 from cucumbervision.training.half_precision import choose_precision
 from cucumbervision.training.learn_from import TASKS, prepare_data
-from cucumbervision.training.settings import TrainOptions, choose_device, stage_settings
+from cucumbervision.training.settings import LEARNING, TrainOptions, choose_device, stage_settings
 from cucumbervision.training.stages import (
     DONE,
     RUNNING,
@@ -26,6 +26,8 @@ from cucumbervision.training.stages import (
 from cucumbervision.training.trainer import make_trainer, strip
 
 __all__ = ["DEFAULT_STAGES", "EpochReport", "TrainOptions", "TrainWatcher", "train"]
+
+_SOUND_BATCH = 4
 
 DEFAULT_STAGES = "320x8,448x6,640x2"
 """The plan where none is given."""
@@ -92,7 +94,7 @@ def train(
     resume : bool
         Go on with the run in `out`.
     options : TrainOptions, optional
-        How to train.
+        How to train. A run that is resumed keeps its own `LEARNING`.
     watcher : TrainWatcher, optional
         Is shown every batch and epoch.
 
@@ -117,9 +119,11 @@ def train(
     import_ultralytics()
     if resume:
         state = _resumed(task, out, stages)
+        options = replace(options, **state.learning)
     else:
         begun = _begun(task, data, out, init, stages, check=options.check)
-        state = replace(begun, seed=options.seed)
+        learning = {name: getattr(options, name) for name in LEARNING}
+        state = replace(begun, seed=options.seed, learning=learning)
     state.save(out)
     clock = _Clock(options.minutes)
     for index, stage in enumerate(state.stages):
@@ -201,6 +205,8 @@ def _run_stage(
             workers=options.workers,
             bfloat16=device == "cpu" and choose_precision(options.precision, device) == "bf16",
             span=_span(state.stages, index),
+            # Two or three pictures tell too little of a layer's mean and spread.
+            still_norms=options.batch < _SOUND_BATCH and state.init.endswith(".pt"),
         )
         trainer.train()
         state = link.state

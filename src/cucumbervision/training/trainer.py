@@ -41,6 +41,7 @@ def make_trainer(
     workers: int,
     bfloat16: bool,
     span: tuple[float, float],
+    still_norms: bool = False,
 ) -> Any:
     """Build the trainer of one stage.
 
@@ -59,6 +60,8 @@ def make_trainer(
     span : tuple of float
         Where in the whole plan the stage begins and ends, 0 to 1: the one-to-many head's share
         of the loss falls over the plan, not anew in every stage.
+    still_norms : bool
+        Keep the statistics of batch norm as they are; for very small batches.
 
     Returns
     -------
@@ -77,6 +80,7 @@ def make_trainer(
         """Named without 'Trainer', so that Ultralytics ties no outside services to it."""
 
     trainer = Training(overrides=overrides)
+    trainer.still_norms = still_norms
     # Ultralytics allows the CPU one thread less than it has, and no loading beside it.
     trainer.args.workers = workers
     _listen(trainer, watcher, threads)
@@ -92,9 +96,20 @@ def make_trainer(
 class _Ours:
     """What the trainer does otherwise: its files are replaced whole, never half written."""
 
+    model: Any
+    still_norms: bool
     wdir: Path
     last: Path
     best: Path
+
+    def _model_train(self) -> None:
+        super()._model_train()  # type: ignore[misc]
+        if self.still_norms:
+            import torch
+
+            for module in self.model.modules():
+                if isinstance(module, torch.nn.BatchNorm2d):
+                    module.eval()
 
     def get_dataloader(self, *args: Any, **kwargs: Any) -> Any:
         """Load the pictures without Ultralytics' own bar on the standard output."""

@@ -137,7 +137,7 @@ def test_interval_spans_scenes() -> None:
     same = average_precision(
         [frame([true(A)], [seen(A, 0.9)], name=f"{k}") for k in range(8)], Judged.BOXES
     ).at_50
-    assert (same.low, same.high) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert (same.low, same.high) == pytest.approx((1.0, 1.0))
 
 
 def test_same_as_pycocotools_own_sum() -> None:

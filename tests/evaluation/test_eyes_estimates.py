@@ -24,7 +24,7 @@ def test_mean_and_interval_agree_with_the_benchmarks_own() -> None:
     found = estimate(values, scenes.tolist())
     low, high = bootstrap_mean(values, scenes.tolist())
     assert found.value == pytest.approx(values.mean())
-    assert (found.low, found.high) == (pytest.approx(low, abs=0.05), pytest.approx(high, abs=0.05))
+    assert (found.low, found.high) == pytest.approx((low, high), abs=0.05)
     # Three values of a scene are hardly more than one: the interval by value is far too narrow.
     by_value = estimate(values, list(range(60)))
     assert found.high - found.low > 1.5 * (by_value.high - by_value.low)

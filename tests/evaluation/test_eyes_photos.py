@@ -47,7 +47,7 @@ def test_recall_and_precision_of_photos() -> None:
     board, empty = scores["board"].precision, scores["none"].precision
     assert board is not None
     assert empty is not None
-    assert (board.value, empty.value) == (pytest.approx(2 / 3), 0.0)
+    assert (board.value, empty.value) == pytest.approx((2 / 3, 0.0))
 
 
 def test_false_ones_are_listed_by_file_and_box() -> None:

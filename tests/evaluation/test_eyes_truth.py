@@ -16,12 +16,12 @@ from cucumbervision.evaluation.eyes.truth import capture_of, frame_of, read_held
 BOX = np.array([9.5, 9.5, 29.5, 19.5])
 
 
-def write_set(folder: Path, pictures: list[LabelledPicture], **rest: tuple[str, ...]) -> Path:
+def write_set(folder: Path, pictures: list[LabelledPicture]) -> Path:
     for picture in pictures:
         path = folder / "raw" / picture.file
         path.parent.mkdir(parents=True, exist_ok=True)
         write_png(path, np.zeros((picture.height, picture.width, 3), np.uint8))
-    write_coco(DataSet(folder / "raw", tuple(pictures), **rest), folder / "set")
+    write_coco(DataSet(folder / "raw", tuple(pictures)), folder / "set")
     return folder / "set"
 
 

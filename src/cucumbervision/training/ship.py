@@ -97,10 +97,9 @@ def registry_entry(card: ModelCard) -> str:
 
     Examples
     --------
-    >>> print(registry_entry(ModelCard("c-seg", "segment", "c-seg.onnx", "ab", 5, "cd"))[:35])
-    [[models]]
-    name = "c-seg"
-    task = "seg
+    >>> entry = registry_entry(ModelCard("c-seg", "segment", "c-seg.onnx", "ab", 5, "cd"))
+    >>> entry.splitlines()[:3]
+    ['[[models]]', 'name = "c-seg"', 'task = "segment"']
     """
     what = "boxes and masks" if card.task == "segment" else "boxes and five keypoints"
     values = {

@@ -182,6 +182,14 @@ def test_fruit_that_cannot_be_are_refused(change: dict[str, object], fault: str)
         forecast([good, replace(bad, **change)], UNSEEN, LONG)  # type: ignore[arg-type]
 
 
+def test_days_that_contradict_each_other_are_refused() -> None:
+    links = [Link("1-0", "1", 0, 0.2, 0.004, 2, 0.26, 0.004)]
+    with pytest.raises(ForecastError, match=r"'1-0' was measured on day 0, a link .* on day 2"):
+        forecast(fruit_of(0.26), fit_growth(links, PRIOR), LONG)
+    with pytest.raises(ForecastError, match="after today, day -1"):
+        forecast(fruit_of(0.26), UNSEEN, LONG, today=-1.0)
+
+
 @pytest.mark.parametrize(
     "options",
     [{"days": -1}, {"level": 1.0}, {"draws": 0}, {"scale_sd": -0.1}],

@@ -10,6 +10,7 @@ from cucumbervision.agronomy.profile_files import load_profile
 from cucumbervision.measurement.results import Length
 
 LONG = load_profile("long-cucumber")
+STRICT = LONG.model_copy(update={"size_rules": "decide"})
 # 400 g at 960 kg/m3, straight, as long as the weight asks for.
 SOUND = FruitTraits(
     thread_m=0.30, chord_m=0.28, inner_arc_mm_per_10cm=4.0, volume_m3=0.4 / 960, diameter_max_m=0.04
@@ -64,17 +65,24 @@ def test_mass_is_volume_times_the_profiles_density() -> None:
 
 
 def test_light_fruit_is_in_no_class() -> None:
-    found = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
+    found = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
     assert (found.verdict, found.name) == (Verdict.OUT, OUT_OF_GRADE)
     assert found.rules[0].startswith("too light: about 249 g, at least 250 g are asked for (Reg")
 
 
+def test_weight_is_a_remark_where_the_profile_says_so() -> None:
+    found = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
+    assert (found.verdict, found.name) == (Verdict.IN_CLASS, "I")
+    assert found.rules[0].startswith("class I: ")
+    assert found.rules[1].startswith("remark: too light: about 249 g")
+
+
 def test_heavy_fruit_must_be_long_for_class_one() -> None:
     heavy = replace(SOUND, volume_m3=0.5 / 960)
-    short = grade(replace(heavy, chord_m=0.299), LONG)
+    short = grade(replace(heavy, chord_m=0.299), STRICT)
     assert (short.name, short.weight_class) == ("II", "500 g and more")
     assert short.rules[0].startswith("not class I: chord 29.9 cm, 500 g and more must be 30 cm")
-    assert grade(replace(heavy, chord_m=0.30), LONG).name == "I"
+    assert grade(replace(heavy, chord_m=0.30), STRICT).name == "I"
 
 
 def test_probabilities_come_from_the_interval() -> None:

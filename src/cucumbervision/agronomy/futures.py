@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision.agronomy.growth import measured_points
 from cucumbervision.agronomy.histories import gather, run_filter
+from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +64,18 @@ def simulate(
         Relative standard deviation of an error that all lengths share.
     rng : numpy.random.Generator
         Its state decides the draws.
+
+    Raises
+    ------
+    ForecastError
+        If a fruit has links that end after its day, or was measured after `today`.
     """
+    if late := [one for one in fruit if one.day > today]:
+        raise ForecastError(
+            f"fruit {late[0].fruit_id!r} was measured on day {late[0].day:g}, after today, day "
+            f"{today:g}",
+            remedy="give the day of the latest round as today",
+        )
     histories = _histories(fruit, growth, today, scale_sd)
     each = -(-draws // len(growth.spreads))
     total = each * len(growth.spreads)
@@ -98,6 +110,12 @@ def _histories(
     for one in fruit:
         alone = max(one.sd_m**2 - (scale_sd * one.length_m) ** 2, (0.1 * one.sd_m) ** 2)
         past = measured_points(links[one.fruit_id]) if one.fruit_id in links else []
+        if past and past[-1][0] > one.day:
+            raise ForecastError(
+                f"fruit {one.fruit_id!r} was measured on day {one.day:g}, a link of it ends on day "
+                f"{past[-1][0]:g}",
+                remedy="give the fruit as last measured, on the links' own count of days",
+            )
         series = [*(p for p in past if p[0] < one.day), (one.day, one.length_m, alone**0.5)]
         points.append(growth.curve.points(series, growth.pace_m))
     names = [one.row for one in fruit]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -150,6 +150,10 @@ class _Check:
     rule: str = ""
     missing: str = ""
 
+    def as_remark(self) -> _Check:
+        said = f"remark: {self.rule}" if self.rule else ""
+        return replace(self, forbidden=frozenset(), rule=said)
+
 
 def grade(fruit: FruitTraits, profile: CropProfile) -> Grade:
     """Grade a fruit by its length, and lower the class where shape, weight or width ask for it.
@@ -191,6 +195,8 @@ def grade(fruit: FruitTraits, profile: CropProfile) -> Grade:
     shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
     weight = _weight(mass, fruit.chord_m, profile)
     width = _width(fruit.diameter_max_m, profile)
+    if profile.size_rules == "remark":
+        weight, width = weight.as_remark(), width.as_remark()
     checks = (shape, weight, width)
     by_bin = _classes_of_bins(profile, checks)
     at = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-9, side="right"))

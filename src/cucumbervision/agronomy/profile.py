@@ -6,7 +6,7 @@ Profiles are written by people, in the units that people use: centimetres, milli
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -146,6 +146,8 @@ class CropProfile(_Strict):
         The classes that are ready to be picked.
     shape : tuple of ShapeBand
         Straightest first; empty where the crop has no such rule.
+    size_rules : {'remark', 'decide'}
+        Whether the rules on weight and diameter are only said beside a class, or decide on it.
     minimum_g, minimum_diameter_mm : float, optional
         Lightest and thinnest fruit that may be sold.
     weights, diameters : tuple
@@ -165,6 +167,7 @@ class CropProfile(_Strict):
     classes: Annotated[tuple[LengthClass, ...], Field(min_length=1)]
     pick: Annotated[tuple[str, ...], Field(min_length=1)]
     shape: tuple[ShapeBand, ...] = ()
+    size_rules: Literal["remark", "decide"] = "remark"
     minimum_g: Positive | None = None
     minimum_diameter_mm: Positive | None = None
     weights: tuple[WeightBand, ...] = ()

@@ -9,6 +9,7 @@ from cucumbervision.perception.sam_picture import (
     mask_from_logits,
     points_to_sam,
     prepare_picture,
+    rows_needed,
     scaled_size,
 )
 
@@ -97,3 +98,18 @@ def test_a_positive_logit_in_the_padding_alone_gives_nothing() -> None:
     logits = np.full((256, 256), -5, np.float32)
     logits[250, 100] = 5
     assert not mask_from_logits(logits, 720, 1280).any()
+
+
+@pytest.mark.parametrize("size", [(720, 1280), (480, 848), (101, 370)])
+def test_padding_rows_may_be_left_out(size: tuple[int, int]) -> None:
+    rows = rows_needed(*size)
+    assert rows % 16 == 0
+    assert 0 <= rows - scaled_size(*size)[0] < 16
+    # Everything below the picture's own rows is nought.
+    assert not prepare_picture(np.full((*size, 3), 200, np.uint8))[:, :, rows:].any()
+    blobs = cv2.GaussianBlur(np.random.default_rng(7).normal(size=(256, 256)), (0, 0), 9)
+    logits = np.asarray(blobs / blobs.std(), np.float32)
+    logits[rows // 4 :] = logits[rows // 4 - 1]
+    whole, short = mask_from_logits(logits, *size), mask_from_logits(logits[: rows // 4], *size)
+    assert np.array_equal(whole, short)
+    assert whole[-1].any()

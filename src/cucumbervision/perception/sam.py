@@ -15,7 +15,12 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.instances import Instance, MaskSource, box_iou, box_of_mask
-from cucumbervision.perception.sam_picture import mask_from_logits, points_to_sam, prepare_picture
+from cucumbervision.perception.sam_picture import (
+    mask_from_logits,
+    points_to_sam,
+    prepare_picture,
+    rows_needed,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -133,11 +138,15 @@ class Segmenter:
     def _logits(
         self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64]
     ) -> list[NDArray[np.float32]]:
-        """Give each box's most confident mask as logits, shape (256, 256)."""
+        """Give each box's most confident mask as logits, shape (256 or fewer, 256)."""
         if not len(boxes):
             return []
         height, width = color_rgb.shape[:2]
-        embedding = self._encoder.run({"image": prepare_picture(color_rgb)})["embedding"]
+        picture = prepare_picture(color_rgb)
+        if self._encoder.inputs[0].shape[2] is None:
+            # Padding is 44 % of the square under a picture of 16:9.
+            picture = picture[:, :, : rows_needed(height, width)]
+        embedding = self._encoder.run({"image": picture})["embedding"]
         found: list[NDArray[np.float32]] = []
         for start in range(0, len(boxes), _TOGETHER):
             points, labels = _prompts(boxes[start : start + _TOGETHER], self.prompt)

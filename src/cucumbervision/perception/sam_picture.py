@@ -19,12 +19,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-__all__ = ["SIDE", "mask_from_logits", "points_to_sam", "prepare_picture", "scaled_size"]
+__all__ = [
+    "SIDE",
+    "mask_from_logits",
+    "points_to_sam",
+    "prepare_picture",
+    "rows_needed",
+    "scaled_size",
+]
 
 SIDE = 1024
 """Side of the square that SAM sees, in pixels."""
 
 _LOW = 256
+_PATCH = 16
 _MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 _STD = np.array([58.395, 57.12, 57.375], np.float32)
 
@@ -39,6 +47,19 @@ def scaled_size(height: int, width: int) -> tuple[int, int]:
     """
     scale = SIDE / max(height, width)
     return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
+
+
+def rows_needed(height: int, width: int) -> int:
+    """Give how many of the square's 1024 rows a picture reaches, in whole patches of 16.
+
+    Below them there is only padding, which an encoder of free height need not see.
+
+    Examples
+    --------
+    >>> rows_needed(720, 1280), rows_needed(480, 848), rows_needed(640, 480)
+    (576, 592, 1024)
+    """
+    return -(-scaled_size(height, width)[0] // _PATCH) * _PATCH
 
 
 def prepare_picture(color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -106,8 +127,8 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
 
     Parameters
     ----------
-    logits : ndarray of float32, shape (256, 256)
-        One mask of the decoder.
+    logits : ndarray of float32, shape (256, 256) or fewer rows
+        One mask of the decoder; rows that it lacks are padding.
     height, width : int
         The picture's size.
 
@@ -123,6 +144,9 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
     [256, 256]
     """
     mask = np.zeros((height, width), bool)
+    if len(logits) < _LOW:
+        # The picture's lowest rows lean on the first one beyond.
+        logits = np.pad(logits, ((0, _LOW - len(logits)), (0, 0)), mode="edge")
     positive = logits > 0
     if not positive.any():
         return mask

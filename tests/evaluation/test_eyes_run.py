@@ -25,10 +25,11 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.cli.app import app
 from cucumbervision.datasets.coco import write_coco
 from cucumbervision.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision.errors import DataSetError
 from cucumbervision.evaluation.eyes.average_precision import Judged
-from cucumbervision.evaluation.eyes.frames import Stage
+from cucumbervision.evaluation.eyes.frames import Frame, SeenFruit, Stage, TrueFruit
 from cucumbervision.evaluation.eyes.look import shipped
+from cucumbervision.evaluation.eyes.photos import score_photos
+from cucumbervision.evaluation.eyes.report import write_eyes_report
 from cucumbervision.evaluation.eyes.run import EyesPlan, EyesResult, evaluate_eyes
 from cucumbervision.evaluation.eyes.summary import summarise
 from cucumbervision.evaluation.eyes.worst import WorstCase, draw_sheet, worst_cases
@@ -290,16 +291,25 @@ def test_the_command_writes_everything(
     assert page.count("data:image/png") == 5  # recall, ends, and three sheets
 
 
-def test_a_picture_of_another_size_is_refused(scene: Scene, networks: tuple[Path, Path]) -> None:
-    path = scene.folder / "images" / "b.png"
-    kept = path.read_bytes()
-    path.unlink()  # it is a second name of the raw picture
-    try:
-        write_png(path, np.zeros((96, 160, 3), np.uint8))
-        with pytest.raises(DataSetError, match="160x96 pixels, its labels 320x192"):
-            evaluate_eyes(EyesPlan(scene.folder, *networks, runtime="onnxruntime", segmenter=None))
-    finally:
-        path.write_bytes(kept)
+def test_of_photos_only_figures_are_written(result: EyesResult, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    boxes = np.array([[0.0, 0, 50, 10], [0, 40, 50, 50]])
+    seen = tuple(SeenFruit(box, 0.9) for box in boxes)
+    photo = Frame("web/leaf.jpg", "s1", 60, 60, (TrueFruit(boxes[0]),), kept=seen)
+    judged = replace(result, photos=score_photos([photo], ["plant"], 0.3))
+    summary = summarise(judged)
+    pages = [
+        write_eyes_report(one, summary, tmp_path / name).read_text(encoding="utf-8")
+        for name, one in (("with", judged), ("without", result))
+    ]
+    assert pages[0].count("data:image/png") == pages[1].count("data:image/png")
+    assert "web/leaf.jpg" in pages[0]
+    text = (tmp_path / "with" / "results.json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert json.loads(text)["photos"]["false"][0]["picture"] == "web/leaf.jpg"
+    with (tmp_path / "with" / "photo_detections.csv").open(encoding="utf-8") as stream:
+        assert [row["outcome"] for row in csv.DictReader(stream)] == ["hit", "false"]
 
 
 class Replay:

@@ -61,6 +61,22 @@ def test_a_set_that_cannot_be_read_in_full_is_refused(tmp_path: Path) -> None:
         read_held_out(folder)
 
 
+def test_pictures_that_are_not_those_labelled_are_refused(tmp_path: Path) -> None:
+    folder = write_set(tmp_path, [picture(name) for name in "abc"])
+    images = folder / "images"
+    (images / "a.png").unlink()
+    (images / "b.png").unlink()
+    write_png(images / "b.png", np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(DataSetError) as caught:
+        read_held_out(folder)
+    said = str(caught.value)
+    assert "2 pictures cannot be judged: images/a.png is missing, images/b.png has 32x24" in said
+    assert "its labels 64x48" in said
+    (images / "c.png").write_bytes(b"no picture")
+    with pytest.raises(DataSetError, match=r"3 pictures .*images/c\.png"):
+        read_held_out(folder)
+
+
 def test_limit_spreads_over_the_set(tmp_path: Path) -> None:
     folder = write_set(tmp_path, [picture(name) for name in "abcdefg"])
     files = [p.file for p in read_held_out(folder, limit=3).pictures]

@@ -101,7 +101,7 @@ def open_eyes(
     ModelError
         If a file cannot be loaded.
     """
-    from cucumbervision.perception.registry import file_sha256
+    from cucumbervision.perception.registry import file_sha256, load_registry
     from cucumbervision.perception.sam import Segmenter
 
     models: list[dict[str, Any]] = []
@@ -120,7 +120,8 @@ def open_eyes(
     sam = None
     if segmenter is not None:
         sam = Segmenter(segmenter, runtime, full_precision=True)
-        models.append({"file": segmenter, "runtime": sam.runtime})
+        hashes = load_registry().hashes(segmenter)
+        models.append({"file": segmenter, "sha256": hashes, "runtime": sam.runtime})
     return Eyes(*loaded, sam, confidence, models)
 
 

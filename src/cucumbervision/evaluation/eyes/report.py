@@ -292,7 +292,7 @@ def _numbers(result: EyesResult, summary: Summary) -> dict[str, Any]:
             "scenes": photos.scenes,
             "missing": photos.missing,
             "scores": {name: _scores(one) for name, one in photos.scores},
-            "false": [asdict(r) for r in photos.found if r.outcome == "false"],
+            "false": [_plain_row(r) for r in photos.found if r.outcome == "false"],
         },
     }
 
@@ -300,6 +300,10 @@ def _numbers(result: EyesResult, summary: Summary) -> dict[str, Any]:
 def _scores(one: Any) -> dict[str, Any]:
     precision = None if one.precision is None else one.precision.as_json()
     return {"recall": one.recall.as_json(), "precision": precision}
+
+
+def _plain_row(row: FoundRow) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in asdict(row).items()}
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.files import read_color
-from cucumbervision.errors import DataSetError, ModelError
+from cucumbervision.errors import ModelError
 from cucumbervision.evaluation.eyes.frames import import_pycocotools
 from cucumbervision.evaluation.eyes.lengths import length_records
 from cucumbervision.evaluation.eyes.look import Eyes, Looked, found_of, look_at, open_eyes
@@ -232,15 +232,7 @@ def _photos(plan: EyesPlan, report: Callable[[str, int, int], None] | None) -> P
 
 
 def _read(picture: LabelledPicture, held_out: HeldOut) -> tuple[NDArray[np.uint8], Capture | None]:
-    path = held_out.data.path(picture)
-    color = read_color(path)
-    if color.shape[:2] != (picture.height, picture.width):
-        raise DataSetError(
-            f"has {color.shape[1]}x{color.shape[0]} pixels, its labels {picture.width}x"
-            f"{picture.height}",
-            source=path,
-            remedy="copy the picture that was labelled",
-        )
+    color = read_color(held_out.data.path(picture))
     return color, capture_of(picture, held_out.data, color)
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.datasets.coco import read_coco
-from cucumbervision.errors import DataSetError
+from cucumbervision.datasets.pictures import picture_size
+from cucumbervision.errors import CaptureError, DataSetError
 from cucumbervision.evaluation.eyes.frames import Frame, TrueFruit
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
     Raises
     ------
     DataSetError
-        If the set cannot be read in full, has no picture in the split, or a label in it was drawn
-        by a network, which is no truth.
+        If the set cannot be read in full, has no picture in the split, a label in it was drawn by
+        a network, which is no truth, or a picture is missing or of another size.
     """
     data = read_coco(folder)
     if data.refused:
@@ -88,7 +89,31 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
             source=folder,
             remedy="a pseudo-label is no truth; move them to 'train'",
         )
-    return HeldOut(data, spread(pictures, limit), split)
+    chosen = spread(pictures, limit)
+    if faults := [fault for picture in chosen if (fault := _file_fault(picture, data))]:
+        raise DataSetError(
+            f"{len(faults)} pictures cannot be judged: {_named(faults)}",
+            source=folder,
+            remedy="copy the pictures that were labelled",
+        )
+    return HeldOut(data, chosen, split)
+
+
+def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
+    """Say in a few words what is wrong with a picture's files; nothing if they are there."""
+    path = data.path(picture)
+    if not path.is_file():
+        return f"{picture.file} is missing"
+    if picture.depth_file is not None and not (data.folder / picture.depth_file).is_file():
+        return f"{picture.depth_file} is missing"
+    try:
+        width, height = picture_size(path)
+    except CaptureError as error:
+        return f"{picture.file} {error.message}"
+    if (width, height) == (picture.width, picture.height):
+        return ""
+    labelled = f"{picture.width}x{picture.height}"
+    return f"{picture.file} has {width}x{height} pixels, its labels {labelled}"
 
 
 def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:

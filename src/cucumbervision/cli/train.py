@@ -33,7 +33,9 @@ Precision = Annotated[str, typer.Option("--precision", help="auto, f32 or bf16 (
 Freeze = Annotated[int, typer.Option("--freeze", min=0, help="Layers left as they are.")]
 Patience = Annotated[int, typer.Option("--patience", min=1, help="Epochs without gain.")]
 Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
-Cache = Annotated[str, typer.Option("--cache", help="Decoded pictures: ram, disk or none.")]
+Cache = Annotated[
+    str, typer.Option("--cache", help="Decoded pictures: ram, disk (beside them) or none.")
+]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="0: as many as cores.")]
 Workers = Annotated[int, typer.Option("--workers", min=0, help="Processes that load.")]
 Minutes = Annotated[

@@ -130,7 +130,7 @@ def train(
         if stage.status == DONE:
             continue
         state = _run_stage(state, index, out, options, watcher, clock)
-        if state.stages[index].status != DONE:
+        if state.stages[index].status != DONE or clock.is_over():
             break
     return out / "best.pt"
 

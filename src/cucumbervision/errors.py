@@ -7,6 +7,7 @@ failure and go on with the rest.
 from __future__ import annotations
 
 __all__ = [
+    "AccessError",
     "CalibrationError",
     "CameraError",
     "CaptureError",
@@ -20,6 +21,7 @@ __all__ = [
     "ModelError",
     "ModelHashError",
     "ProfileError",
+    "RoundError",
     "StoreConflictError",
     "StoreError",
     "StoreVersionError",
@@ -27,6 +29,7 @@ __all__ = [
     "TrainingError",
     "TruthError",
     "UnknownModelError",
+    "UploadError",
 ]
 
 
@@ -131,6 +134,18 @@ class ProfileError(CucumberVisionError):
 
 class ForecastError(CucumberVisionError):
     """Fruit, links or rates that nothing can be forecast from."""
+
+
+class RoundError(CucumberVisionError):
+    """Poses, stops or fruit of a round that cannot be what they are declared to be."""
+
+
+class UploadError(CaptureError):
+    """A file from a stranger that is not taken: too large, of no known kind, or built to harm."""
+
+
+class AccessError(CucumberVisionError):
+    """A page that may not be opened to others: no login, a wrong password, too many attempts."""
 
 
 class MissingExtraError(CucumberVisionError):

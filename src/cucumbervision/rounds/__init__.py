@@ -1,0 +1,1 @@
+"""Rounds through a house: rows, fruit merged between stops, fruit linked between days."""

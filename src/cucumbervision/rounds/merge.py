@@ -1,0 +1,297 @@
+"""Which views of a row are one fruit: assignment and stop positions found in turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.rounds.clusters import HELD, cluster_pairs, join_clusters, sweep
+from cucumbervision.rounds.likeness import Crowd, position_ratio, shape_ratio
+from cucumbervision.rounds.row_views import ALONG, DEPTH, RowStops, RowViews, pairs_within
+from cucumbervision.rounds.shifts import FittedStops, fit_stops, prior_stops, vote_pairs
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["ByHand", "MergeSettings", "Merged", "merge_row", "views_per_m"]
+
+NO_PAIRS: NDArray[np.int64] = np.zeros((0, 2), np.int64)
+NEVER = -1e3
+GATE_SD = 4.0
+
+
+@dataclass(frozen=True)
+class MergeSettings:
+    """How to merge.
+
+    Parameters
+    ----------
+    seen_again : float
+        Share of a fruit's views that the captures which could show it do show.
+    seen_across : float
+        The same for captures from the other aisle, most of whose view leaves hide.
+    across_m, across_sd_m : float
+        How far apart the cameras of the two aisles are, into the row, metres: the sum of both
+        distances to the same fruit.
+    passes : int
+        Rounds of assignment and estimation.
+    """
+
+    seen_again: float = 0.9
+    seen_across: float = 0.3
+    across_m: float = 1.4
+    across_sd_m: float = 0.3
+    passes: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ByHand:
+    """Pairs of views that somebody decided.
+
+    Parameters
+    ----------
+    same, apart : ndarray of int64, shape (K, 2)
+        One fruit, and two.
+    """
+
+    same: NDArray[np.int64] = field(default_factory=lambda: NO_PAIRS)
+    apart: NDArray[np.int64] = field(default_factory=lambda: NO_PAIRS)
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """A row, merged.
+
+    Parameters
+    ----------
+    cluster : ndarray of int64, shape (N,)
+        Number of each view's fruit, from 0 in the order along the row.
+    stops : FittedStops
+        Where the stops were.
+    pairs : ndarray of int64, shape (K, 2)
+        All pairs of views of one fruit.
+    probability : ndarray of float64, shape (K,)
+        How likely each pair is one fruit, by itself.
+    across_m : float, optional
+        Distance between the cameras of the two aisles, where both were walked.
+    mirrored : tuple of int
+        Sides whose views fit together far better when turned round: there positions seem to
+        count the other way.
+    """
+
+    cluster: NDArray[np.int64]
+    stops: FittedStops
+    pairs: NDArray[np.int64]
+    probability: NDArray[np.float64]
+    across_m: float | None = None
+    mirrored: tuple[int, ...] = ()
+
+    def place_m(self, views: RowViews) -> NDArray[np.float64]:
+        """Give each view's place in the row's frame, shape (N, 3), metres."""
+        return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
+
+
+def merge_row(
+    stops: RowStops,
+    views: RowViews,
+    settings: MergeSettings | None = None,
+    by_hand: ByHand | None = None,
+) -> Merged:
+    """Merge the views of one row into fruit.
+
+    First pairs come from shifts that are tried between each two stops (`vote_pairs`). Then the
+    stops are estimated from all pairs, each capture's views are assigned anew to the fruit of the
+    others, and so on in turn.
+
+    Parameters
+    ----------
+    stops : RowStops
+        The stops of both sides.
+    views : RowViews
+        Their detections.
+    settings : MergeSettings, optional
+        How to merge.
+    by_hand : ByHand, optional
+        What somebody decided; it stands.
+
+    Returns
+    -------
+    Merged
+
+    Examples
+    --------
+    >>> from cucumbervision.rounds.simulate import SimulatedRow, simulate_row
+    >>> row = simulate_row(SimulatedRow(fruit=40), seed=1)
+    >>> merged = merge_row(row.stops, row.views)
+    >>> int(merged.cluster.max()) + 1 >= 40  # every fruit, and what the detector invented
+    True
+    """
+    settings, by_hand = settings or MergeSettings(), by_hand or ByHand()
+    crowd = Crowd.of(views, views_per_m(stops, views))
+    start = prior_stops(stops)
+    i, j = _candidates(start, views)
+    one_side = stops.side[views.stop[i]] == stops.side[views.stop[j]]
+    first, second = i[one_side], j[one_side]
+    apart = views.stop[first] != views.stop[second]
+    voted = vote_pairs(stops, views, first[apart], second[apart], crowd)
+    mirrored = _mirrored(stops, views, crowd)
+    fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
+    across: tuple[float, float] | None = None
+    if len(np.unique(stops.side)) > 1:
+        across = _vote_across(fitted, stops, views, crowd, settings)
+        stops = _set_across(stops, across)
+        fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
+    cluster: NDArray[np.intp] = np.arange(len(views))
+    for _ in range(settings.passes):
+        i, j, ratio = _rated(fitted, stops, views, crowd, settings, by_hand)
+        cluster = sweep(views, i, j, ratio, cluster)
+        cluster = sweep(views, i, j, ratio, join_clusters(views, i, j, ratio, cluster))
+        a, b = cluster_pairs(cluster)
+        m = np.bincount(cluster, minlength=len(views))[cluster[a]]
+        fitted = fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
+    i, j, ratio = _rated(fitted, stops, views, crowd, settings, by_hand)
+    cluster = join_clusters(views, i, j, ratio, sweep(views, i, j, ratio, cluster))
+    along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
+    numbers = _numbered(cluster, along)
+    pairs = np.column_stack(cluster_pairs(numbers))
+    return Merged(
+        numbers, fitted, pairs, _chance(pairs, i, j, ratio, len(views)), across and across[0], mirrored
+    )
+
+
+def views_per_m(stops: RowStops, views: RowViews) -> float:
+    """Give how many views a capture has per metre of row that it shows.
+
+    Examples
+    --------
+    >>> from cucumbervision.rounds.simulate import SimulatedRow, simulate_row
+    >>> row = simulate_row(SimulatedRow(per_m=10, fruit=200), seed=1)
+    >>> 8 < views_per_m(row.stops, row.views) < 12
+    True
+    """
+    if not len(views):
+        return 0.0
+    captures, at = np.unique(views.capture, return_index=True)
+    far = float(np.median(np.abs(views.offset_m[:, DEPTH])))
+    shown = 2 * stops.reach[views.stop[at], 0] * far
+    return len(views) / max(float(shown.sum()), 1e-6 * len(captures))
+
+
+def _candidates(
+    fitted: FittedStops, views: RowViews
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Give pairs of views of different captures that may be one fruit, by their place alone."""
+    along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
+    own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
+    i, j = pairs_within(along, GATE_SD * np.sqrt(2) * own)
+    other = views.capture[i] != views.capture[j]
+    return i[other], j[other]
+
+
+def _rated(
+    fitted: FittedStops,
+    stops: RowStops,
+    views: RowViews,
+    crowd: Crowd,
+    settings: MergeSettings,
+    by_hand: ByHand,
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Give the candidates and their log likelihood ratios."""
+    i, j = _candidates(fitted, views)
+    known = np.vstack([by_hand.same, by_hand.apart])
+    i, j = np.concatenate([i, known[:, 0]]), np.concatenate([j, known[:, 1]])
+    i, j = np.minimum(i, j), np.maximum(i, j)
+    _, once = np.unique(i * len(views) + j, return_index=True)
+    i, j = i[once], j[once]
+    s, t = views.stop[i], views.stop[j]
+    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
+    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
+    across = stops.side[s] != stops.side[t]
+    ratio += np.log(np.where(across, settings.seen_across, settings.seen_again))
+    codes = i * len(views) + j
+    for pairs, value in ((by_hand.same, HELD), (by_hand.apart, NEVER)):
+        ordered = np.sort(pairs, axis=1)
+        ratio[np.isin(codes, ordered[:, 0] * len(views) + ordered[:, 1])] = value
+    return i, j, ratio
+
+
+def _vote_across(
+    fitted: FittedStops,
+    stops: RowStops,
+    views: RowViews,
+    crowd: Crowd,
+    settings: MergeSettings,
+) -> tuple[float, float]:
+    """Find how far apart the cameras of the two aisles are: by pairs alike in all but depth."""
+    i, j = _candidates(fitted, views)
+    across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
+    i, j = i[across], j[across]
+    s, t = views.stop[i], views.stop[j]
+    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
+    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    found = np.abs(gap[:, DEPTH])
+    gap, depth_variance = gap * [1.0, 1.0, 0.0], variance[:, DEPTH]
+    ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
+    tried = settings.across_m + settings.across_sd_m * np.linspace(-3, 3, 121)
+    fit = -0.5 * (found[:, None] - tried) ** 2 / depth_variance[:, None]
+    score = np.log1p(np.exp(np.minimum(ratio[:, None] + fit, 20.0))).sum(axis=0)
+    score -= 0.5 * ((tried - settings.across_m) / settings.across_sd_m) ** 2
+    weight = np.exp(score - score.max())
+    weight /= weight.sum()
+    middle = float(weight @ tried)
+    return middle, float(np.sqrt(weight @ (tried - middle) ** 2))
+
+
+def _set_across(stops: RowStops, across: tuple[float, float]) -> RowStops:
+    other = stops.side == 1
+    at_m, sd_m = stops.at_m.copy(), stops.sd_m.copy()
+    at_m[other, DEPTH] += across[0]
+    sd_m[other, DEPTH] = np.hypot(sd_m[other, DEPTH], across[1])
+    return replace(stops, at_m=at_m, sd_m=sd_m)
+
+
+def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]:
+    """Name sides whose views fit together far better with offsets turned round."""
+    found = []
+    for side in np.unique(stops.side).tolist():
+        support = []
+        for sign in (1.0, -1.0):
+            turned = replace(views, offset_m=views.offset_m * [sign, 1.0, 1.0])
+            i, j = _candidates(prior_stops(stops), turned)
+            s, t = views.stop[i], views.stop[j]
+            kept = (stops.side[s] == side) & (stops.side[t] == side) & (s != t)
+            support.append(vote_pairs(stops, turned, i[kept], j[kept], crowd)[2])
+        if support[1] > 2 * max(support[0], 0.0) + 20:
+            found.append(int(side))
+    return tuple(found)
+
+
+def _numbered(cluster: NDArray[np.intp], along: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Number clusters along the row, from 0."""
+    names, at = np.unique(cluster, return_inverse=True)
+    middle = np.bincount(at, along) / np.bincount(at)
+    rank = np.empty(len(names), np.int64)
+    rank[np.argsort(middle, kind="stable")] = np.arange(len(names))
+    return rank[at]
+
+
+def _chance(
+    pairs: NDArray[np.int64],
+    i: NDArray[np.intp],
+    j: NDArray[np.intp],
+    ratio: NDArray[np.float64],
+    size: int,
+) -> NDArray[np.float64]:
+    """Give how likely each pair is one fruit; even for pairs that nobody rated."""
+    codes = i * size + j
+    order = np.argsort(codes)
+    wanted = pairs[:, 0] * size + pairs[:, 1]
+    at = np.minimum(np.searchsorted(codes[order], wanted), max(len(codes) - 1, 0))
+    value = np.zeros(len(wanted))
+    if len(codes):
+        rated = codes[order][at] == wanted
+        value[rated] = ratio[order][at][rated]
+    return 1.0 / (1.0 + np.exp(-np.clip(value, -30, 30)))

@@ -30,13 +30,13 @@ import numpy as np
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
+from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.instances import box_of_mask
 from cucumbervision.perception.letterbox import fit
 from cucumbervision.session.finders import make_finder
 from cucumbervision.session.options import MeasureOptions
 from cucumbervision.session.rows import fruit_row
-from cucumbervision.session.run import measure_capture
 from cucumbervision.synthesis.demo import bundled_captures
 from cucumbervision.synthesis.render import render
 from cucumbervision.synthesis.tube import arc_tube, rotation
@@ -170,8 +170,7 @@ def run(
         start, busy = time.perf_counter(), time.process_time()
         found = finder.find(capture)
         seen = time.perf_counter() - start, time.process_time() - busy
-        given = replace(finder, find=lambda _, found=found: found)
-        fruit, _ = measure_capture(capture, given, options)
+        fruit = [measure_fruit(capture, instance) for instance in found.instances]
         for number, one in enumerate(fruit, 1):
             fruit_row(capture, number, one)
         whole = time.perf_counter() - start
@@ -179,7 +178,7 @@ def run(
             sums["peak MiB"] = [peak_mib()]
             continue
         inside, inside_busy = sum(clock.seconds.values()), sum(clock.processor_seconds.values())
-        one = {
+        costs: dict[str, float] = {
             "frame": whole,
             "finding": seen[0],
             "finding, processor": seen[1],
@@ -193,7 +192,7 @@ def run(
             "share beside, frame": 100 * (whole - inside) / whole,
             "found": len(found.instances),
         }
-        for name, value in one.items():
+        for name, value in costs.items():
             sums.setdefault(name, []).append(value)
     sums["peak MiB"].append(peak_mib())
     print(", ".join(f"{m['name']} on {m['runtime']}" for m in finder.models))

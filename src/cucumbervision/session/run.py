@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.session.options import MeasureOptions
     from cucumbervision.session.rows import Cell
 
-__all__ = ["count_captures", "measure_capture", "measure_inputs"]
+__all__ = ["capture_rows", "count_captures", "measure_capture", "measure_inputs"]
 
 Report: TypeAlias = Callable[["Capture | None", "Sequence[Fruit]", "Sequence[Failure]"], None]
 
@@ -106,7 +106,7 @@ def measure_inputs(
         for read, broken in _read_all(inputs, options):
             capture, fruit, noted = _measure_or_note(read, broken, finder, options, site)
             if capture is not None:
-                lines = _rows(capture, fruit, options, site)
+                lines = capture_rows(capture, fruit, options, site)
                 for line in lines:
                     rows.write(line)
                 _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit, lines)
@@ -130,12 +130,30 @@ def _load_calibration(options: MeasureOptions) -> SiteCalibration | None:
     return read_site_calibration(options.calibration)
 
 
-def _rows(
+def capture_rows(
     capture: Capture,
     fruit: Sequence[Fruit],
     options: MeasureOptions,
     site: SiteCalibration | None,
 ) -> list[dict[str, Cell]]:
+    """Fill the rows of one capture's fruit: with intervals, and calibrated where a site is given.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame, its depth already scaled by the site's calibration.
+    fruit : sequence of Fruit
+        What `measure_capture` gave.
+    options : MeasureOptions
+        The run's choices.
+    site : SiteCalibration, optional
+        The site's calibration.
+
+    Returns
+    -------
+    list of dict
+        A value for every name in `session.rows.COLUMNS`, in the order of the fruit.
+    """
     scale_known = site is not None and site.depth_scale is not None
     rows = [
         with_simulated_interval(

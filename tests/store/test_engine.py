@@ -45,6 +45,14 @@ def test_a_file_that_is_no_database_is_left_alone(tmp_path: Path) -> None:
     assert path.read_text() == "not a database, " * 100
 
 
+def test_who_only_reads_makes_no_store(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"hous\.db: is not there; check the path"):
+        open_store(tmp_path / "hous.db", create=False)
+    assert list(tmp_path.iterdir()) == []
+    open_store(tmp_path / "hous.db").close()
+    open_store(tmp_path / "hous.db", create=False).close()
+
+
 def test_a_folder_is_no_store(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="unable to open database file; check the folder"):
         open_store(tmp_path)

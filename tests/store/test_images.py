@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 from pathlib import Path
 
 import cv2
@@ -129,3 +130,29 @@ def test_what_cannot_be_finished_leaves_nothing(
     with pytest.raises(StoreError, match=r"No space left on device.*; make room"):
         images.put(b"x", ".png", 1, 1)
     assert [p for p in images.folder.rglob("*") if p.is_file()] == []
+
+
+def test_a_name_is_given_only_to_what_is_on_the_disk(
+    images: ImageStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The order that outlives a power failure: the content, the name, the folder's entry."""
+    done: list[str] = []
+    sync, rename = os.fsync, Path.replace
+
+    def fsync(handle: int) -> None:
+        is_folder = stat.S_ISDIR(os.fstat(handle).st_mode)
+        done.append("folder" if is_folder else "content")
+        sync(handle)
+
+    def replace(self: Path, target: Path) -> Path:
+        done.append("name")
+        return rename(self, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(Path, "replace", replace)
+    images.put(b"first", ".png", 1, 1)
+    # The entries of the file, of its two folders, and of the whole folder of pictures.
+    assert done == ["content", "name", *["folder"] * 4]
+    done.clear()
+    images.put(b"first", ".png", 1, 1)
+    assert done == []

@@ -12,7 +12,11 @@ def test_a_program_killed_again_and_again_loses_and_doubles_nothing(
 ) -> None:
     options = ["--url", address, "--images", str(tmp_path / "pictures"), "--stops", "8"]
     done = subprocess.run(
-        [sys.executable, str(BENCHMARK), *options], capture_output=True, text=True, check=False
+        [sys.executable, str(BENCHMARK), *options],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "8 stops: none lost, none doubled" in done.stdout

@@ -234,6 +234,15 @@ def test_only_what_can_be_one_fruit_is_linked(
     assert store.log() == []
 
 
+def test_more_fruit_than_a_command_takes_are_picked_at_once(
+    store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cucumbervision.store.manual._AT_ONCE", 3)
+    store.save_stop(make_stop(1, 8))
+    store.pick([one.key for one in store.fruit(WALK)])
+    assert all(one.picked_s for one in store.fruit(WALK))
+
+
 def test_growth_is_linked_and_unlinked_by_hand(
     store: Store, keys: list[str], make_stop: MakeStop
 ) -> None:
@@ -247,7 +256,7 @@ def test_growth_is_linked_and_unlinked_by_hand(
     store.unlink_growth(keys[0], later)
     assert [link.kind for link in store.links(WALK)] == [LinkKind.APART]
     assert store.save_growth(WALK, NEXT_DAY, [replace(expected, by_hand=False)]) == 0
-    store.undo()
+    store.undo(NEXT_DAY)
     assert store.links(WALK) == [expected]
 
 

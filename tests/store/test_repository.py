@@ -219,6 +219,14 @@ def test_an_open_reader_neither_waits_for_a_writer_nor_sees_half(
     assert [stop.note for stop in store.stops(WALK)] == ["changed"]
 
 
+def test_a_reader_sees_one_moment(store: Store, make_stop: MakeStop) -> None:
+    count = select(func.count()).select_from(Base.metadata.tables["stops"])
+    with begin(store.engine) as connection:
+        before = connection.execute(count).scalar_one()
+        store.save_stop(make_stop(1))
+        assert connection.execute(count).scalar_one() == before == 0
+
+
 def test_many_threads_lose_nothing(store: Store, make_stop: MakeStop) -> None:
     # Every stop is sent by two threads at once.
     stops = [make_stop(step // 2) for step in range(40)]

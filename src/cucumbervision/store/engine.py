@@ -133,13 +133,18 @@ def _begin_sqlite(connection: Connection) -> None:
 def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
     """Open one transaction: committed at the end, rolled back by any error.
 
+    One that only reads sees the database as it was when it began, whatever others write.
+
     Raises
     ------
     StoreError
         If the database says no.
     """
     with store_errors(engine.url), engine.connect() as connection:
-        connection = connection.execution_options(**{_WRITES: write})
+        options: dict[str, Any] = {_WRITES: write}
+        if not write and connection.dialect.name == "postgresql":
+            options["isolation_level"] = "REPEATABLE READ"
+        connection = connection.execution_options(**options)
         with connection.begin():
             yield connection
 

@@ -35,6 +35,9 @@ __all__ = [
 ]
 
 
+_AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
+
+
 class FoundFruit(NamedTuple):
     """Where a fruit is in the tables."""
 
@@ -54,8 +57,12 @@ def find_fruit(connection: Connection, keys: Sequence[str]) -> list[FoundFruit]:
     wanted = [checked_key(key, "fruit") for key in keys]
     if not wanted:
         raise StoreError("no fruit was named", remedy="name at least one")
-    query = select(FruitLine.key, FruitLine.id, FruitLine.round_id).where(FruitLine.key.in_(wanted))
-    found = {row.key: FoundFruit(*row) for row in connection.execute(query)}
+    found: dict[str, FoundFruit] = {}
+    for at in range(0, len(wanted), _AT_ONCE):
+        query = select(FruitLine.key, FruitLine.id, FruitLine.round_id).where(
+            FruitLine.key.in_(wanted[at : at + _AT_ONCE])
+        )
+        found.update({row.key: FoundFruit(*row) for row in connection.execute(query)})
     missing = next((key for key in wanted if key not in found), None)
     if missing is not None:
         raise StoreError(f"fruit {missing} is not in the store", remedy="look it up in fruit()")
@@ -257,7 +264,7 @@ def _log(
         at_s=time.time(),
         by=by,
         kind=kind,
-        round_id=fruit[0].round_id,
+        round_id=fruit[-1].round_id,
         fruit=[one.key for one in fruit],
         details=details or {},
     )

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["Store", "open_store"]
 
 
-def open_store(where: str | Path, *, images: Path | None = None) -> Store:
+def open_store(where: str | Path, *, images: Path | None = None, create: bool = True) -> Store:
     """Open a store; a new one is made, an older one brought up to date.
 
     Parameters
@@ -52,6 +52,8 @@ def open_store(where: str | Path, *, images: Path | None = None) -> Store:
     images : Path, optional
         Folder of the pictures. Beside an SQLite file 'house.db' it is 'house.images'; with
         PostgreSQL it must be named before pictures are read or written.
+    create : bool
+        False refuses an SQLite file that is not there, for who only wants to read.
 
     Raises
     ------
@@ -79,6 +81,8 @@ def open_store(where: str | Path, *, images: Path | None = None) -> Store:
     3 1.2 0.31
     """
     url = database_url(where)
+    if not create and url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():
+        raise StoreError("is not there", source=named(url), remedy="check the path")
     engine = make_engine(url)
     try:
         migrate(engine)

@@ -254,7 +254,7 @@ class ActionView:
         'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'merge', 'unmerge',
         'link-growth', 'unlink-growth' or 'undo'.
     round_key : str, optional
-        Of its first fruit.
+        Of its last fruit: of growth between two rounds the later.
     fruit : tuple of str
         Keys of the fruit.
     details : mapping

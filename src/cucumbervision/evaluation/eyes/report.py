@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
+    from cucumbervision.evaluation.eyes.groups import GroupScore
+    from cucumbervision.evaluation.eyes.lengths import LengthScore
     from cucumbervision.evaluation.eyes.photos import PhotoResult
     from cucumbervision.evaluation.eyes.run import EyesResult
     from cucumbervision.evaluation.eyes.summary import Summary
@@ -235,7 +237,6 @@ def _provenance(result: EyesResult) -> dict[str, Any]:
 
 
 def _numbers(result: EyesResult, summary: Summary) -> dict[str, Any]:
-    photos = result.photos
     return {
         **_provenance(result),
         "licence": LICENCE,
@@ -272,32 +273,35 @@ def _numbers(result: EyesResult, summary: Summary) -> dict[str, Any]:
             }
             for one in summary.overlaps
         ],
-        "lengths": [
-            {
-                "truth": str(one.truth),
-                "group": one.group,
-                "masks": str(one.masks),
-                "method": one.method,
-                "missed": one.missed,
-                "error_percent": one.error_percent.as_json(),
-                "error_of_measured_percent": one.measured_percent.as_json(),
-                **{k: _plain(v) for k, v in asdict(one.metrics).items()},
-            }
-            for one in summary.lengths
-        ],
-        "photos": None
-        if photos is None
-        else {
-            "photos": photos.photos,
-            "scenes": photos.scenes,
-            "missing": photos.missing,
-            "scores": {name: _scores(one) for name, one in photos.scores},
-            "false": [_plain_row(r) for r in photos.found if r.outcome == "false"],
-        },
+        "lengths": [_length_numbers(one) for one in summary.lengths],
+        "photos": None if result.photos is None else _photo_numbers(result.photos),
     }
 
 
-def _scores(one: Any) -> dict[str, Any]:
+def _length_numbers(one: LengthScore) -> dict[str, Any]:
+    return {
+        "truth": str(one.truth),
+        "group": one.group,
+        "masks": str(one.masks),
+        "method": one.method,
+        "missed": one.missed,
+        "error_percent": one.error_percent.as_json(),
+        "error_of_measured_percent": one.measured_percent.as_json(),
+        **{name: _plain(value) for name, value in asdict(one.metrics).items()},
+    }
+
+
+def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
+    return {
+        "photos": photos.photos,
+        "scenes": photos.scenes,
+        "missing": photos.missing,
+        "scores": {name: _scores(one) for name, one in photos.scores},
+        "false": [_plain_row(r) for r in photos.found if r.outcome == "false"],
+    }
+
+
+def _scores(one: GroupScore) -> dict[str, Any]:
     precision = None if one.precision is None else one.precision.as_json()
     return {"recall": one.recall.as_json(), "precision": precision}
 

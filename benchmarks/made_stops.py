@@ -13,6 +13,7 @@ from cucumbervision.store.records import (
     CaptureRecord,
     FruitRecord,
     MethodRecord,
+    Point,
     RoundRecord,
     StopRecord,
     key_of,
@@ -51,6 +52,26 @@ def made_stop(
         Their width and height.
     """
     rng = np.random.default_rng([int(walk.key[:8], 16), number])
+    return StopRecord(
+        key=key_of(walk.key, number),
+        round_key=walk.key,
+        row=str(1 + number // 100),
+        side="left",
+        position_m=SPACING_M * (number % 100),
+        position_sd_m=0.03,
+        step=number,
+        taken_s=walk.started_s + 10.0 * number,
+        captures=(_capture(rng, number, images, size_px),),
+        artifacts=(
+            ArtifactRecord("model", "detector", "ab" * 32, {"runtime": "onnxruntime"}),
+            ArtifactRecord("config", "measure", "cd" * 32, {"length": "thread"}),
+        ),
+    )
+
+
+def _capture(
+    rng: np.random.Generator, number: int, images: ImageStore | None, size_px: tuple[int, int]
+) -> CaptureRecord:
     width, height = size_px
     pictures: dict[str, Any] = {}
     if images is not None:
@@ -61,7 +82,7 @@ def made_stop(
             "depth": images.put_depth(depth),
             "thumbnail": images.put_thumbnail(color),
         }
-    capture = CaptureRecord(
+    return CaptureRecord(
         name=f"stop-{number:04d}",
         frame=number,
         width_px=width,
@@ -74,21 +95,6 @@ def made_stop(
         fruit=tuple(_fruit(rng, k, width, height) for k in range(1, FRUIT + 1)),
         **pictures,
     )
-    return StopRecord(
-        key=key_of(walk.key, number),
-        round_key=walk.key,
-        row=str(1 + number // 100),
-        side="left",
-        position_m=SPACING_M * (number % 100),
-        position_sd_m=0.03,
-        step=number,
-        taken_s=walk.started_s + 10.0 * number,
-        captures=(capture,),
-        artifacts=(
-            ArtifactRecord("model", "detector", "ab" * 32, {"runtime": "onnxruntime"}),
-            ArtifactRecord("config", "measure", "cd" * 32, {"length": "thread"}),
-        ),
-    )
 
 
 def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> FruitRecord:
@@ -100,21 +106,7 @@ def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> Fr
     length = round(float(rng.uniform(0.12, 0.38)), 5)
     path = np.round(np.cumsum(rng.normal(0.005, 0.001, (48, 3)), axis=0), 6)
     points = tuple(tuple(point) for point in path.tolist())
-    methods = tuple(
-        MethodRecord(m, round(length * (1 + 0.01 * k), 6), "surface-arc", path_m=points[:: 47 - k])
-        for k, m in enumerate(METHODS[:-1])
-    )
-    tube = MethodRecord(
-        "M6",
-        length,
-        "centreline",
-        centreline_m=length,
-        thread_m=round(1.08 * length, 6),
-        chord_m=round(0.97 * length, 6),
-        thread_sd_m=0.003,
-        path_m=points,
-        diameter_m=tuple(np.full(48, 0.042).tolist()),
-    )
+    *others, tube = _methods(length, points)
     return FruitRecord(
         number=number,
         score=round(float(rng.uniform(0.5, 1.0)), 4),
@@ -140,5 +132,24 @@ def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> Fr
         offset_sd_m=0.004,
         view_score=round(float(rng.uniform(0.3, 0.9)), 6),
         mask=encode_rle(mask),
-        methods=(*methods, tube),
+        methods=(*others, tube),
     )
+
+
+def _methods(length: float, points: tuple[Point, ...]) -> tuple[MethodRecord, ...]:
+    methods = tuple(
+        MethodRecord(m, round(length * (1 + 0.01 * k), 6), "surface-arc", path_m=points[:: 47 - k])
+        for k, m in enumerate(METHODS[:-1])
+    )
+    tube = MethodRecord(
+        "M6",
+        length,
+        "centreline",
+        centreline_m=length,
+        thread_m=round(1.08 * length, 6),
+        chord_m=round(0.97 * length, 6),
+        thread_sd_m=0.003,
+        path_m=points,
+        diameter_m=tuple(np.full(48, 0.042).tolist()),
+    )
+    return (*methods, tube)

@@ -101,37 +101,22 @@ def records_from_result(
 
     Parameters
     ----------
-    round_key : str
-        The round.
-    measured : sequence of MeasuredCapture
-        The captures.
+    round_key, measured
+        The round's key, and the captures.
     key : str, optional
         The stop's own key, kept for sending it again; a new one by default.
     stop : Stop, optional
         Row, side, position and step; the first capture's by default.
-    position_sd_m : float, optional
-        How sure the position is.
-    taken_s : float, optional
-        When; by default the first capture's time, or now where that is unknown.
-    images : ImageStore, optional
-        None keeps no pictures.
-    lossless : bool
-        Colour as PNG rather than JPEG.
-    artifacts : sequence of ArtifactRecord
-        From `artifact_records`.
-    failures : sequence of Failure
-        What could not be read or measured.
-    length : Length
-        The length that the run was asked for.
-
-    Raises
-    ------
-    StoreError
-        If a picture cannot be written.
+    position_sd_m, taken_s : float, optional
+        How sure the position is; when, by default the first capture's time, or now.
+    images, lossless, length
+        As in `capture_record`.
+    artifacts, failures
+        What took part (`artifact_records`); what could not be read or measured.
     """
     first = measured[0].capture if measured else None
     place = stop or (first.stop if first else Stop())
-    when = taken_s or (first.timestamp_s if first else None)
+    when = first.timestamp_s if first and taken_s is None else taken_s
     return StopRecord(
         key=key or new_key(),
         round_key=round_key,
@@ -142,7 +127,7 @@ def records_from_result(
         step=place.step,
         taken_s=time.time() if when is None else when,
         captures=tuple(
-            capture_record(one, images, lossless=lossless, length=length) for one in measured
+            capture_record(m, images, lossless=lossless, length=length) for m in measured
         ),
         artifacts=tuple(artifacts),
         failures=tuple(vars(failure) for failure in failures),
@@ -156,16 +141,25 @@ def capture_record(
     lossless: bool = True,
     length: Length = Length.THREAD,
 ) -> CaptureRecord:
-    """Make a record of one capture; its pictures are put into `images`."""
+    """Make a record of one capture; its pictures are put into `images`.
+
+    Parameters
+    ----------
+    measured : MeasuredCapture
+        The capture.
+    images : ImageStore, optional
+        None keeps no pictures.
+    lossless : bool
+        Colour as PNG rather than JPEG.
+    length : Length
+        The length that the run was asked for.
+
+    Raises
+    ------
+    StoreError
+        If a picture cannot be written.
+    """
     capture = measured.capture
-    pictures: dict[str, Any] = {}
-    if images is not None:
-        pictures = {
-            "color": images.put_color(capture.color, lossless=lossless),
-            "depth": images.put_depth(capture.depth_m),
-            "thumbnail": images.put_thumbnail(capture.color),
-            "depth_unit_m": DEPTH_UNIT_M,
-        }
     return CaptureRecord(
         name=capture.name,
         frame=capture.frame,
@@ -185,8 +179,19 @@ def capture_record(
                 zip(measured.fruit, measured.rows, strict=True), 1
             )
         ),
-        **pictures,
+        **_pictures(capture, images, lossless=lossless),
     )
+
+
+def _pictures(capture: Capture, images: ImageStore | None, *, lossless: bool) -> dict[str, Any]:
+    if images is None:
+        return {}
+    return {
+        "color": images.put_color(capture.color, lossless=lossless),
+        "depth": images.put_depth(capture.depth_m),
+        "thumbnail": images.put_thumbnail(capture.color),
+        "depth_unit_m": DEPTH_UNIT_M,
+    }
 
 
 def fruit_record(
@@ -215,6 +220,23 @@ def fruit_record(
     length : Length
         The length that the run was asked for.
     """
+    keypoints = fruit.instance.keypoints
+    return FruitRecord(
+        number=number,
+        score=round(fruit.instance.score, 4),
+        reason=str(row.get("reason") or ""),
+        fallback=str(row.get("fallback") or ""),
+        flags=str(row.get("flags") or ""),
+        length_sd_m=_length_sd(fruit.selected, length),
+        view_score=view_score(fruit, row),
+        keypoints=() if keypoints is None else _rows_of(keypoints),
+        mask=None if fruit.mask is None else encode_rle(fruit.mask),
+        methods=tuple(_method_record(one) for one in fruit.measurements.values()),
+        **_cells(capture, fruit, row),
+    )
+
+
+def _cells(capture: Capture, fruit: Fruit, row: Mapping[str, Cell]) -> dict[str, Any]:
     chosen = fruit.selected
     traits = chosen.fit.traits if chosen is not None and chosen.fit is not None else None
     centre = _centre(capture, fruit, row)
@@ -230,20 +252,7 @@ def fruit_record(
     if centre is not None:
         cells["centre_x_m"], cells["centre_y_m"], cells["centre_z_m"] = centre
         cells["offset_m"] = centre[0]
-    keypoints = fruit.instance.keypoints
-    return FruitRecord(
-        number=number,
-        score=round(fruit.instance.score, 4),
-        reason=str(row.get("reason") or ""),
-        fallback=str(row.get("fallback") or ""),
-        flags=str(row.get("flags") or ""),
-        length_sd_m=_length_sd(chosen, length),
-        view_score=view_score(fruit, row),
-        keypoints=() if keypoints is None else _rows_of(keypoints),
-        mask=None if fruit.mask is None else encode_rle(fruit.mask),
-        methods=tuple(_method_record(one) for one in fruit.measurements.values()),
-        **cells,
-    )
+    return cells
 
 
 def view_score(fruit: Fruit, row: Mapping[str, Cell]) -> float:

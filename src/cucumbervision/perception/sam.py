@@ -124,7 +124,7 @@ class Segmenter:
         height, width = color_rgb.shape[:2]
         boxes = [_clip(instance.box, height, width) for instance in instances]
         seen = {i: box for i, box in enumerate(boxes) if box is not None}
-        logits = self._logits(color_rgb, np.array(list(seen.values())).reshape(-1, 4))
+        logits = self._logits(color_rgb, np.array(list(seen.values())).reshape(-1, 4), self.prompt)
         low = dict(zip(seen, logits, strict=True))
         return tuple(
             _with_mask(
@@ -135,8 +135,27 @@ class Segmenter:
             for i, instance in enumerate(instances)
         )
 
+    def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
+        """Draw the mask of what lies at one pixel, whatever `prompt` says.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture; red first.
+        u_px, v_px : float
+            The pixel that somebody pointed at.
+
+        Returns
+        -------
+        ndarray of bool, shape (H, W)
+            May be empty.
+        """
+        at = np.array([[u_px, v_px, u_px, v_px]], np.float64)
+        (logits,) = self._logits(color_rgb, at, "point")
+        return mask_from_logits(logits, *color_rgb.shape[:2])
+
     def _logits(
-        self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64]
+        self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64], prompt: str
     ) -> list[NDArray[np.float32]]:
         """Give each box's most confident mask as logits, shape (256 or fewer, 256)."""
         if not len(boxes):
@@ -149,7 +168,7 @@ class Segmenter:
         embedding = self._encoder.run({"image": picture})["embedding"]
         found: list[NDArray[np.float32]] = []
         for start in range(0, len(boxes), _TOGETHER):
-            points, labels = _prompts(boxes[start : start + _TOGETHER], self.prompt)
+            points, labels = _prompts(boxes[start : start + _TOGETHER], prompt)
             places = points_to_sam(points, height, width)
             answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
             best = answer["ious"].argmax(axis=1)

@@ -23,6 +23,7 @@ from cucumbervision.cli import (
     evaluate,
     measure,
     models,
+    round,
     synth,
     train,
 )
@@ -46,6 +47,7 @@ app.command("synth")(synth.synth)
 app.add_typer(data.app, name="data")
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(models.app, name="models")
+app.add_typer(round.app, name="round")
 app.add_typer(train.app, name="train")
 
 

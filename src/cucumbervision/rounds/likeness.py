@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.rounds.row_views import UP
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -26,6 +28,7 @@ __all__ = [
 ]
 
 TAIL, TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
+UNSEEN_END, UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
 SIZE_TAIL = 0.1  # share of sizes that are wrong anyhow: an end unseen, leaves taken for fruit
 SIZE_REACH = 0.7  # of the logarithm: how wrong they are, to either side
 MOST_HIDDEN = 1.2  # of the logarithm: a fruit read at less than 30 % is rarely found at all
@@ -142,9 +145,7 @@ def shape_ratio(
     length_sd = np.hypot(views.length_sd[i], views.length_sd[j])
     diameter_sd = np.hypot(views.diameter_sd[i], views.diameter_sd[j])
     hidden = views.partial[i], views.partial[j]
-    length = size_ratio(
-        views.length_m[i], views.length_m[j], length_sd, hidden, crowd.length_width
-    )
+    length = size_ratio(views.length_m[i], views.length_m[j], length_sd, hidden, crowd.length_width)
     diameter = size_ratio(
         views.diameter_m[i], views.diameter_m[j], diameter_sd, (whole, whole), crowd.diameter_width
     )
@@ -168,4 +169,10 @@ def position_ratio(
     ndarray of float64, shape (...)
     """
     density = log_density(gap_m, variance_m2).sum(axis=-1)
+    # An end that nobody knows to be hidden moves the middle up or down, by centimetres.
+    up, variance = gap_m[..., UP], variance_m2[..., UP]
+    wide = variance + UNSEEN_END_M**2
+    moved = -0.5 * (np.square(up) / wide + np.log(2 * np.pi * wide))
+    known = log_density(up, variance)
+    density += np.logaddexp(known, np.log(UNSEEN_END) + moved) - known
     return np.asarray(density + np.log(crowd.up_m * crowd.depth_m / crowd.per_m), np.float64)

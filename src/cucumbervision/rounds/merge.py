@@ -157,7 +157,12 @@ def merge_row(
     numbers = _numbered(cluster, along)
     pairs = np.column_stack(cluster_pairs(numbers))
     return Merged(
-        numbers, fitted, pairs, _chance(pairs, i, j, ratio, len(views)), across and across[0], mirrored
+        numbers,
+        fitted,
+        pairs,
+        _chance(pairs, i, j, ratio, len(views)),
+        across and across[0],
+        mirrored,
     )
 
 
@@ -179,9 +184,7 @@ def views_per_m(stops: RowStops, views: RowViews) -> float:
     return len(views) / max(float(shown.sum()), 1e-6 * len(captures))
 
 
-def _candidates(
-    fitted: FittedStops, views: RowViews
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _candidates(fitted: FittedStops, views: RowViews) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Give pairs of views of different captures that may be one fruit, by their place alone."""
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
@@ -270,7 +273,7 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
 
 
 def _numbered(cluster: NDArray[np.intp], along: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Number clusters along the row, from 0."""
+    """Give clusters numbers along the row, from 0."""
     names, at = np.unique(cluster, return_inverse=True)
     middle = np.bincount(at, along) / np.bincount(at)
     rank = np.empty(len(names), np.int64)

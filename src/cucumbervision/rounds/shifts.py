@@ -192,9 +192,7 @@ def vote_pairs(
     rest += shape_ratio(views, i, j, crowd) - log_density(0.0, variance[:, ALONG])
     widest = REACH_SD * float(shift_sd[:, ALONG].max())
     tried = np.linspace(-widest, widest, min(2 * int(widest / STEP_M) + 1, MOST_TRIED))
-    ratio = rest[:, None] + log_density(
-        gap[:, ALONG, None] - tried, variance[:, ALONG, None]
-    )
+    ratio = rest[:, None] + log_density(gap[:, ALONG, None] - tried, variance[:, ALONG, None])
     group = _starts(s, t)
     each = _starts(s, t, i)
     of_one = np.log1p(np.add.reduceat(np.exp(np.minimum(ratio, 50.0)), each, axis=0))

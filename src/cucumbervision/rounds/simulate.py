@@ -16,7 +16,15 @@ from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Plants", "SimulatedRow", "Walk", "grow_plants", "simulate_plants", "simulate_row", "walk"]
+__all__ = [
+    "Plants",
+    "SimulatedRow",
+    "Walk",
+    "grow_plants",
+    "simulate_plants",
+    "simulate_row",
+    "walk",
+]
 
 SIZES = 64  # bodies drawn, from which fruit take their thickness
 UNFLAGGED = 0.2  # share of hidden fruit that nothing tells from whole ones
@@ -188,7 +196,7 @@ def _capture(
     s: SimulatedRow,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Give columns along, up, depth, length, diameter, partial, score; names; what could be seen."""
+    """Give columns along, up, depth, length, diameter, partial, score; names; what is in view."""
     sign = 1.0 - 2.0 * side
     offset = plants.place_m - camera_m
     offset[:, DEPTH] = sign * offset[:, DEPTH] + s.distance_m
@@ -211,7 +219,8 @@ def _capture(
     partial = cut | (hidden & (rng.random(len(seen)) >= UNFLAGGED))
     invented = int(rng.binomial(max(len(seen), 1), s.false / (1 - s.false)))
     size = np.array([s.reach[0], s.reach[1], 0.5 * s.thickness_m / s.distance_m]) * s.distance_m
-    middle = np.vstack([middle, rng.uniform(-size, size, (invented, 3)) + [0, 0, s.distance_m]])
+    ahead = np.array([0.0, 0.0, s.distance_m])
+    middle = np.vstack([middle, rng.uniform(-size, size, (invented, 3)) + ahead])
     length = np.append(high - low, rng.uniform(0.06, 0.38, invented))
     diameter = np.append(plants.diameter_m[seen], rng.uniform(0.025, 0.05, invented))
     score = np.append(rng.beta(9, 1.5, len(seen)), rng.beta(4, 3, invented))
@@ -282,7 +291,7 @@ def grow_plants(
     diameter = plants.diameter_m * (length / plants.length_m) ** 0.5
     grown = Plants(place, length, diameter, plants.seen_from, plants.name)
     grown = _some(grown, np.flatnonzero(stay))
-    count = int(round(new_share * len(plants.name)))
+    count = round(new_share * len(plants.name))
     young = _some(grown, rng.integers(0, len(grown.name), count))
     row_m = float(place[:, ALONG].max())
     spot = young.place_m.copy()

@@ -1,0 +1,200 @@
+"""What rounds look like on screen."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from cucumbervision.cli.console import progress_bar
+from cucumbervision.rounds.adding import add_captures
+from cucumbervision.rounds.service import find_round, fruit_table, list_rounds
+from cucumbervision.session.run import count_captures
+from cucumbervision.store.repository import open_store
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cucumbervision.agronomy.profile import CropProfile
+    from cucumbervision.rounds.adding import Place
+    from cucumbervision.rounds.service import FruitLine, RowLinks, RowReport
+    from cucumbervision.session.options import MeasureOptions
+
+__all__ = ["add_and_show", "show_links", "show_picks", "show_round", "show_rounds", "show_rows"]
+
+
+def _console() -> Console:
+    # A file or a pipe has no width of its own; 80 columns would cut the table.
+    return Console(highlight=False, width=None if Console().is_terminal else 120)
+
+
+def add_and_show(
+    where: str,
+    images: Path | None,
+    name: str,
+    inputs: Sequence[Path],
+    options: MeasureOptions,
+    place: Place,
+) -> int:
+    """Add captures, show progress, and give the exit code (0 or 1)."""
+    errors = Console(stderr=True, highlight=False)
+    with open_store(where, images=images) as store, progress_bar(errors) as bar:
+        key = find_round(store, name).key
+        task = bar.add_task("measuring", total=count_captures(inputs, options))
+        done = add_captures(store, key, inputs, options, place, lambda _: bar.advance(task))
+    new = [one for one in done if one.new]
+    failed = [one for one in done if one.problem]
+    there = len(done) - len(new) - len(failed)
+    fruit = sum(one.fruit for one in new)
+    console = _console()
+    console.print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
+    for one in failed:
+        errors.print(f"  {one.problem}", soft_wrap=True, markup=False)
+    return 1 if failed else 0
+
+
+def show_rows(rows: Sequence[RowReport]) -> None:
+    """Show what merging found."""
+    table = Table("row", title="Merged rows", title_justify="left")
+    for head in ("stops", "views", "fruit", "expected", "stops known to"):
+        table.add_column(head, justify="right")
+    for row in rows:
+        table.add_row(
+            row.row,
+            str(row.stops),
+            str(row.views),
+            str(row.fruit),
+            f"{row.expected:.0f} ± {row.expected_sd:.0f}",
+            "" if row.stop_sd_m is None else f"{100 * row.stop_sd_m:.1f} cm",
+        )
+    console = _console()
+    console.print(table)
+    for row in rows:
+        if row.unplaced:
+            console.print(
+                f"row {row.row}: {row.unplaced} fruit without position or depth stand alone"
+            )
+        for side in row.mirrored:
+            console.print(
+                f"row {row.row}, side {side}: positions seem to get higher the other way; "
+                "add its captures to a new round with --higher-to"
+            )
+
+
+def show_links(rows: Sequence[RowLinks]) -> None:
+    """Show what linking found."""
+    table = Table("row", title="Fruit found again", title_justify="left")
+    for head in ("earlier", "later", "linked", "sure", "moved along"):
+        table.add_column(head, justify="right")
+    for row in rows:
+        moved = f"{100 * row.shift_m:.0f} ± {100 * row.shift_sd_m:.0f} cm"
+        counts = (row.earlier, row.later, row.links, row.sure)
+        table.add_row(row.row, *(str(count) for count in counts), moved)
+    _console().print(table)
+
+
+def _profile(given: str | None, of_round: str) -> CropProfile | None:
+    from cucumbervision.agronomy.profile_files import load_profile
+
+    name = given or of_round
+    return load_profile(name) if name else None
+
+
+def show_round(where: str, name: str, given: str | None, limit: int) -> None:
+    """Show a round's fruit."""
+    with open_store(where) as store:
+        view = find_round(store, name)
+        lines = fruit_table(store, view.key)
+    profile = _profile(given, view.record.profile)
+    title = f"{view.record.name or view.key}: {len(lines)} fruit, lengths in cm"
+    table = Table(title=title, title_justify="left")
+    for head in ("no.", "row", "side"):
+        table.add_column(head)
+    for head in ("at, m", "length", "90 % interval", "all views", "seen"):
+        table.add_column(head, justify="right")
+    for head in ("class", "remarks", "key"):
+        table.add_column(head, overflow="fold")
+    shown = lines[:limit] if limit else lines
+    for line in shown:
+        table.add_row(*_cells(line, profile))
+    if len(shown) < len(lines):
+        table.caption = f"and {len(lines) - len(shown)} more; --limit 0 shows all"
+    _console().print(table)
+
+
+def _cells(line: FruitLine, profile: CropProfile | None) -> list[str]:
+    view, record = line.view, line.view.record
+    low, high = record.interval_low_m, record.interval_high_m
+    name = ""
+    if profile is not None:
+        from cucumbervision.rounds.outlook import grade_of
+
+        name = grade_of(record, profile).name
+    remarks = [record.flags]
+    if view.picked_s is not None:
+        remarks.insert(0, "picked")
+    if record.length_m is None:
+        remarks.insert(0, f"not measured: {record.reason}")
+    all_views = ""
+    if line.combined_m is not None and line.combined_sd_m is not None and line.seen > 1:
+        all_views = f"{100 * line.combined_m:.1f} ± {100 * line.combined_sd_m:.1f}"
+    return [
+        str(line.number),
+        view.row or "",
+        view.side or "",
+        "" if view.along_m is None else f"{view.along_m:.2f}",
+        "" if record.length_m is None else f"{100 * record.length_m:.1f}",
+        "" if low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
+        all_views,
+        str(line.seen),
+        name,
+        " ".join(part for part in remarks if part),
+        view.key[:8],
+    ]
+
+
+def show_rounds(where: str) -> None:
+    """List rounds."""
+    with open_store(where) as store:
+        rounds = list_rounds(store)
+    table = Table("key", "name", "house", "began", "profile")
+    for head in ("stops", "views"):
+        table.add_column(head, justify="right")
+    for one in rounds:
+        began = datetime.fromtimestamp(one.record.started_s).astimezone()
+        text = began.strftime("%Y-%m-%d %H:%M")
+        record = one.record
+        counts = str(one.stops), str(one.fruit)
+        table.add_row(one.key[:8], record.name, record.house, text, record.profile, *counts)
+    _console().print(table)
+
+
+def show_picks(where: str, name: str, given: str | None) -> None:
+    """Show today's ready fruit."""
+    from cucumbervision.agronomy.profile_files import load_profile
+    from cucumbervision.rounds.outlook import round_pick_list
+
+    with open_store(where) as store:
+        view = find_round(store, name)
+        profile = load_profile(given or view.record.profile or "long-cucumber")
+        picks = round_pick_list(store, view.key, profile)
+        numbers = {line.view.key: line.number for line in fruit_table(store, view.key)}
+    table = Table("no.", "row", "side", title=f"{len(picks)} to pick", title_justify="left")
+    for head in ("at, m", "length, cm", "ready"):
+        table.add_column(head, justify="right")
+    table.add_column("class")
+    for pick in picks:
+        fruit = pick.fruit
+        table.add_row(
+            str(numbers.get(fruit.fruit_id, "")),
+            fruit.row,
+            fruit.side,
+            f"{fruit.position_m:.2f}",
+            f"{100 * fruit.length_m:.1f}",
+            f"{100 * pick.ready:.0f} %",
+            pick.name,
+        )
+    _console().print(table)

@@ -1,0 +1,286 @@
+"""Captures into a round: measured, placed along the row, saved one stop each."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from cucumbervision.errors import CucumberVisionError, RoundError
+from cucumbervision.rounds.coordinates import is_partial, middle_offset, middle_sd
+from cucumbervision.rounds.poses import MIDDLE_SD_M, PoseLine, pose_matrix, sign_of_side
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.calibration.calibration_file import SiteCalibration
+    from cucumbervision.capture.frames import Capture, Stop
+    from cucumbervision.session.finders import Finder
+    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.store.records import FruitRecord, StopRecord
+    from cucumbervision.store.repository import Store
+
+__all__ = ["Added", "Place", "add_captures", "placed_fruit"]
+
+Report: TypeAlias = Callable[["Added"], None]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where captures were taken, as far as their own files and a pose file do not say.
+
+    Parameters
+    ----------
+    row, side : str, optional
+        Row of the house, and side of the row.
+    position_m, spacing_m : float, optional
+        Of the first capture along the row, and how far each next one is from the last.
+    position_sd_m : float
+        How sure positions are.
+    sign : int, optional
+        1 where positions get higher to the right in the picture, else -1; by default as
+        `poses.sign_of_side` says of the side.
+    poses : mapping of str to PoseLine
+        By the capture's name; what they say comes first.
+    """
+
+    row: str | None = None
+    side: str | None = None
+    position_m: float | None = None
+    spacing_m: float | None = None
+    position_sd_m: float = MIDDLE_SD_M
+    sign: int | None = None
+    poses: Mapping[str, PoseLine] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Added:
+    """What became of one capture.
+
+    Parameters
+    ----------
+    name : str
+        The capture, or the input that could not be read.
+    stop_key : str
+        Its stop; empty where there is none.
+    fruit : int
+        How many fruit it shows; 0 where it was there already.
+    new : bool
+        Whether it was saved now.
+    problem : str
+        Why not, in one line.
+    """
+
+    name: str
+    stop_key: str = ""
+    fruit: int = 0
+    new: bool = False
+    problem: str = ""
+
+
+def add_captures(
+    store: Store,
+    round_key: str,
+    inputs: Sequence[Path],
+    options: MeasureOptions,
+    place: Place | None = None,
+    report: Report | None = None,
+) -> list[Added]:
+    """Measure captures and save each as a stop of a round.
+
+    A capture that is in the round already is not measured again. One that cannot be read or
+    measured is noted, and the others go on.
+
+    Parameters
+    ----------
+    store : Store
+        Where to.
+    round_key : str
+        The round, saved before.
+    inputs : sequence of Path
+        Folders and files that `open_source` knows.
+    options : MeasureOptions
+        How to measure.
+    place : Place, optional
+        Where they were taken.
+    report : callable, optional
+        Called after each capture; for progress bars.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing can be measured at all: a network or the calibration cannot be loaded.
+    """
+    from cucumbervision.session.finders import make_finder
+    from cucumbervision.store.records import key_of
+
+    place = place or Place()
+    there = {stop.key for stop in store.stops(round_key)}
+    site = _site(options)
+    finder: Finder | None = None
+    done = []
+    for number, (name, capture, problem) in enumerate(_read(inputs, options)):
+        if capture is None:
+            added = Added(name, problem=problem)
+        else:
+            key = key_of(round_key, name, _content(capture))
+            added = Added(name, key)
+            if key not in there:
+                finder = finder or make_finder(options)
+                try:
+                    stop = _measured(capture, number, place, (finder, options, site), store)
+                    store.save_stop(replace(stop, key=key, round_key=round_key))
+                    fruit = sum(len(one.fruit) for one in stop.captures)
+                    added = Added(name, key, fruit, new=True)
+                    there.add(key)
+                except CucumberVisionError as error:
+                    added = Added(name, problem=str(error))
+        done.append(added)
+        if report is not None:
+            report(added)
+    return done
+
+
+def _site(options: MeasureOptions) -> SiteCalibration | None:
+    if options.calibration is None:
+        return None
+    from cucumbervision.calibration.calibration_file import read_site_calibration
+
+    return read_site_calibration(options.calibration)
+
+
+def _read(
+    inputs: Sequence[Path], options: MeasureOptions
+) -> Iterator[tuple[str, Capture | None, str]]:
+    from cucumbervision.capture.readers import open_source
+
+    for path in inputs:
+        try:
+            source = open_source(path, options.reading)
+            refs = iter(source)
+        except CucumberVisionError as error:
+            yield str(path), None, str(error)
+            continue
+        while True:
+            name = ""
+            try:
+                ref = next(refs, None)
+                if ref is None:
+                    break
+                name = ref.name
+                capture = ref.load()
+            except CucumberVisionError as error:
+                yield name or str(path), None, str(error)
+                if not name:  # the source itself broke: nothing more will come
+                    break
+                continue
+            yield capture.name, capture, ""
+
+
+def _content(capture: Capture) -> str:
+    digest = hashlib.sha256(np.ascontiguousarray(capture.color).tobytes())
+    digest.update(np.ascontiguousarray(capture.depth_m).tobytes())
+    return digest.hexdigest()
+
+
+def _measured(
+    capture: Capture,
+    number: int,
+    place: Place,
+    means: tuple[Finder, MeasureOptions, SiteCalibration | None],
+    store: Store,
+) -> StopRecord:
+    from cucumbervision.session.results import Failure
+    from cucumbervision.session.run import capture_rows, measure_capture
+    from cucumbervision.store.results import (
+        MeasuredCapture,
+        artifact_records,
+        records_from_result,
+    )
+
+    finder, options, site = means
+    spot, sd_m, pose = _spot(capture, number, place)
+    capture = replace(capture, stop=spot)
+    if site is not None:
+        from cucumbervision.session.calibrated import calibrated_capture
+
+        capture = calibrated_capture(capture, site)
+    fruit, refused = measure_capture(capture, finder, options)
+    measured = MeasuredCapture(capture, fruit, capture_rows(capture, fruit, options, site))
+    stop = records_from_result(
+        "",
+        [measured],
+        key="",
+        stop=spot,
+        position_sd_m=sd_m,
+        images=store.images,
+        artifacts=artifact_records(options, finder.models, site),
+        failures=[Failure(capture.source, capture.name, e.code, str(e)) for e in refused],
+        length=options.length,
+    )
+    captures = tuple(
+        replace(one, fruit=tuple(placed_fruit(f, pose) for f in one.fruit)) for one in stop.captures
+    )
+    return replace(stop, captures=captures, pose=tuple(np.round(pose, 9).ravel().tolist()))
+
+
+def _spot(
+    capture: Capture, number: int, place: Place
+) -> tuple[Stop, float | None, NDArray[np.float64]]:
+    """Give row, side, position and step; how sure the position is; and the camera's pose."""
+    from cucumbervision.capture.frames import Stop
+
+    own, line = capture.stop, place.poses.get(capture.name)
+    if place.poses and line is None:
+        raise RoundError(
+            "the pose file has no line for this capture",
+            source=capture.name,
+            remedy="add one, or leave the pose file out",
+        )
+    position = own.position_m
+    if place.position_m is not None:
+        position = place.position_m + number * (place.spacing_m or 0.0)
+    row, side = place.row or own.row, place.side or own.side
+    step = number + 1 if own.step is None else own.step
+    sd, turned = place.position_sd_m, {}
+    if line is not None:
+        row, side, position = line.row or row, line.side or side, line.position_m
+        sd = line.position_sd_m
+        turned = {
+            "height_m": line.height_m or 0.0,
+            "yaw_deg": line.yaw_deg,
+            "pitch_deg": line.pitch_deg,
+            "roll_deg": line.roll_deg,
+        }
+    sign = sign_of_side(side) if place.sign is None else place.sign
+    pose = pose_matrix(position or 0.0, sign, **turned)
+    return Stop(row, side, position, step), None if position is None else sd, pose
+
+
+def placed_fruit(fruit: FruitRecord, pose: NDArray[np.float64]) -> FruitRecord:
+    """Give a fruit its offset along the row from the camera's pose.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.records import FruitRecord
+    >>> fruit = FruitRecord(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
+    >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
+    -0.1
+    """
+    middle = (fruit.centre_x_m, fruit.centre_y_m, fruit.centre_z_m)
+    if None in middle:
+        return fruit
+    offset = middle_offset(np.array(middle, float), pose)
+    sd = middle_sd(
+        offset,
+        tube=fruit.diameter_max_m is not None,
+        partial=is_partial(fruit.flags, fruit.hidden_share),
+        length_m=fruit.length_m,
+    )
+    return replace(fruit, offset_m=round(float(offset[0]), 5), offset_sd_m=round(float(sd[0]), 5))

@@ -1,0 +1,161 @@
+"""How many fruit a row has: what was seen once only may be invented, and some were never seen.
+
+A fruit is seen by each capture that could show it with one probability q; an invented one is seen
+once. Both shares are learnt from the row itself by expectation maximisation (Dempster, Laird &
+Rubin 1977), with weak priors, so that a short row does not run away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.rounds.row_views import DEPTH
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.rounds.merge import Merged
+    from cucumbervision.rounds.row_views import RowStops, RowViews
+
+__all__ = ["FruitCount", "count_fruit", "estimate_count", "times_shown"]
+
+MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
+SEEN, SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
+FALSE, FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
+STEPS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class FruitCount:
+    """How many fruit there are.
+
+    Parameters
+    ----------
+    expected, sd : float
+        Number of fruit that the captures could show, those included that none did.
+    seen, shown : ndarray of int64, shape (F,)
+        For each fruit found: how many views it has, and how many captures could show it.
+    real : ndarray of float64, shape (F,)
+        How likely it is a fruit and not invented.
+    seen_again : float
+        The share q.
+    """
+
+    expected: float
+    sd: float
+    seen: NDArray[np.int64]
+    shown: NDArray[np.int64]
+    real: NDArray[np.float64]
+    seen_again: float
+
+
+def count_fruit(merged: Merged, stops: RowStops, views: RowViews) -> FruitCount:
+    """Count the fruit of a merged row.
+
+    Examples
+    --------
+    >>> from cucumbervision.rounds.merge import merge_row
+    >>> from cucumbervision.rounds.simulate import SimulatedRow, simulate_row
+    >>> row = simulate_row(SimulatedRow(fruit=100), seed=2)
+    >>> merged = merge_row(row.stops, row.views)
+    >>> abs(count_fruit(merged, row.stops, row.views).expected - row.in_view) < 4
+    True
+    """
+    seen = np.bincount(merged.cluster)
+    shown = np.maximum(times_shown(merged, stops, views), seen)
+    score = np.zeros(len(seen))
+    np.maximum.at(score, merged.cluster, views.score)
+    return estimate_count(seen, shown, score, views.score[seen[merged.cluster] > 1])
+
+
+def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> NDArray[np.int64]:
+    """Give how many captures could show each fruit, shape (F,).
+
+    Only captures of sides that did see it count: leaves may hide it from the other aisle.
+    """
+    count = int(merged.cluster.max(initial=-1)) + 1
+    place = merged.place_m(views)
+    sizes = np.bincount(merged.cluster, minlength=count)
+    middle = np.stack(
+        [np.bincount(merged.cluster, place[:, c], count) / sizes for c in range(3)], axis=1
+    )
+    by_side = np.zeros((count, 2), bool)
+    by_side[merged.cluster, stops.side[views.stop]] = True
+    _, at = np.unique(views.capture, return_index=True)
+    captures = views.stop[at]
+    shown = np.zeros(count, np.int64)
+    for s in captures.tolist():
+        gap = np.abs(middle - merged.stops.at_m[s])
+        half = stops.reach[s] * gap[:, DEPTH, None] - MARGIN_M
+        shown += (gap[:, :2] < half).all(axis=1) & by_side[:, stops.side[s]]
+    return shown
+
+
+def estimate_count(
+    seen: NDArray[np.int64],
+    shown: NDArray[np.int64],
+    score: NDArray[np.float64],
+    sure_scores: NDArray[np.float64],
+) -> FruitCount:
+    """Estimate how many fruit there are from how often each was seen.
+
+    Parameters
+    ----------
+    seen, shown : ndarray of int64, shape (F,)
+        Views of each fruit, and captures that could show it; shown is at least seen.
+    score : ndarray of float64, shape (F,)
+        The detector's confidence in each.
+    sure_scores : ndarray of float64, shape (V,)
+        Its confidence in views of fruit that were seen twice or more. What is invented is taken
+        to have any confidence from the least to the highest alike.
+
+    Examples
+    --------
+    A hundred fruit that three captures could show, 90 seen by all and 10 by two; and six things
+    that were seen once:
+
+    >>> seen = np.repeat([3, 2, 1], [90, 10, 6])
+    >>> found = estimate_count(seen, np.full(106, 3), np.full(106, 0.8), np.zeros(0))
+    >>> round(found.expected), round(float(found.real[-1]), 1)
+    (100, 0.1)
+    """
+    if not len(seen):
+        return FruitCount(0.0, 0.0, seen, shown, np.zeros(0), SEEN)
+    likelier = _score_ratio(score, sure_scores)
+    once = seen == 1
+    q, real = SEEN, np.where(once, 0.5, 1.0)
+    for _ in range(STEPS):
+        nothing = (1 - q) ** shown
+        single = shown * q * (1 - q) ** (shown - 1) / (1 - nothing)
+        false = (1 - real).sum() + FALSE * FALSE_WEIGHT
+        false *= seen.sum() / (seen.sum() + FALSE_WEIGHT)
+        odds = real.sum() / max(float(false), 1e-9) * single * likelier
+        real = np.where(once, odds / (1 + odds), 1.0)
+        unseen = real * nothing / (1 - nothing)
+        hits = (real * seen).sum() + SEEN * SEEN_WEIGHT
+        q = float(hits / (((real + unseen) * shown).sum() + SEEN_WEIGHT))
+        q = min(max(q, 0.05), 0.995)
+    sd = np.sqrt((real * (1 - real)).sum() + (unseen * (1 + unseen)).sum())
+    return FruitCount(float((real + unseen).sum()), float(sd), seen, shown, real, q)
+
+
+def _score_ratio(score: NDArray[np.float64], sure: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give how much a confidence speaks for a fruit: its density among sure ones, over the range.
+
+    The density is a Beta distribution's, fitted by moments.
+    """
+    from scipy.stats import beta
+
+    if len(sure) < 20 or float(sure.std()) < 1e-3:
+        return np.ones(len(score))
+    low, high = min(float(score.min()), float(sure.min())), 1.0
+    spread = max(high - low, 1e-3)
+    scaled = np.clip((sure - low) / spread, 0.01, 0.99)
+    mean, variance = float(scaled.mean()), float(scaled.var())
+    common = max(mean * (1 - mean) / variance - 1, 0.1)
+    at = np.clip((score - low) / spread, 0.01, 0.99)
+    density = beta.pdf(at, mean * common, (1 - mean) * common)
+    return np.asarray(np.clip(density, 0.02, 5.0), np.float64)

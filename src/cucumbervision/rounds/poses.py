@@ -1,0 +1,183 @@
+"""Where the camera was at each capture: told by the operator, or by a pose file of odometry.
+
+A pose file is CSV with a head, or JSON with a list of objects; columns and keys are `PoseLine`'s.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cucumbervision.errors import RoundError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["MIDDLE_SD_M", "PoseLine", "pose_matrix", "read_poses", "sign_of_side"]
+
+MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
+_FACING_BACK = frozenset({"right", "r", "b", "2"})
+_LARGEST = 64 * 1024 * 1024
+
+
+class PoseLine(BaseModel):
+    """One line of a pose file.
+
+    Parameters
+    ----------
+    capture : str
+        The capture's name.
+    position_m : float
+        Along the row.
+    position_sd_m : float
+        Its standard deviation.
+    row, side : str, optional
+        Row and side; by default the operator's.
+    height_m, height_sd_m : float, optional
+        Of the camera above the ground; in all lines of a file or in none.
+    yaw_deg, pitch_deg, roll_deg : float
+        Turned to the right, upwards, and clockwise, against looking straight into the row.
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+    capture: str = Field(min_length=1)
+    position_m: float
+    position_sd_m: float = Field(default=MIDDLE_SD_M, gt=0, le=5)
+    row: str | None = None
+    side: str | None = None
+    height_m: float | None = None
+    yaw_deg: float = Field(default=0.0, ge=-60, le=60)
+    pitch_deg: float = Field(default=0.0, ge=-60, le=60)
+    roll_deg: float = Field(default=0.0, ge=-180, le=180)
+
+
+def read_poses(path: Path) -> dict[str, PoseLine]:
+    r"""Read a pose file.
+
+    Parameters
+    ----------
+    path : Path
+        `.csv` or `.json`.
+
+    Returns
+    -------
+    dict of str to PoseLine
+        By the capture's name.
+
+    Raises
+    ------
+    RoundError
+        If it cannot be read, a line is not what it should be, or two name one capture.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "poses.csv"
+    ...     _ = path.write_text("capture,position_m,yaw_deg\na,0.41,-2\n")
+    ...     read_poses(path)["a"].position_m
+    0.41
+    """
+    from cucumbervision.capture.files import parse_model
+
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise RoundError("larger than 64 MiB", source=path, remedy="give one line a capture")
+        text = path.read_text(encoding="utf-8-sig")
+        lines = _lines(text, json_text=path.suffix.lower() == ".json")
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
+        raise RoundError(
+            f"cannot be read ({error})", source=path, remedy="give CSV or JSON"
+        ) from None
+    poses: dict[str, PoseLine] = {}
+    for number, line in enumerate(lines, 1):
+        pose = parse_model(PoseLine, line, source=f"{path}, line {number}", error=RoundError)
+        if pose.capture in poses:
+            raise RoundError(
+                f"two lines for capture '{pose.capture}'", source=path, remedy="keep one of them"
+            )
+        poses[pose.capture] = pose
+    if len({pose.height_m is None for pose in poses.values()}) > 1:
+        raise RoundError(
+            "only some lines say height_m", source=path, remedy="give it in all lines or in none"
+        )
+    return poses
+
+
+def _lines(text: str, *, json_text: bool) -> list[Any]:
+    if json_text:
+        found = json.loads(text)
+        return found if isinstance(found, list) else [found]
+    # An empty cell is a value that is not given.
+    return [
+        {key: value for key, value in line.items() if value not in ("", None)}
+        for line in csv.DictReader(io.StringIO(text))
+    ]
+
+
+def sign_of_side(side: str | None) -> int:
+    """Say whether positions get higher (1) or lower (-1) to the right in the picture.
+
+    Who walks towards higher positions and looks at the row on the left has them higher on the
+    right, and the reverse: -1 for 'right', 'B' and '2', in any case of letters, else 1.
+
+    Examples
+    --------
+    >>> sign_of_side("left"), sign_of_side("Right"), sign_of_side(None)
+    (1, -1, 1)
+    """
+    return -1 if (side or "").strip().lower() in _FACING_BACK else 1
+
+
+def pose_matrix(
+    position_m: float,
+    sign: int = 1,
+    *,
+    height_m: float = 0.0,
+    yaw_deg: float = 0.0,
+    pitch_deg: float = 0.0,
+    roll_deg: float = 0.0,
+) -> NDArray[np.float64]:
+    """Give the matrix from camera coordinates to the row's: along, up, into the row; metres.
+
+    Parameters
+    ----------
+    position_m, height_m : float
+        Of the camera.
+    sign : int
+        As `sign_of_side` gives it.
+    yaw_deg, pitch_deg, roll_deg : float
+        As in `PoseLine`.
+
+    Returns
+    -------
+    ndarray of float64, shape (4, 4)
+
+    Examples
+    --------
+    A point 0.7 m before a camera that is turned 10 degrees to the right lies to the right:
+
+    >>> pose_matrix(2.0, yaw_deg=10.0)[:3] @ [0, 0, 0.7, 1]
+    array([2.12155372, 0. , 0.68936543])
+    """
+    yaw, pitch, roll = np.deg2rad([yaw_deg, pitch_deg, roll_deg])
+    about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
+    about_x = np.array(
+        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
+    )
+    about_z = np.array(
+        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.diag([float(sign), -1.0, 1.0]) @ about_y @ about_x @ about_z
+    matrix[:3, 3] = position_m, height_m, 0.0
+    return matrix

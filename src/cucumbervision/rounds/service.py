@@ -1,0 +1,322 @@
+"""Rounds as commands and pages need them: merged, linked between days, listed, forecast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import RoundError
+from cucumbervision.rounds.best import combined_length, row_fruit
+from cucumbervision.rounds.count import FruitCount, count_fruit
+from cucumbervision.rounds.days import LinkSettings, link_days
+from cucumbervision.rounds.from_store import by_hand_of, load_rows, stored_merging
+from cucumbervision.rounds.merge import Merged, MergeSettings, merge_row
+from cucumbervision.rounds.row_views import ALONG
+from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.rounds.from_store import StoredRow
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import FruitView, RoundView
+
+__all__ = [
+    "FruitLine",
+    "RowLinks",
+    "RowReport",
+    "find_fruit",
+    "find_round",
+    "fruit_table",
+    "link_rounds",
+    "list_rounds",
+    "merge_round",
+    "row_reports",
+]
+
+DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class RowReport:
+    """What merging found of one row.
+
+    Parameters
+    ----------
+    row : str
+        The row.
+    stops, views, fruit : int
+        Stops with a position, detections, and fruit that these are merged into.
+    expected, expected_sd : float
+        How many fruit there are, invented ones taken off and unseen ones added.
+    stop_sd_m : float, optional
+        How well the stops are known now, on average, metres.
+    across_m : float, optional
+        Distance between the cameras of the two aisles, where both were walked.
+    mirrored : tuple of str
+        Sides where positions seem to count the other way: they should be added anew.
+    unplaced : int
+        Detections that could not take part: without a position or without depth.
+    """
+
+    row: str
+    stops: int
+    views: int
+    fruit: int
+    expected: float
+    expected_sd: float
+    stop_sd_m: float | None = None
+    across_m: float | None = None
+    mirrored: tuple[str, ...] = ()
+    unplaced: int = 0
+
+
+@dataclass(frozen=True)
+class RowLinks:
+    """What linking found of one row between two rounds.
+
+    Parameters
+    ----------
+    row : str
+        The row.
+    earlier, later : int
+        Fruit of both rounds.
+    links, sure : int
+        Pairs likelier than not, and those sure enough to count for growth.
+    shift_m, shift_sd_m : float
+        How far the row was moved along, metres; the median of its stretches.
+    """
+
+    row: str
+    earlier: int
+    later: int
+    links: int
+    sure: int
+    shift_m: float
+    shift_sd_m: float
+
+
+@dataclass(frozen=True)
+class FruitLine:
+    """One fruit of a round.
+
+    Parameters
+    ----------
+    number : int
+        Its number in the table, from 1, by row and position.
+    view : FruitView
+        The view that stands, with its measurement.
+    combined_m, combined_sd_m : float, optional
+        Length that all whole views give together.
+    seen : int
+        How many views it has.
+    """
+
+    number: int
+    view: FruitView
+    combined_m: float | None
+    combined_sd_m: float | None
+    seen: int
+
+
+def list_rounds(store: Store, house: str | None = None) -> list[RoundView]:
+    """List rounds, the newest first."""
+    return store.rounds(house)
+
+
+def find_round(store: Store, name: str = "") -> RoundView:
+    """Find a round by its key, the start of it, or its name; the newest without one.
+
+    Raises
+    ------
+    RoundError
+        If there is none, or several begin so.
+    """
+    rounds = store.rounds()
+    wanted = name.strip().lower()
+    named = [one for one in rounds if one.record.name == name or one.key == wanted]
+    found = named or [one for one in rounds if wanted and one.key.startswith(wanted)]
+    if not wanted:
+        found = rounds[:1]
+    if len(found) == 1:
+        return found[0]
+    problem = "several rounds are" if found else "no round is"
+    raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
+
+
+def merge_round(
+    store: Store, round_key: str, settings: MergeSettings | None = None
+) -> list[RowReport]:
+    """Merge all rows of a round anew and save the links and where the stops were.
+
+    What was merged or parted by hand stands.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is.
+    round_key : str
+        The round.
+    settings : MergeSettings, optional
+        How to merge.
+
+    Raises
+    ------
+    RoundError
+        If a row has more than two sides.
+    """
+    by_hand = store.links(round_key)
+    links: list[LinkRecord] = []
+    positions: dict[str, Position] = {}
+    reports = []
+    for row in load_rows(store, round_key):
+        merged = _merged(row, settings, by_hand)
+        for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
+            first, second = row.fruit_keys[a], row.fruit_keys[b]
+            links.append(LinkRecord(LinkKind.SAME, first, second, chance))
+        along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
+        for key, at_m, sd_m in zip(row.stop_keys, *along, strict=True):
+            positions[key] = Position(at_m, sd_m)
+        reports.append(_report(row, merged))
+    store.save_merging(round_key, links, positions)
+    return reports
+
+
+def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[LinkRecord]) -> Merged:
+    if not len(row.views):
+        from cucumbervision.rounds.merge import NO_PAIRS
+        from cucumbervision.rounds.shifts import prior_stops
+
+        nothing = np.zeros(0)
+        return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)
+    return merge_row(row.stops, row.views, settings, by_hand_of(row, links))
+
+
+def _report(row: StoredRow, merged: Merged) -> RowReport:
+    count = FruitCount(0.0, 0.0, *[np.zeros(0, np.int64)] * 2, np.zeros(0), 0.0)
+    if len(row.views):
+        count = count_fruit(merged, row.stops, row.views)
+    return RowReport(
+        row.name,
+        len(row.stops),
+        len(row.views),
+        len(count.seen),
+        count.expected,
+        count.sd,
+        float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
+        merged.across_m,
+        tuple(row.sides[side] for side in merged.mirrored),
+        len(row.unplaced),
+    )
+
+
+def row_reports(store: Store, round_key: str) -> list[RowReport]:
+    """Give the rows of a round as they were merged last, what was done by hand included."""
+    return [
+        _report(row, stored_merging(store, round_key, row)) for row in load_rows(store, round_key)
+    ]
+
+
+def link_rounds(
+    store: Store, earlier: str, later: str, settings: LinkSettings | None = None
+) -> list[RowLinks]:
+    """Link the fruit of two merged rounds and save links and shifts.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    earlier, later : str
+        Their keys.
+    settings : LinkSettings, optional
+        What is believed of the plants.
+
+    Raises
+    ------
+    RoundError
+        If the later round does not come later.
+    """
+    begun = {one.key: one.record.started_s for one in store.rounds()}
+    days = (begun[later] - begun[earlier]) / DAY_S
+    if not days > 0:
+        raise RoundError("the later round began no later", remedy="name the earlier one first")
+    first = {row.name: row for row in load_rows(store, earlier) if len(row.views)}
+    links, shifts, found = [], [], []
+    for row in load_rows(store, later):
+        before = first.get(row.name)
+        if before is None or not len(row.views):
+            continue
+        fruit = [
+            row_fruit(stored_merging(store, key, one), one.views)
+            for key, one in ((earlier, before), (later, row))
+        ]
+        linked = link_days(fruit[0], fruit[1], days, settings)
+        for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
+            one = before.fruit_keys[fruit[0].best[a]], row.fruit_keys[fruit[1].best[b]]
+            links.append(LinkRecord(LinkKind.GROWTH, *one, chance))
+        shift = float(np.median(linked.shift_m[:, ALONG]))
+        sd = float(np.median(linked.shift_sd_m[:, ALONG]))
+        if row.name:
+            shifts.append(ShiftRecord(row.name, earlier, later, shift, sd))
+        sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
+        found.append(RowLinks(row.name, *sizes, shift, sd))
+    store.save_growth(earlier, later, links, shifts)
+    return found
+
+
+def fruit_table(store: Store, round_key: str) -> list[FruitLine]:
+    """List a round's fruit, each once, by row and position; rejected ones are left out."""
+    from cucumbervision.agronomy.fruit import natural_key
+    from cucumbervision.store.views import Verdict
+
+    combined = _combined(store, round_key)
+    best = [
+        view
+        for view in store.fruit(round_key)
+        if view.best and view.verdict is not Verdict.REJECTED
+    ]
+    best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
+    return [
+        FruitLine(number, view, *combined.get(view.key, (None, None)), view.views)
+        for number, view in enumerate(best, 1)
+    ]
+
+
+def _combined(store: Store, round_key: str) -> dict[str, tuple[float, float]]:
+    """Give the combined length of each fruit by all keys of its views."""
+    found = {}
+    for row in load_rows(store, round_key):
+        if not len(row.views):
+            continue
+        cluster = stored_merging(store, round_key, row).cluster
+        views = row.views
+        order = np.argsort(cluster, kind="stable")
+        for own in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
+            length = combined_length(views.length_m[own], views.length_sd[own], views.partial[own])
+            if length is not None:
+                found.update(dict.fromkeys((row.fruit_keys[k] for k in own.tolist()), length))
+    return found
+
+
+def find_fruit(store: Store, round_key: str, name: str) -> FruitView:
+    """Find a fruit of a round by its key, the start of it, or its number in `fruit_table`.
+
+    Raises
+    ------
+    RoundError
+        If there is none, or several keys begin so.
+    """
+    wanted = name.strip().lower()
+    if wanted.isdecimal() and len(wanted) < 6:
+        lines = [line.view for line in fruit_table(store, round_key)]
+        found = lines[int(wanted) - 1 : int(wanted)] if int(wanted) else []
+    else:
+        found = [v for v in store.fruit(round_key) if wanted and v.key.startswith(wanted)]
+    if len(found) != 1:
+        raise RoundError(
+            f"{'several' if found else 'no'} fruit called '{name}'",
+            remedy="give its number or key from `round show`",
+        )
+    return found[0]

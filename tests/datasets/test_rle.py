@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from cucumbervision.datasets.rle import Rle, encode_rle
+from cucumbervision.datasets.rle import Rle
+from cucumbervision.perception.mask_codes import encode_rle
 
 masks = hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=40))
 

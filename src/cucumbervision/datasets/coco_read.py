@@ -10,10 +10,10 @@ import numpy as np
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.datasets.labels import KEYPOINT_NAMES, DataSet, Label, LabelledPicture
-from cucumbervision.datasets.rle import Rle, encode_rle
+from cucumbervision.datasets.rle import Rle
 from cucumbervision.errors import CucumberVisionError, DataSetError
 from cucumbervision.perception.instances import box_of_mask
-from cucumbervision.perception.mask_codes import decode_rle, fill_polygon
+from cucumbervision.perception.mask_codes import decode_rle, encode_rle, fill_polygon
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -58,6 +58,19 @@ def test_many_scenes_are_as_varied_as_growers_meet_them() -> None:
     assert np.percentile(tilts, 90) > 25
 
 
+def test_hanging_fruit_hang_down_and_lying_ones_lie_level() -> None:
+    for seed in range(10):
+        hung = compose(np.random.default_rng(seed), CAMERA, Setting.HANGING)
+        lain = compose(np.random.default_rng(seed), CAMERA, Setting.BENCH)
+        for staged in (hung, lain):
+            assert np.linalg.norm(staged.up) == pytest.approx(1)
+        # The stem end is up, but for a fruit that leans far over.
+        rises = [(f.poles_m[1] - f.poles_m[0]) @ np.array(hung.up) for f in hung.scene.fruit]
+        assert np.mean([rise > 0 for rise in rises] or [1]) > 0.8
+        for fruit in lain.scene.fruit:
+            assert abs((fruit.poles_m[1] - fruit.poles_m[0]) @ np.array(lain.up)) < 0.02
+
+
 def test_an_unknown_setting_is_refused() -> None:
     with pytest.raises(ValueError, match="shelf"):
         compose(np.random.default_rng(1), CAMERA, "shelf")

@@ -70,6 +70,8 @@ class Staged:
         Whether each body of `scene.fruit` is a cucumber; others are decoys of its shape.
     leaf_roles, stem_roles : tuple of str
         'leaf' or 'blossom'; 'stem', 'stalk', 'string', 'blossom' or 'crate'.
+    up : tuple of float
+        Unit vector against gravity, camera coordinates: light comes from there.
     """
 
     scene: Scene
@@ -78,6 +80,7 @@ class Staged:
     cucumber: tuple[bool, ...]
     leaf_roles: tuple[str, ...]
     stem_roles: tuple[str, ...]
+    up: tuple[float, float, float]
 
 
 def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str) -> Staged:
@@ -164,7 +167,7 @@ def _on_the_plant(
         leaves=(*scene.leaves, *before, *petals),
         stems=(*scene.stems, *rods, *strings),
     )
-    scene = _held(rng, scene)
+    scene, up = _held(rng, scene)
     return Staged(
         scene,
         Setting.HANGING,
@@ -172,6 +175,7 @@ def _on_the_plant(
         (True,) * len(placed),
         (*leaf_roles, *["blossom"] * len(petals)),
         (*stem_roles, *["string"] * len(strings)),
+        up,
     )
 
 
@@ -278,8 +282,8 @@ def _stalk(
     return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.2))
 
 
-def _held(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Turn a scene as a camera is held: mostly level, sometimes upright or askew, and tilted."""
+def _held(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
+    """Turn a scene as a camera is held, mostly level, sometimes upright or askew; and say up."""
     pick = rng.random()
     if pick < 0.68:
         roll = rng.normal(0, 6)
@@ -288,12 +292,14 @@ def _held(rng: np.random.Generator, scene: Scene) -> Scene:
     else:
         roll = rng.uniform(0, 360)
     turned = scene.moved(rotation(float(roll)), (0.0, 0.0, 0.0))
+    up = rotation(float(roll)) @ np.array([0.0, -1.0, 0.0])
     middle = _middle(scene)
     for turn in (rotation(tilt_deg=float(rng.normal(0, 6))), _pitch(float(rng.normal(0, 11)))):
         tilted = turned.moved(turn, middle - turn @ middle)
         # Bodies that would come to lie behind the camera keep it from tilting.
-        turned = tilted if _all_in_front(tilted) else turned
-    return turned
+        if _all_in_front(tilted):
+            turned, up = tilted, turn @ up
+    return turned, (float(up[0]), float(up[1]), float(up[2]))
 
 
 def _middle(scene: Scene) -> NDArray[np.float64]:
@@ -360,4 +366,5 @@ def _laid(
         tuple(real[k] for k in kept),
         ("blossom",) * len(petals),
         (*["crate"] * len(rods), *(role for _, role in tips)),
+        tuple(ground.frame[2].tolist()),
     )

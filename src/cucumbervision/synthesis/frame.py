@@ -166,6 +166,7 @@ def _style(rng: np.random.Generator, staged: Staged, assets: Assets) -> Style:
         staged.setting.value,
         leaf_roles=staged.leaf_roles,
         stem_roles=staged.stem_roles,
+        up=staged.up,
     )
     skins = (
         skin if cucumber else _decoy(rng, skin)

@@ -96,5 +96,6 @@ def test_fragments_are_plain_json(drawn: DataSet) -> None:
 )
 def test_words_without_meaning_are_refused(option: str, words: str, named: str) -> None:
     given = {"size": "64x48", "shares": "1,1,1", "split": ""} | {option: words}
+    size, shares, split = given["size"], given["shares"], given["split"]
     with pytest.raises(DataSetError, match=named):
-        parse_options(frames=1, seed=1, **given)
+        parse_options(frames=1, seed=1, size=size, shares=shares, split=split)

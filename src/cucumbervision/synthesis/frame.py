@@ -178,7 +178,8 @@ def _style(rng: np.random.Generator, staged: Staged, assets: Assets) -> Style:
 def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
     """Give the skin of something that has a cucumber's shape only."""
     color = np.array(DECOYS[int(rng.integers(len(DECOYS)))]) * rng.uniform(0.8, 1.1)
-    base = tuple(float(c) for c in np.clip(color + rng.normal(0, 8, 3), 0, 255))
+    red, green, blue = np.clip(color + rng.normal(0, 8, 3), 0, 255).tolist()
+    base = (red, green, blue)
     return replace(skin, base=base, tip=base, stripe=base, warts_per_cm2=0.0, neck=0.1, texture=-1)
 
 

@@ -82,7 +82,7 @@ def _usable(label: Label, width: int, height: int) -> bool:
         return False
     x1, y1, x2, y2 = label.box
     inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
-    return inside and max(x2 - x1, y2 - y1) >= LEAST_SIDE_PX
+    return bool(inside and max(x2 - x1, y2 - y1) >= LEAST_SIDE_PX)
 
 
 def _cut(color: NDArray[np.uint8], label: Label) -> Cutout:

@@ -229,7 +229,7 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
             source=path,
             remedy="copy or export it again",
         )
-    return cast("NDArray[Any]", image)
+    return image
 
 
 def _decoded(data: bytes, flags: int) -> NDArray[Any] | None:

@@ -25,6 +25,7 @@ __all__ = ["DayLinks", "LinkSettings", "link_days"]
 FREEDOM = 4.0
 PASSES = 6
 BELIEF_STEPS = 40
+PRIOR_LINKS = 20.0  # links that the belief about swinging is worth
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class LinkSettings:
     most_up_m: float = 0.8
     stretch_m: float = 3.0
     change_m: float = 0.05
-    least: float = 0.9
+    least: float = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,21 +128,38 @@ def link_days(
     i, j = _near(a[:, ALONG], b[:, ALONG], s.most_along_m + 4 * s.swing_m[0])
     size = _size_ratio(earlier, later, i, j, days, s)
     noise = earlier.place_sd_m[i] ** 2 + later.place_sd_m[j] ** 2
-    noise = noise + np.square(s.swing_m) + _hidden_variance(earlier, later, i, j)
+    noise = noise + _hidden_variance(earlier, later, i, j)
+    swing = np.square(s.swing_m)
     other = _other_density(b)
-    shift = _vote(knots, a, b, (i, j), size, noise, other, s)
+    shift = _vote(knots, a, b, (i, j), size, noise + swing, other, s)
     field, spread = shift, np.full_like(shift, s.swing_m[0])
     for _ in range(PASSES):
         moved = _at(knots, field, a[i, ALONG])
         gap = b[j] - a[i] - moved
-        variance = noise + _at(knots, spread, a[i, ALONG]) ** 2
+        variance = noise + swing + _at(knots, spread, a[i, ALONG]) ** 2
         ratio = log_density(gap, variance).sum(axis=1) + size + np.log(s.stay) - other
         pairs = _assign(i, j, ratio, len(a), len(b))
-        field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), noise[pairs], shift, s)
+        field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift, s)
+        swing = _swing(gap[pairs], variance[pairs] - swing, s)
     chance = _chances(i, j, ratio, len(a), len(b))[pairs]
     kept = chance > 0.5
     found = np.column_stack([i[pairs], j[pairs]])[kept]
     return DayLinks(found, chance[kept], chance[kept] >= s.least, knots, field, spread)
+
+
+def _swing(
+    gap: NDArray[np.float64], other: NDArray[np.float64], s: LinkSettings
+) -> NDArray[np.float64]:
+    """Give the variance of fruit about their plants' shift: the prior's and the links' own.
+
+    By the median, so that a fifth of wrong links does little.
+    """
+    prior = np.square(s.swing_m)
+    if not len(gap):
+        return prior
+    seen = (1.4826 * np.median(np.abs(gap), axis=0)) ** 2 - np.median(other, axis=0)
+    seen = np.clip(seen, prior / 4, prior * 4)
+    return np.asarray((PRIOR_LINKS * prior + len(gap) * seen) / (PRIOR_LINKS + len(gap)))
 
 
 def _tops(fruit: RowFruit) -> NDArray[np.float64]:

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import RoundError
+from cucumbervision.rounds.outlook import (
+    forecast_for,
+    growth_links,
+    round_pick_list,
+    round_summary,
+)
+from cucumbervision.rounds.service import (
+    find_fruit,
+    find_round,
+    fruit_table,
+    link_rounds,
+    merge_round,
+)
+from cucumbervision.rounds.simulate import SimulatedRow, Walk, grow_plants, simulate_row, walk
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import Store
+from cucumbervision.store.views import LinkKind
+
+Save = Callable[..., None]
+ROW = SimulatedRow(fruit=60, per_m=10)
+MORNING = key_of("rounds", "morning")
+NEXT = RoundRecord(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cucumber")
+
+
+@pytest.fixture
+def row(store: Store, save_walk: Save) -> Walk:
+    """A row in the store, merged."""
+    simulated = simulate_row(ROW, 1)
+    save_walk(simulated)
+    merge_round(store, MORNING)
+    return simulated
+
+
+def test_a_round_is_merged_and_counted(store: Store, row: Walk) -> None:
+    [report] = merge_round(store, MORNING)
+    table = fruit_table(store, MORNING)
+    assert report.fruit == len(table)
+    assert report.views == len(row.views)
+    assert abs(report.expected - row.in_view) < 4
+    assert report.stop_sd_m is not None
+    assert report.stop_sd_m < 0.02
+    at = [line.view.along_m for line in table if line.view.along_m is not None]
+    assert at == sorted(at)
+    assert store.stops(MORNING)[0].fitted_m is not None
+
+
+def test_merging_again_changes_nothing(store: Store, row: Walk) -> None:
+    del row
+    before = [(v.key, v.group) for v in store.fruit(MORNING)]
+    merge_round(store, MORNING)
+    assert [(v.key, v.group) for v in store.fruit(MORNING)] == before
+
+
+def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
+    del row
+    many = next(line.view for line in fruit_table(store, MORNING) if line.seen > 2)
+    store.unmerge(many.key, by="kim")
+    rest = [line for line in fruit_table(store, MORNING) if line.view.key != many.key]
+    single = [line.view for line in rest if line.seen == 1]
+    one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
+    store.merge(one.key, other.key, by="kim")
+    merge_round(store, MORNING)
+    groups = {view.key: (view.group, view.views) for view in store.fruit(MORNING)}
+    assert groups[many.key] == (many.key, 1)
+    assert groups[one.key][0] == groups[other.key][0]
+    assert [action.kind for action in store.log(MORNING)] == ["merge", "unmerge"]
+
+
+def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save) -> None:
+    store.save_round(NEXT)
+    rng = np.random.default_rng(3)
+    shift = np.tile([0.2, 0.05, 0.0], (len(row.plants.name), 1))
+    later = walk(grow_plants(row.plants, 1.0, shift, rng), ROW, rng)
+    save_walk(later, NEXT)
+    merge_round(store, NEXT.key)
+    [found] = link_rounds(store, MORNING, NEXT.key)
+    assert found.shift_m == pytest.approx(0.2, abs=0.04)
+    assert found.sure > 5
+    links = growth_links(store, NEXT.key)
+    assert len(links) == found.sure
+    grown = np.median([link.length1_m - link.length0_m for link in links])
+    assert 0.02 < grown < 0.04
+    assert {link.fruit_id for link in links} <= {v.group for v in store.fruit(NEXT.key)}
+    assert store.shifts(NEXT.key)[0].shift_m == pytest.approx(found.shift_m)
+    from cucumbervision.agronomy.profile_files import load_profile
+
+    outlook = forecast_for(store, NEXT.key, load_profile("long-cucumber"), days=2)
+    assert outlook.house.expected[0].sum() == pytest.approx(len(fruit_table(store, NEXT.key)))
+
+
+def test_growth_is_followed_through_three_rounds(store: Store) -> None:
+    from cucumbervision.store.records import CaptureRecord, FruitRecord, StopRecord
+
+    keys = []
+    for day in (1, 2, 3):
+        record = RoundRecord(key_of("three", day), f"day {day}", "", day * 86400.0)
+        store.save_round(record)
+        fruit = FruitRecord(1, length_m=0.1 + 0.03 * day, length_sd_m=0.002)
+        capture = CaptureRecord("c", fruit=(fruit,))
+        stop = StopRecord(key_of("s", day), record.key, row="1", captures=(capture,))
+        store.save_stop(stop)
+        keys.append((record.key, store.fruit(record.key)[0].key))
+    store.link_growth(keys[0][1], keys[1][1])
+    store.link_growth(keys[1][1], keys[2][1])
+    links = growth_links(store, keys[2][0])
+    assert sorted((link.day0, link.day1) for link in links) == [(1.0, 2.0), (2.0, 3.0)]
+    assert {link.fruit_id for link in links} == {keys[2][1]}
+
+
+def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
+    del row
+    from cucumbervision.agronomy.profile_files import load_profile
+
+    profile = load_profile("long-cucumber")
+    picks = round_pick_list(store, MORNING, profile)
+    assert picks
+    store.pick([picks[0].fruit.fruit_id])
+    left = {pick.fruit.fruit_id for pick in round_pick_list(store, MORNING, profile)}
+    assert left == {pick.fruit.fruit_id for pick in picks[1:]}
+    summary = round_summary(store, MORNING, profile)
+    assert summary.picked == 1
+    assert sum(summary.classes.values()) == summary.fruit - 1
+
+
+def test_rounds_and_fruit_are_found_by_name(store: Store, row: Walk) -> None:
+    del row
+    assert find_round(store).key == find_round(store, "morning").key == MORNING
+    assert find_round(store, MORNING[:6]).key == MORNING
+    second = fruit_table(store, MORNING)[1].view
+    assert find_fruit(store, MORNING, "2").key == find_fruit(store, MORNING, second.key).key
+    for name in ("0", "9999", "zz"):
+        with pytest.raises(RoundError, match=f"no fruit called '{name}'"):
+            find_fruit(store, MORNING, name)
+    with pytest.raises(RoundError, match="no round is called 'evening'"):
+        find_round(store, "evening")
+
+
+def test_three_sides_are_refused(store: Store, save_walk: Save) -> None:
+    small = simulate_row(replace(ROW, fruit=10), 1)
+    save_walk(small)
+    for side in ("right", "middle"):
+        stop = store.stop(store.stops(MORNING)[0].key)
+        store.save_stop(replace(stop, key=key_of(side), side=side))
+    with pytest.raises(RoundError, match="row '3' has 3 sides"):
+        merge_round(store, MORNING)
+
+
+def test_stops_without_position_stand_alone(store: Store, save_walk: Save) -> None:
+    save_walk(simulate_row(replace(ROW, fruit=20), 1))
+    stop = store.stop(store.stops(MORNING)[1].key)
+    store.save_stop(replace(stop, key=key_of("lost"), position_m=None))
+    [report] = merge_round(store, MORNING)
+    lost = len(stop.captures[0].fruit)
+    assert report.unplaced == lost
+    alone = [v for v in store.fruit(MORNING) if v.stop_key == key_of("lost")]
+    assert [v.views for v in alone] == [1] * lost
+
+
+def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> None:
+    del row
+    sizes = [line.seen for line in fruit_table(store, MORNING)]
+    links = store.links(MORNING, LinkKind.SAME)
+    assert len(links) == sum(size * (size - 1) // 2 for size in sizes)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.calibration import Calibration
 
-__all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs"]
+__all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs", "pair_role"]
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -65,13 +65,11 @@ def find_pairs(path: Path) -> list[Pair]:
     colors: dict[str, Path] = {}
     depths: dict[str, Path] = {}
     for file in sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern)):
-        name, suffix = file.relative_to(path).with_suffix("").as_posix(), file.suffix.lower()
-        if _DEPTH_WORD.search(name) and suffix in DEPTH_SUFFIXES:
-            key = _key(name, _DEPTH_WORD)
-            if key not in depths or _is_8_bit_png(depths[key]):
-                depths[key] = file
-        elif _COLOR_WORD.search(name) and suffix in COLOR_SUFFIXES:
-            colors.setdefault(_key(name, _COLOR_WORD), file)
+        role, key = pair_role(file.relative_to(path).as_posix())
+        if role == "depth" and (key not in depths or _is_8_bit_png(depths[key])):
+            depths[key] = file
+        elif role == "color":
+            colors.setdefault(key, file)
     if not colors.keys() & depths.keys():
         return []
     alone = {k for k in depths.keys() - colors.keys() if _is_8_bit_png(depths[k])}
@@ -79,6 +77,25 @@ def find_pairs(path: Path) -> list[Pair]:
         Pair(colors.get(key), depths.get(key))
         for key in sorted((colors.keys() | depths.keys()) - alone)
     ]
+
+
+def pair_role(name: str) -> tuple[str, str]:
+    """Tell from a file's name which part of a pair it is: 'depth', 'color' or '', and the key.
+
+    Both parts of a pair have one key.
+
+    Examples
+    --------
+    >>> pair_role("color/7.jpg"), pair_role("depth/7.npy"), pair_role("notes.txt")[0]
+    (('color', '7'), ('depth', '7'), '')
+    """
+    stem, dot, ending = name.rpartition(".")
+    suffix = f"{dot}{ending}".lower()
+    if _DEPTH_WORD.search(stem) and suffix in DEPTH_SUFFIXES:
+        return "depth", _key(stem, _DEPTH_WORD)
+    if _COLOR_WORD.search(stem) and suffix in COLOR_SUFFIXES:
+        return "color", _key(stem, _COLOR_WORD)
+    return "", ""
 
 
 def _key(name: str, word: re.Pattern[str]) -> str:

@@ -1,0 +1,1 @@
+"""What comes from strangers: uploads, checked before anything reads them."""

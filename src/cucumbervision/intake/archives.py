@@ -1,0 +1,228 @@
+"""Zips from strangers: their directory checked first, their members unpacked under a counter."""
+
+from __future__ import annotations
+
+import stat
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO
+
+from cucumbervision.errors import UploadError
+from cucumbervision.intake.names import clean_name, is_clutter, member_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path, PurePosixPath
+
+    from cucumbervision.intake.limits import Limits
+
+__all__ = ["ZIP_FAULTS", "Budget", "Member", "check_directory", "unpack", "write_chunk"]
+
+# All that zipfile raises over damaged files.
+ZIP_FAULTS = (
+    *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, ValueError),
+    *(NotImplementedError, RuntimeError, KeyError, IndexError, OverflowError, MemoryError),
+)
+_CHUNK = 1 << 20
+_PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
+_END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"
+_ENTRY_BYTES = 600  # of the directory, names and extras included
+
+
+@dataclass
+class Budget:
+    """What is left of an upload's limits; all zips of one upload share it.
+
+    Parameters
+    ----------
+    members : int
+        Files that may still come.
+    unpacked_bytes : int
+        Bytes that they may still have.
+    """
+
+    members: int
+    unpacked_bytes: int
+
+    def take(self, size: int, source: str) -> None:
+        """Count bytes.
+
+        Raises
+        ------
+        UploadError
+            If no more are left.
+        """
+        self.unpacked_bytes -= size
+        if self.unpacked_bytes < 0:
+            raise UploadError(
+                "unpacks to more than is taken", source=source, remedy="send it in smaller parts"
+            )
+
+
+@dataclass(frozen=True)
+class Member:
+    """One unpacked file: what the zip calls it, and where it lies under a name of our own."""
+
+    name: PurePosixPath
+    path: Path
+
+
+def check_directory(path: Path, most_members: int, source: str) -> None:
+    """Refuse a zip whose directory is huge, before it is read into memory.
+
+    Raises
+    ------
+    UploadError
+        If it is damaged, or lists far too many members.
+
+    Notes
+    -----
+    The sizes are taken where `zipfile` takes them: the last end record (APPNOTE 4.3.16), or the
+    zip64 record that a locator just before it points to (4.3.14, 4.3.15).
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        start = max(0, size - 65_557)
+        stream.seek(start)
+        tail = stream.read()
+        at = tail.rfind(_END)
+        if at < 0 or len(tail) - at < 22:
+            raise _damaged(source)
+        (listed,) = struct.unpack_from("<I", tail, at + 12)
+        if at >= 20 and tail[at - 20 : at - 16] == _LOCATOR64:
+            (offset,) = struct.unpack_from("<Q", tail, at - 12)
+            stream.seek(min(offset, size))
+            near = (tail[max(0, at - 76) : at - 20], stream.read(56))
+            sizes = [struct.unpack_from("<Q", x, 40)[0] for x in near if x[:4] == _END64 and x[47:]]
+            listed = max([listed if listed < 0xFFFFFFFF else 0, *sizes])
+    if listed > most_members * _ENTRY_BYTES:
+        raise _too_many(most_members, source)
+
+
+def unpack(
+    path: Path, folder: Path, limits: Limits, budget: Budget, *, source: str
+) -> Iterator[Member]:
+    """Unpack a zip, file by file, under names of our own.
+
+    Parameters
+    ----------
+    path : Path
+        The zip.
+    folder : Path
+        Where to; made here. Files are called 0000, 0001, …
+    limits : Limits
+        Largest file, ratio.
+    budget : Budget
+        What is left; counted down while unpacking, since a zip's own sizes may lie.
+    source : str
+        The zip's name, for errors.
+
+    Yields
+    ------
+    Member
+        Each file once it is unpacked; folders and what systems leave behind are left out.
+
+    Raises
+    ------
+    UploadError
+        If the zip is damaged or locked, a member leads out of it, is a link or a device, or the
+        limits are reached.
+    """
+    check_directory(path, limits.members, source)
+    folder.mkdir()
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            wanted = [(m, member_path(m.orig_filename, source)) for m in members if not m.is_dir()]
+            wanted = [(m, name) for m, name in wanted if not is_clutter(name)]
+            for member, name in wanted:
+                _check_member(member, name, source, limits)
+            budget.members -= len(wanted)
+            if budget.members < 0:
+                raise _too_many(limits.members, source)
+            for number, (member, name) in enumerate(wanted):
+                own = folder / f"{number:04d}"
+                with archive.open(member) as packed, own.open("xb") as unpacked:
+                    _copy(packed, unpacked, member, limits, budget, source)
+                yield Member(name, own)
+    except ZIP_FAULTS:
+        raise _damaged(source) from None
+
+
+def _check_member(
+    member: zipfile.ZipInfo, name: PurePosixPath, source: str, limits: Limits
+) -> None:
+    shown = clean_name(name.name)
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind not in {0, stat.S_IFREG}:
+        raise UploadError(
+            f"its member {shown!r} is a link or a device",
+            source=source,
+            remedy="pack the files themselves",
+        )
+    if member.flag_bits & 0x1 or member.compress_type not in _PLAIN:
+        raise UploadError(
+            f"its member {shown!r} is locked or packed in an unusual way",
+            source=source,
+            remedy="pack it without a password, as a plain zip",
+        )
+    _check_sizes(member.file_size, member.compress_size, shown, source, limits)
+
+
+def _check_sizes(size: int, packed: int, shown: str, source: str, limits: Limits) -> None:
+    if size > limits.file_bytes:
+        raise UploadError(
+            f"its member {shown!r} has more than {limits.file_bytes / 1e6:g} MB",
+            source=source,
+            remedy="send it in smaller parts",
+        )
+    if size > limits.ratio_from_bytes and size > limits.ratio * max(packed, 1):
+        raise UploadError(
+            f"its member {shown!r} unpacks to more than {limits.ratio:g} times its size",
+            source=source,
+            remedy="pack the files anew; pictures never shrink that much",
+        )
+
+
+def _copy(
+    packed: BinaryIO | zipfile.ZipExtFile,
+    unpacked: BinaryIO,
+    member: zipfile.ZipInfo,
+    limits: Limits,
+    budget: Budget,
+    source: str,
+) -> None:
+    size = 0
+    while chunk := packed.read(_CHUNK):
+        size += len(chunk)
+        budget.take(len(chunk), source)
+        _check_sizes(size, member.compress_size, clean_name(member.filename), source, limits)
+        write_chunk(unpacked, chunk, source)
+
+
+def write_chunk(stream: BinaryIO, chunk: bytes, source: str) -> None:
+    """Write bytes.
+
+    Raises
+    ------
+    UploadError
+        If the disk takes no more.
+    """
+    try:
+        stream.write(chunk)
+    except OSError as error:
+        raise UploadError(
+            f"cannot be kept ({error.strerror})", source=source, remedy="make room on the disk"
+        ) from None
+
+
+def _damaged(source: str) -> UploadError:
+    return UploadError("is no zip that can be read", source=source, remedy="pack or copy it again")
+
+
+def _too_many(most: int, source: str) -> UploadError:
+    return UploadError(
+        f"holds more than {most} files", source=source, remedy="send it in smaller parts"
+    )

@@ -1,0 +1,100 @@
+"""How much of a stranger's upload is taken at most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+__all__ = ["Limits", "RecordingLimits"]
+
+_MB = 1_000_000
+_GB = 1000 * _MB
+
+
+@dataclass(frozen=True)
+class RecordingLimits:
+    """What the process that plays a recording may use.
+
+    Parameters
+    ----------
+    wall_s, cpu_s : float
+        Seconds from start to end, and seconds of computing.
+    memory_bytes : int
+        Address space.
+    output_bytes : int
+        All that it may write; no single file may be larger either.
+    captures : int
+        Captures that are taken of one recording.
+    """
+
+    wall_s: float = 300.0
+    cpu_s: float = 300.0
+    memory_bytes: int = 6 * _GB
+    output_bytes: int = 4 * _GB
+    captures: int = 2000
+
+    def __post_init__(self) -> None:
+        _require_positive(self)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one upload may hold.
+
+    Parameters
+    ----------
+    files : int
+        Files sent at once.
+    file_bytes, total_bytes : int
+        Size of one file, and of all together.
+    members : int
+        Files in all zips of one upload together.
+    unpacked_bytes : int
+        Size of what the zips hold, unpacked.
+    ratio : float
+        How many times larger than its packed form a zip's member may be, once it is larger than
+        `ratio_from_bytes`. Deflate reaches 1032.
+    ratio_from_bytes : int
+        Smaller members may shrink as they like.
+    zip_depth : int
+        1 allows a zip in a zip; 0 none.
+    pixels : int
+        Of a picture or array, told from its head before it is decoded.
+    text_bytes : int
+        Size of a JSON or CSV file.
+    recording : RecordingLimits
+        For `.bag` and `.db3`.
+
+    Raises
+    ------
+    ValueError
+        If a limit is not positive (`zip_depth` may be 0).
+
+    Examples
+    --------
+    >>> Limits(files=0)
+    Traceback (most recent call last):
+    ...
+    ValueError: the limit 'files' is 0, which lets nothing in
+    """
+
+    files: int = 500
+    file_bytes: int = 2 * _GB
+    total_bytes: int = 4 * _GB
+    members: int = 5000
+    unpacked_bytes: int = 8 * _GB
+    ratio: float = 200.0
+    ratio_from_bytes: int = 4 * _MB
+    zip_depth: int = 1
+    pixels: int = 40 * _MB
+    text_bytes: int = 2 * _MB
+    recording: RecordingLimits = field(default_factory=RecordingLimits)
+
+    def __post_init__(self) -> None:
+        _require_positive(self)
+
+
+def _require_positive(limits: Limits | RecordingLimits) -> None:
+    for one in fields(limits):
+        value = getattr(limits, one.name)
+        if isinstance(value, int | float) and value < (0 if one.name == "zip_depth" else 1e-9):
+            raise ValueError(f"the limit '{one.name}' is {value}, which lets nothing in")

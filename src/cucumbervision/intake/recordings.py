@@ -1,0 +1,214 @@
+"""Recordings, played in a process of their own that can be killed.
+
+The formats are parsed by a large native library that was not made for strangers' files. It runs
+in another process with limits; what that writes are native captures, which are read like any
+others. Its crash or hang is one named error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from cucumbervision.errors import (
+    CameraError,
+    CaptureError,
+    CucumberVisionError,
+    DepthError,
+    IntrinsicsError,
+    MissingExtraError,
+)
+from cucumbervision.intake.limits import RecordingLimits
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any
+
+__all__ = ["REPORT", "Played", "play_apart"]
+
+REPORT = "report.jsonl"
+_POLL_S = 0.05
+_TOLD = {
+    error.__name__: error for error in (CameraError, CaptureError, DepthError, IntrinsicsError)
+}
+_OWN_NAMES = re.compile(r"(\d{6})(/(capture\.json|(color|depth)_\d{6}\.png))?|report\.jsonl")
+# What the process needs of the environment: nothing of ours is told to it.
+_KEPT = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "LANG")
+
+
+@dataclass(frozen=True)
+class Played:
+    """What came of a recording.
+
+    Parameters
+    ----------
+    captures : tuple of Path
+        Native capture folders, in the recording's order.
+    errors : tuple of CucumberVisionError
+        What could not be read; the captures stand all the same.
+    """
+
+    captures: tuple[Path, ...]
+    errors: tuple[CucumberVisionError, ...]
+
+
+def play_apart(
+    path: Path,
+    folder: Path,
+    limits: RecordingLimits | None = None,
+    *,
+    burst: int = 5,
+    name: str = "recording",
+    title: str = "",
+    command: tuple[str, ...] = ("-m", "cucumbervision.intake.player"),
+) -> Played:
+    """Play a recording in a limited process and keep its captures as native folders.
+
+    Parameters
+    ----------
+    path : Path
+        `.bag` or `.db3`.
+    folder : Path
+        Made here; gets one folder a capture.
+    limits : RecordingLimits, optional
+        What the process may use. Time and output are watched everywhere; computing time, memory
+        and the size of a file where the system has `setrlimit`.
+    burst : int
+        Frames fused to one capture.
+    name : str
+        What its captures are called, with the number of the frame.
+    title : str
+        What the recording is called, in errors; by default its path.
+    command : tuple of str
+        What Python is to run.
+
+    Returns
+    -------
+    Played
+        Never raises for what is in the file.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be made or the process not be started.
+    """
+    limits, title = limits or RecordingLimits(), title or str(path)
+    home = folder / "home"  # what libraries leave behind anywhere, they leave there
+    home.mkdir(parents=True)
+    order = json.dumps(
+        {"path": str(path.resolve()), "folder": str(folder.resolve()), "burst": burst}
+        | {"name": name, "limits": asdict(limits)}
+    )
+    process = subprocess.Popen(
+        # -P: the folder that it runs in is a stranger's, nothing is imported from there.
+        [sys.executable, "-P", *command, order],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        cwd=home,
+        env={name: os.environ[name] for name in _KEPT if name in os.environ}
+        | {"HOME": str(home.resolve())},
+        start_new_session=True,
+    )
+    try:
+        fault = _watch(process, folder, limits)
+    finally:
+        _kill(process)
+        shutil.rmtree(home)
+    return _collect(folder, fault, title)
+
+
+def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimits) -> str:
+    """Wait for the process; give what went wrong, or nothing."""
+    until = time.monotonic() + limits.wall_s
+    looked = time.monotonic()
+    while True:
+        with suppress(subprocess.TimeoutExpired):
+            code = process.wait(_POLL_S)
+            return "" if code == 0 else _ending(code)
+        now = time.monotonic()
+        if now > until:
+            return f"took longer than {limits.wall_s:g} s"
+        if now > looked + 0.5:
+            looked = now
+            if _size(folder) > limits.output_bytes:
+                return f"unpacks to more than {limits.output_bytes / 1e6:g} MB"
+
+
+def _ending(code: int) -> str:
+    if -code in (getattr(signal, "SIGXCPU", None), getattr(signal, "SIGALRM", None)):
+        return "took too long"
+    if -code == getattr(signal, "SIGXFSZ", None):
+        return "unpacks to more than is taken"
+    return f"broke the player ({f'signal {-code}' if code < 0 else f'exit code {code}'})"
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End the process with all that it started."""
+    if os.name == "posix":
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
+
+
+def _size(folder: Path) -> int:
+    total = 0
+    for path in folder.rglob("*"):
+        with suppress(OSError):
+            total += path.lstat().st_size
+    return total
+
+
+def _collect(folder: Path, fault: str, title: str) -> Played:
+    errors: list[CucumberVisionError] = []
+    if strange := [p for p in sorted(folder.rglob("*")) if not _is_own(p, folder)]:
+        _remove_all(folder)
+        fault = f"broke the player, which wrote {strange[0].name[:40]!r}"
+    captures = tuple(sorted(path.parent for path in folder.glob("*/capture.json")))
+    for line in _report_lines(folder):
+        if line.get("missing") == "pyrealsense2":
+            errors.append(MissingExtraError("pyrealsense2", "camera"))
+        else:
+            kind = _TOLD.get(str(line.get("code")), CaptureError)
+            message, remedy = (str(line.get(key, ""))[:300] for key in ("message", "remedy"))
+            errors.append(kind(message, source=title, remedy=remedy))
+    if fault:
+        kept = f"; {len(captures)} captures before that are kept" if captures else ""
+        errors.append(
+            CaptureError(f"{fault}{kept}", source=title, remedy="copy or record it again")
+        )
+    return Played(captures, tuple(errors))
+
+
+def _is_own(path: Path, folder: Path) -> bool:
+    name = path.relative_to(folder).as_posix()
+    return bool(_OWN_NAMES.fullmatch(name)) and not path.is_symlink()
+
+
+def _remove_all(folder: Path) -> None:
+    shutil.rmtree(folder)
+    folder.mkdir()
+
+
+def _report_lines(folder: Path) -> list[dict[str, Any]]:
+    path = folder / REPORT
+    if not path.is_file():
+        return []
+    lines = []
+    for text in path.read_text(encoding="utf-8", errors="replace").splitlines()[:1000]:
+        with suppress(ValueError):
+            line = json.loads(text)
+            if isinstance(line, dict):
+                lines.append(line)
+    return lines

@@ -1,0 +1,222 @@
+"""The one way in: files from strangers to captures that can be opened, and errors by name."""
+
+from __future__ import annotations
+
+import shutil
+import stat
+import uuid
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, BinaryIO
+
+from cucumbervision.errors import CucumberVisionError, UploadError
+from cucumbervision.intake.accepted import AcceptedUploads
+from cucumbervision.intake.archives import Budget, unpack, write_chunk
+from cucumbervision.intake.desk import Desk, Sorted
+from cucumbervision.intake.items import check_item
+from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.names import clean_name
+from cucumbervision.intake.pairs import sort_arrays, sort_pairs, sort_rest, sort_snapshots
+from cucumbervision.intake.played import sort_recordings
+from cucumbervision.intake.scenes import sort_native, sort_scenes
+from cucumbervision.intake.sniff import HEAD_BYTES, Kind, sniff
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from cucumbervision.intake.items import Item
+
+__all__ = ["accept_uploads"]
+
+_CHUNK = 1 << 20
+
+
+def accept_uploads(
+    files: Sequence[tuple[str, BinaryIO | Path]],
+    folder: Path,
+    limits: Limits | None = None,
+    *,
+    report: Callable[[int, str], None] | None = None,
+) -> AcceptedUploads:
+    """Check what somebody sent, and lay out its captures for `open_source`.
+
+    Parameters
+    ----------
+    files : sequence of (name, stream or Path)
+        What each file is called by its sender, and its content. Names are only shown and matched
+        (colour to depth), never used as paths.
+    folder : Path
+        Made if it is missing. A folder of our own naming is made in it and kept if anything was
+        accepted; nothing else remains, whatever happens.
+    limits : Limits, optional
+        How much is taken.
+    report : callable, optional
+        Called with the number of each file, from 0, and its name before it is checked.
+
+    Returns
+    -------
+    AcceptedUploads
+        One broken file costs the others nothing.
+
+    Raises
+    ------
+    UploadError
+        If there are too many files, or `folder` cannot be written.
+
+    Examples
+    --------
+    >>> import io, tempfile
+    >>> with tempfile.TemporaryDirectory() as tmp:
+    ...     got = accept_uploads([("../../x.png", io.BytesIO(b"MZ"))], Path(tmp) / "in")
+    ...     print(got.refused[0].error)
+    x.png: is of no kind that is taken; send PNG, JPEG or TIFF pictures, ...
+    """
+    limits = limits or Limits()
+    if len(files) > limits.files:
+        raise UploadError(
+            f"{len(files)} files were sent, at most {limits.files} are taken at once",
+            remedy="send them in smaller parts, or as a zip",
+        )
+    batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
+    intake = _Intake(batch, limits)
+    try:
+        intake.stage.mkdir(parents=True)
+        for number, (name, content) in enumerate(files):
+            if report is not None:
+                report(number, clean_name(name))
+            intake.receive(number, name, content)
+        intake.sort("upload", intake.loose, is_archive=False)
+        shutil.rmtree(intake.stage)
+        if not intake.out.sources:
+            batch.rmdir()
+    except OSError as error:
+        shutil.rmtree(batch, ignore_errors=True)
+        raise UploadError(
+            f"uploads cannot be kept ({error.strerror or error})",
+            source=folder,
+            remedy="make room on the disk, or choose another folder",
+        ) from None
+    except BaseException:
+        shutil.rmtree(batch, ignore_errors=True)
+        raise
+    out = intake.out
+    return AcceptedUploads(batch, tuple(out.sources), tuple(out.refused), tuple(out.ignored))
+
+
+class _Intake:
+    """One upload on its way in."""
+
+    def __init__(self, batch: Path, limits: Limits) -> None:
+        self.batch, self.limits = batch, limits
+        self.stage = batch / "arriving"
+        self.out = Sorted()
+        self.loose: list[Item] = []
+        self._bytes_left = limits.total_bytes
+        self._budget = Budget(limits.members, limits.unpacked_bytes)
+        self._archives = 0
+
+    def receive(self, number: int, name: str, content: BinaryIO | Path) -> None:
+        """Keep a copy of one file and check it; a zip is unpacked and sorted at once."""
+        title, own = clean_name(name), self.stage / f"{number:04d}"
+        try:
+            self._copy(content, own, title)
+            if self._is_zip(own, name):
+                self._unpack(own, title, depth=0)
+            else:
+                self.loose.append(check_item(self._loose_name(name), title, own, self.limits))
+        except CucumberVisionError as error:
+            self.out.refuse(title, error)
+            own.unlink(missing_ok=True)
+
+    def sort(self, title: str, items: Sequence[Item], *, is_archive: bool) -> None:
+        """Make sources of the files of one zip or batch."""
+        desk = Desk(title, items, self.batch, self.limits, self.out, is_archive=is_archive)
+        sort_recordings(desk)
+        sort_native(desk)
+        sort_scenes(desk)
+        sort_snapshots(desk)
+        sort_arrays(desk)
+        sort_pairs(desk)
+        sort_rest(desk)
+
+    def _copy(self, content: BinaryIO | Path, own: Path, title: str) -> None:
+        if isinstance(content, Path):
+            if not stat.S_ISREG(_mode(content, title)):
+                raise UploadError("is no file", source=title, remedy="send a file")
+            with content.open("rb") as stream:
+                self._copy(stream, own, title)
+            return
+        size = 0
+        with own.open("xb") as kept:
+            while chunk := content.read(_CHUNK):
+                size += len(chunk)
+                self._bytes_left -= len(chunk)
+                if size > self.limits.file_bytes or self._bytes_left < 0:
+                    most = min(self.limits.file_bytes, self.limits.total_bytes)
+                    raise UploadError(
+                        f"is more than the {most / 1e6:g} MB that are taken",
+                        source=title,
+                        remedy="send it in smaller parts",
+                    )
+                write_chunk(kept, chunk, title)
+
+    def _unpack(self, path: Path, title: str, depth: int) -> None:
+        self._archives += 1
+        inside = self.stage / f"zip-{self._archives:04d}"
+        known = len(self.out.sources) + len(self.out.refused)
+        try:
+            items = list(self._members(path, inside, title, depth))
+            self.sort(title, items, is_archive=True)
+        finally:
+            path.unlink()
+            shutil.rmtree(inside, ignore_errors=True)
+        if len(self.out.sources) + len(self.out.refused) == known:
+            raise UploadError(
+                "holds no captures that can be recognised",
+                source=title,
+                remedy="pack capture folders, BOP scenes, or colour and depth pictures with "
+                "matching names",
+            )
+
+    def _members(self, path: Path, inside: Path, title: str, depth: int) -> Iterator[Item]:
+        for member in unpack(path, inside, self.limits, self._budget, source=title):
+            shown = f"{title}: {clean_name(member.name.name)}"
+            try:
+                if self._is_zip(member.path, member.name.name):
+                    if depth >= self.limits.zip_depth:
+                        raise UploadError(
+                            "is a zip too deep in others", source=shown, remedy="unpack it first"
+                        )
+                    self._unpack(member.path, shown, depth + 1)
+                elif _is_unknown(member.path, member.name.name):
+                    self.out.ignored.append(shown)
+                else:
+                    yield check_item(member.name, shown, member.path, self.limits)
+            except CucumberVisionError as error:
+                self.out.refuse(shown, error)
+
+    def _loose_name(self, name: str) -> PurePosixPath:
+        parts = [part for part in name.replace("\\", "/").split("/") if part.strip(". ")]
+        path = PurePosixPath(*(clean_name(part) for part in parts[-3:] or ["unnamed"]))
+        taken = {item.name for item in self.loose}
+        again = 2
+        unique = path
+        while unique in taken:  # color.png and depth.png may each be sent twice, from two folders
+            unique, again = PurePosixPath(f"{again}") / path, again + 1
+        return unique
+
+    @staticmethod
+    def _is_zip(path: Path, name: str) -> bool:
+        with path.open("rb") as stream:
+            return sniff(stream.read(HEAD_BYTES), name) is Kind.ZIP
+
+
+def _is_unknown(path: Path, name: str) -> bool:
+    with path.open("rb") as stream:
+        return sniff(stream.read(HEAD_BYTES), name) is None
+
+
+def _mode(path: Path, title: str) -> int:
+    with suppress(OSError):
+        return path.stat().st_mode
+    raise UploadError("cannot be read", source=title, remedy="check the path")

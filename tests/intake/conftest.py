@@ -1,0 +1,95 @@
+"""What strangers may send, made here."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.writer import write_native
+
+CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
+INTRINSICS = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
+
+
+def encoded(suffix: str, image: np.ndarray) -> bytes:
+    done, data = cv2.imencode(suffix, image)
+    assert done
+    return bytes(data.tobytes())
+
+
+def zipped(members: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+@pytest.fixture(scope="session")
+def color_jpg() -> bytes:
+    return encoded(".jpg", np.full((48, 64, 3), 90, np.uint8))
+
+
+@pytest.fixture(scope="session")
+def depth_png() -> bytes:
+    return encoded(".png", np.full((48, 64), 450, np.uint16))
+
+
+@pytest.fixture(scope="session")
+def intrinsics_json() -> bytes:
+    return json.dumps(INTRINSICS).encode()
+
+
+@pytest.fixture(scope="session")
+def frame_npz() -> bytes:
+    stream = io.BytesIO()
+    np.savez(
+        stream,
+        color=np.full((48, 64, 3), 90, np.uint8),
+        depth=np.full((48, 64), 450, np.uint16),
+        matrix=CAMERA.matrix,
+    )
+    return stream.getvalue()
+
+
+@pytest.fixture(scope="session")
+def native_zip(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Two native captures of one fruit each, in a folder, and a page about them."""
+    folder = tmp_path_factory.mktemp("native")
+    mask = np.zeros((48, 64), bool)
+    mask[20:30, 10:50] = True
+    for number in (1, 2):
+        depth_m = np.full((48, 64), 0.45 + 0.01 * number, np.float32)
+        capture = Capture(
+            np.zeros((48, 64, 3), np.uint8), depth_m, CAMERA, f"stop {number}", masks=(mask,)
+        )
+        write_native(capture, folder / "row 3" / str(number))
+    members = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+    return zipped(members | {"README.txt": b"our first walk", "__MACOSX/._x": b"\0"})
+
+
+@pytest.fixture
+def files_in() -> Callable[[Path], list[str]]:
+    """List all files below a folder, and folders that are empty."""
+
+    def listed(folder: Path) -> list[str]:
+        return sorted(
+            p.relative_to(folder).as_posix()
+            for p in folder.rglob("*")
+            if p.is_file() or not any(p.iterdir())
+        )
+
+    return listed

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import importlib.util
+import io
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.intake.limits import Limits, RecordingLimits
+from cucumbervision.intake.recordings import play_apart
+from cucumbervision.intake.uploads import accept_uploads
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs process groups and rlimits")
+
+
+def capture_conftest() -> ModuleType:
+    path = Path(__file__).parents[1] / "capture" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("capture_conftest", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Seven frames, recorded by the SDK."""
+    pytest.importorskip("pyrealsense2")
+    record: Callable[[Path, int], Path] = capture_conftest().record
+    return record(tmp_path_factory.mktemp("walk") / "walk.db3", 7)
+
+
+def test_a_recording_reads_as_it_does_in_this_process(walk: Path, tmp_path: Path) -> None:
+    with walk.open("rb") as stream:
+        got = accept_uploads([("Row 3.db3", stream)], tmp_path)
+    assert not got.refused
+    (source,) = got.sources
+    apart = [ref.load() for ref in source.open()]
+    here = [ref.load() for ref in open_source(walk)]
+    assert [c.frame for c in apart] == [c.frame for c in here]
+    assert [c.name for c in apart] == [f"Row_3_{c.frame:06d}" for c in here]
+    for one, other in zip(apart, here, strict=True):
+        np.testing.assert_array_equal(one.color, other.color)
+        np.testing.assert_allclose(one.depth_m, other.depth_m, rtol=0, atol=1e-6)
+        assert one.intrinsics == other.intrinsics
+        assert one.burst_size == other.burst_size
+
+
+def test_broken_recordings_cost_the_others_nothing(
+    walk: Path, tmp_path: Path, frame_npz: bytes
+) -> None:
+    data = bytearray(walk.read_bytes())
+    cut = bytes(data[: len(data) // 2])
+    for place in range(100, len(data), 997):
+        data[place] ^= 0x5A
+    files = [
+        ("cut.db3", io.BytesIO(cut)),
+        ("flipped.db3", io.BytesIO(bytes(data))),
+        ("good.npz", io.BytesIO(frame_npz)),
+    ]
+    got = accept_uploads(files, tmp_path)
+    assert {one.name for one in got.refused} == {"cut.db3", "flipped.db3"}
+    assert all(str(one.error).startswith(one.name) for one in got.refused)
+    assert [source.title for source in got.sources][-1] == "upload"
+    assert not (got.folder / "arriving").exists()
+
+
+def run(code: str, folder: Path, **limits: float) -> list[str]:
+    """Let Python run something else in the player's place."""
+    order = "import sys, json; order = json.loads(sys.argv[1]); "
+    played = play_apart(
+        Path("a.bag"),
+        folder / "out",
+        RecordingLimits(**limits),  # type: ignore[arg-type]
+        title="a.bag",
+        command=("-c", order + code),
+    )
+    assert not played.captures
+    return [str(error) for error in played.errors]
+
+
+@posix
+def test_a_hang_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
+    child = "import time, pathlib; time.sleep(3); pathlib.Path('alive').touch()"
+    started = time.monotonic()
+    faults = run(
+        f"import subprocess, time; subprocess.Popen([sys.executable, '-c', {child!r}], "
+        f"cwd={str(tmp_path)!r}); time.sleep(60)",
+        tmp_path,
+        wall_s=1.5,
+    )
+    assert faults == ["a.bag: took longer than 1.5 s; copy or record it again"]
+    assert time.monotonic() - started < 30
+    time.sleep(3.2)
+    assert not (tmp_path / "alive").exists()
+
+
+@posix
+def test_a_crash_is_one_named_error(tmp_path: Path) -> None:
+    faults = run("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", tmp_path)
+    assert faults == ["a.bag: broke the player (signal 11); copy or record it again"]
+
+
+@posix
+def test_its_memory_and_its_files_are_limited(tmp_path: Path) -> None:
+    limited = (
+        "from cucumbervision.intake.player import limit_itself; limit_itself(order['limits']); "
+    )
+    faults = run(limited + "x = bytearray(3_000_000_000)", tmp_path, memory_bytes=2_000_000_000)
+    assert faults == ["a.bag: broke the player (exit code 1); copy or record it again"]
+    wrote = limited + "open(order['folder'] + '/report.jsonl', 'wb').write(bytes(2_000_000))"
+    (tmp_path / "out").rename(tmp_path / "first")
+    faults = run(wrote, tmp_path, output_bytes=1_000_000)
+    assert "broke the player" in faults[0] or "unpacks to more" in faults[0]
+
+
+@posix
+def test_what_a_broken_player_writes_is_not_believed(tmp_path: Path) -> None:
+    code = "import os; os.makedirs(order['folder'] + '/000000'); "
+    code += "os.symlink('/etc/passwd', order['folder'] + '/000000/capture.json')"
+    faults = run(code, tmp_path)
+    assert len(faults) == 1
+    assert "broke the player, which wrote 'capture.json'" in faults[0]
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_an_upload_limit_reaches_the_player(walk: Path, tmp_path: Path) -> None:
+    limits = Limits(recording=RecordingLimits(captures=1))
+    got = accept_uploads([("walk.db3", walk)], tmp_path, limits)
+    assert got.sources[0].open().total == 1
+    assert "more than 1 captures" in str(got.refused[0].error)

@@ -1,0 +1,298 @@
+from __future__ import annotations
+
+import io
+import json
+import re
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError, UploadError
+from cucumbervision.intake.accepted import AcceptedUploads
+from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.uploads import accept_uploads
+
+OWN = re.compile(r"[a-z0-9_./-]+")
+
+
+def send(folder: Path, limits: Limits | None = None, **files: bytes) -> AcceptedUploads:
+    """Send files; 'a__b' stands for a.b and 'a___b' for a/b."""
+    named = [(n.replace("___", "/").replace("__", "."), io.BytesIO(d)) for n, d in files.items()]
+    return accept_uploads(named, folder / "in", limits)
+
+
+def faults(got: AcceptedUploads) -> dict[str, str]:
+    return {one.name: str(one.error) for one in got.refused}
+
+
+def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -> bytes:
+    stream = io.BytesIO()
+    kind = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(stream, "w", kind) as archive:
+        for name, data in members:
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+def test_a_zip_of_native_captures_is_measured_as_it_was_sent(
+    tmp_path: Path, native_zip: bytes
+) -> None:
+    got = send(tmp_path, walk__zip=native_zip)
+    assert not got.refused
+    assert got.ignored == ("walk.zip: README.txt",)
+    (source,) = got.sources
+    captures = [ref.load() for ref in source.open()]
+    assert [c.name for c in captures] == ["stop_1", "stop_2"]
+    assert captures[1].depth_m[0, 0] == np.float32(0.47)
+    assert captures[0].masks[0].sum() == 400
+    assert captures[0].source == "walk.zip: stop_1"
+    # The plain reader opens the same.
+    assert open_source(source.path).total == 2
+
+
+def test_every_name_on_the_disk_is_our_own(
+    tmp_path: Path, native_zip: bytes, files_in: Callable[[Path], list[str]]
+) -> None:
+    got = send(tmp_path, WALK__zip=native_zip)
+    names = files_in(got.folder)
+    assert len(names) == 8  # capture.json, colour, depth and mask of both
+    assert all(OWN.fullmatch(name) for name in names)
+    assert not any("row" in name or "stop" in name for name in names)
+
+
+def test_loose_pairs_are_matched_by_name_and_go_by_it(
+    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
+) -> None:
+    got = send(
+        tmp_path,
+        rgb_7__jpg=color_jpg,
+        depth_7__png=depth_png,
+        depth_8__png=depth_png,
+        intrinsics__json=intrinsics_json,
+    )
+    (source,) = got.sources
+    (ref,) = source.open()
+    assert ref.load().name == "rgb_7"
+    assert list(faults(got)) == ["depth_8.png"]
+    assert "has no partner" in faults(got)["depth_8.png"]
+
+
+def test_pairs_without_intrinsics_need_the_users(
+    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
+) -> None:
+    got = send(tmp_path, rgb_7__jpg=color_jpg, depth_7__png=depth_png)
+    with pytest.raises(CaptureError, match=r"^upload: "):
+        got.sources[0].open()
+    own = tmp_path / "own.json"
+    own.write_bytes(intrinsics_json)
+    (ref,) = got.sources[0].open(ReadOptions(intrinsics=own))
+    assert ref.load().depth_m[0, 0] == np.float32(0.45)
+
+
+def test_the_same_names_from_two_folders_stay_two_pairs(
+    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
+) -> None:
+    files = [
+        *(("color.jpg", io.BytesIO(color_jpg)) for _ in range(2)),
+        *(("depth.png", io.BytesIO(depth_png)) for _ in range(2)),
+        ("intrinsics.json", io.BytesIO(intrinsics_json)),
+    ]
+    got = accept_uploads(files, tmp_path / "in")
+    assert not got.refused
+    assert sum(source.open().total or 0 for source in got.sources) == 2
+
+
+def test_what_it_is_goes_by_the_bytes_and_not_by_the_ending(
+    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
+) -> None:
+    got = send(
+        tmp_path,
+        color__png=color_jpg,
+        depth__tif=depth_png,
+        i__json=intrinsics_json,
+        evil__png=b"MZ\x90",
+        empty__png=b"",
+    )
+    (ref,) = got.sources[0].open()
+    assert ref.load().fill == 1.0
+    assert "of no kind that is taken" in faults(got)["evil.png"]
+    assert "empty" in faults(got)["empty.png"]
+
+
+def test_an_npz_is_a_capture_and_a_pickle_is_none(tmp_path: Path, frame_npz: bytes) -> None:
+    evil = io.BytesIO()
+    np.savez(evil, depth=np.array([{"a": 1}], dtype=object))
+    plain = io.BytesIO()
+    np.save(plain, np.array([print], dtype=object))
+    got = send(
+        tmp_path, walk__npz=frame_npz, depth_1__npz=evil.getvalue(), depth_2__npy=plain.getvalue()
+    )
+    (ref,) = got.sources[0].open()
+    assert ref.load().name == "walk"
+    assert [type(one.error) for one in got.refused] == [DepthError, DepthError]
+    assert all("pickle" in text for text in faults(got).values())
+
+
+def test_a_bop_scene_is_read_with_its_masks(tmp_path: Path, depth_png: bytes) -> None:
+    color = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    mask = cv2.imencode(".png", np.full((48, 64), 255, np.uint8))[1].tobytes()
+    cam = {"cam_K": [60, 0, 31, 0, 60, 23, 0, 0, 1], "depth_scale": 1.0}
+    members = {
+        "set/000002/scene_camera.json": json.dumps({"3": cam, "4": cam}).encode(),
+        "set/000002/scene_gt.json": b"{}",
+        "set/000002/rgb/000003.png": color,
+        "set/000002/depth/000003.png": depth_png,
+        "set/000002/mask_visib/000003_000000.png": mask,
+        "set/000002/mask/000003_000000.png": mask,
+        "set/000002/rgb/000004.png": color,
+    }
+    got = send(tmp_path, bop__zip=zip_of(*members.items()))
+    assert not got.refused
+    assert set(got.ignored) == {"bop.zip: scene_gt.json", "bop.zip: 000003_000000.png"}
+    whole, broken = got.sources[0].open()
+    assert whole.load().name == "000002_000003"
+    assert len(whole.load().masks) == 1
+    with pytest.raises(CaptureError, match=r"^bop\.zip: 000004\.png: |^bop\.zip: "):
+        broken.load()
+
+
+def test_viewer_snapshots_take_the_intrinsics_beside_them(tmp_path: Path, depth_png: bytes) -> None:
+    camera = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
+    camera["depth_to_color"] = {"rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "translation_m": [0, 0, 0]}
+    table = "Resolution x,64\nResolution y,48\nFx,60\nFy,60\nPPx,31\nPPy,23\nFormat,Z16\n"
+    members = {
+        "snap_Depth.raw": np.full((48, 64), 450, "<u2").tobytes(),
+        "snap_Depth_metadata.csv": table.encode(),
+        "snap_Color.png": cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes(),
+        "snap_Depth.png": cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes(),
+        "camera.json": json.dumps(camera).encode(),
+    }
+    got = send(tmp_path, viewer__zip=zip_of(*members.items()))
+    assert not got.refused
+    (ref,) = got.sources[0].open()
+    assert ref.load().name == "snap"
+    assert ref.load().depth_m[24, 32] == pytest.approx(0.45)
+
+
+def test_a_capture_that_misses_a_picture_is_refused_and_the_other_read(
+    tmp_path: Path, native_zip: bytes
+) -> None:
+    with zipfile.ZipFile(io.BytesIO(native_zip)) as archive:
+        members = {n: archive.read(n) for n in archive.namelist() if "1/depth_000000" not in n}
+    got = send(tmp_path, walk__zip=zip_of(*members.items()))
+    assert [ref.name for ref in got.sources[0].open()] == ["stop_2"]
+    assert "'depth_000000.png', which was not sent" in " ".join(faults(got).values())
+
+
+def test_errors_on_reading_name_what_was_sent(
+    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
+) -> None:
+    got = send(
+        tmp_path,
+        rgb_7__jpg=color_jpg,
+        depth_7__png=depth_png[:-20],
+        intrinsics__json=intrinsics_json.replace(b'"color"', b'"depth"'),
+    )
+    (ref,) = got.sources[0].open()
+    with pytest.raises(IntrinsicsError, match=r"^intrinsics\.json: "):
+        ref.load()
+
+
+@pytest.mark.parametrize("name", ["../x.png", "/etc/x.png", "a/../../x", "C:/x.png", "..\\x.png"])
+def test_zips_that_lead_elsewhere_are_refused_whole(
+    tmp_path: Path, name: str, depth_png: bytes, files_in: Callable[[Path], list[str]]
+) -> None:
+    got = send(tmp_path, a__zip=zip_of(("depth_1.png", depth_png), (name, depth_png)))
+    assert "leads out of the zip" in faults(got)["a.zip"]
+    assert not got.sources
+    assert files_in(tmp_path) == ["in"]
+
+
+def test_links_in_zips_are_refused(tmp_path: Path) -> None:
+    link = zipfile.ZipInfo("depth_1.png")
+    link.create_system, link.external_attr = 3, 0o120777 << 16
+    got = send(tmp_path, a__zip=zip_of((link, b"/etc/passwd")))
+    assert "is a link or a device" in faults(got)["a.zip"]
+
+
+def test_bombs_are_refused_by_ratio_size_and_number(tmp_path: Path) -> None:
+    zeros = bytes(3_000_000)
+    bomb = zip_of(("depth_1.png", zeros), ("depth_2.png", zeros))
+    tight = Limits(ratio_from_bytes=1_000_000)
+    assert "more than 200 times its size" in faults(send(tmp_path, tight, a__zip=bomb))["a.zip"]
+    small = Limits(unpacked_bytes=4_000_000, ratio=2000)
+    assert "unpacks to more" in faults(send(tmp_path, small, a__zip=bomb))["a.zip"]
+    one = Limits(members=1)
+    assert "more than 1 files" in faults(send(tmp_path, one, a__zip=bomb))["a.zip"]
+
+
+def test_a_zip_that_lies_about_its_sizes_is_stopped_while_unpacking(tmp_path: Path) -> None:
+    data = bytearray(zip_of(("depth_1.png", bytes(3_000_000))))
+    at = data.rfind(b"PK\x01\x02")
+    data[at + 24 : at + 28] = struct.pack("<I", 100)  # uncompressed size, in the directory
+    got = send(tmp_path, Limits(unpacked_bytes=1000), a__zip=bytes(data))
+    assert list(faults(got)) == ["a.zip"]
+
+
+def test_a_directory_too_large_for_memory_is_not_read(tmp_path: Path) -> None:
+    data = bytearray(zip_of(("depth_1.png", b"x")))
+    at = data.rfind(b"PK\x05\x06")
+    data[at + 12 : at + 16] = struct.pack("<I", 100_000_000)
+    got = send(tmp_path, a__zip=bytes(data))
+    assert "holds more than 5000 files" in faults(got)["a.zip"]
+
+
+def test_one_zip_in_a_zip_is_opened_and_a_deeper_one_not(tmp_path: Path, native_zip: bytes) -> None:
+    once = zip_of(("inner.zip", native_zip))
+    got = send(tmp_path, a__zip=once)
+    assert [ref.name for ref in got.sources[0].open()] == ["stop_1", "stop_2"]
+    got = send(tmp_path, a__zip=zip_of(("outer.zip", once)))
+    assert "too deep" in " ".join(faults(got).values())
+    assert not got.sources
+
+
+def test_a_locked_zip_says_so(tmp_path: Path) -> None:
+    data = bytearray(zip_of(("depth_1.png", b"x"), packed=False))
+    for mark, offset in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
+        data[data.find(mark) + offset] |= 1
+    assert "locked" in faults(send(tmp_path, a__zip=bytes(data)))["a.zip"]
+
+
+def test_size_and_count_limits(tmp_path: Path, depth_png: bytes) -> None:
+    with pytest.raises(UploadError, match="3 files were sent, at most 2"):
+        send(tmp_path, Limits(files=2), a=b"", b=b"", c=b"")
+    got = send(tmp_path, Limits(file_bytes=50), depth__png=depth_png)
+    assert "more than the" in faults(got)["depth.png"]
+    got = send(tmp_path, Limits(text_bytes=50), a__json=b'{"a": "' + b"x" * 100 + b'"}')
+    assert "of text" in faults(got)["a.json"]
+
+
+def test_names_are_shown_clean(tmp_path: Path) -> None:
+    got = accept_uploads([("../a\x00b\u202e/..\\evil\n.png", io.BytesIO(b"MZ"))], tmp_path)
+    assert got.refused[0].name == "evil.png"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_burst_of_more_pixels_than_memory_holds_is_refused(
+    tmp_path: Path, native_zip: bytes
+) -> None:
+    got = send(tmp_path, Limits(pixels=64 * 48), walk__zip=native_zip)
+    assert len(list(got.sources[0].open())) == 2
+    got = send(tmp_path, Limits(pixels=64 * 48 - 1), walk__zip=native_zip)
+    assert not got.sources
+    assert "64x48 pixels" in " ".join(faults(got).values())
+
+
+def test_paths_are_taken_too_and_folders_refused(tmp_path: Path, native_zip: bytes) -> None:
+    (tmp_path / "walk.zip").write_bytes(native_zip)
+    files = [("walk.zip", tmp_path / "walk.zip"), ("folder", tmp_path), ("none", tmp_path / "none")]
+    got = accept_uploads(files, tmp_path / "in")
+    assert len(got.sources) == 1
+    assert set(faults(got)) == {"folder", "none"}
+    assert (tmp_path / "walk.zip").exists()

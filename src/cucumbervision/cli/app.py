@@ -17,6 +17,7 @@ from cucumbervision._version import __version__
 from cucumbervision.cli import (
     benchmark,
     calibrate,
+    dashboard,
     data,
     demo,
     detect,
@@ -44,6 +45,7 @@ app.command("demo")(demo.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("benchmark")(benchmark.benchmark)
 app.command("synth")(synth.synth)
+app.command("dashboard")(dashboard.dashboard)
 app.add_typer(data.app, name="data")
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(models.app, name="models")

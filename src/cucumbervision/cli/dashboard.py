@@ -1,0 +1,45 @@
+"""`cucumbervision dashboard`: the pages in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["dashboard"]
+
+
+def dashboard(
+    store: Annotated[
+        str | None,
+        typer.Option(help="SQLite file or postgresql:// URL; by default one of your own."),
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option(help="Folder or recording to show where no camera is.", show_default=False),
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the pictures; PostgreSQL needs one.", show_default=False),
+    ] = None,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8501,
+    address: Annotated[
+        str, typer.Option(help="Address to listen on; this machine only by default.")
+    ] = "127.0.0.1",
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open a browser on this machine.")
+    ] = True,
+) -> None:
+    """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'."""
+    from cucumbervision.dashboard.server import serve
+    from cucumbervision.dashboard.variables import default_store
+
+    serve(
+        store or default_store(),
+        replay=replay,
+        images=images,
+        address=address,
+        port=port,
+        browser=browser,
+    )

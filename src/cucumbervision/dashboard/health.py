@@ -1,0 +1,75 @@
+"""How good the depth of a frame is, in words that help to hold the camera right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+
+__all__ = ["Health", "health_of"]
+
+NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
+POOR_FILL = 0.60
+STRIDE = 4
+
+
+@dataclass(frozen=True)
+class Health:
+    """How good a frame's depth is.
+
+    Parameters
+    ----------
+    fill : float
+        Share of the picture's middle with a reading, 0 to 1.
+    distance_m : float, optional
+        Median distance of the nearer half of what is in the middle: the plants, not what is
+        behind them.
+    verdict : str
+        'good', 'too-near', 'too-far', 'poor' or 'none'.
+    advice : str
+        What to do, in a few words.
+    """
+
+    fill: float
+    distance_m: float | None
+    verdict: str
+    advice: str
+
+
+def health_of(capture: Capture) -> Health:
+    """Judge the depth of a frame by its middle.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    >>> def at(z):
+    ...     color = np.zeros((48, 64, 3), np.uint8)
+    ...     return health_of(Capture(color, np.full((48, 64), z, np.float32), camera, "a"))
+    >>> at(0.5).verdict, at(0.2).verdict, at(1.4).verdict, at(0.0).verdict
+    ('good', 'too-near', 'too-far', 'none')
+    """
+    height, width = capture.depth_m.shape
+    middle = capture.depth_m[
+        height // 6 : height - height // 6 : STRIDE, width // 6 : width - width // 6 : STRIDE
+    ]
+    valid = middle[valid_depth(middle)]
+    fill = valid.size / middle.size
+    if not valid.size:
+        return Health(0.0, None, "none", "No depth: too near, or the lens is covered")
+    nearer = valid[valid <= np.median(valid)]
+    distance_m = float(np.median(nearer))
+    if distance_m < NEAR_M:
+        return Health(fill, distance_m, "too-near", "Too near: step back")
+    if distance_m > FAR_M:
+        return Health(fill, distance_m, "too-far", "Too far: step closer")
+    if fill < POOR_FILL:
+        return Health(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
+    return Health(fill, distance_m, "good", "Good distance and depth")

@@ -1,0 +1,239 @@
+"""A round as tables: its fruit with their grades, and what they come to; kept while it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.agronomy.forecast import FruitState, forecast
+from cucumbervision.agronomy.grade import FruitTraits, grade
+from cucumbervision.agronomy.grade import Verdict as GradeVerdict
+from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
+from cucumbervision.store.views import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cucumbervision.agronomy.forecast import Forecast
+    from cucumbervision.agronomy.grade import Grade
+    from cucumbervision.agronomy.profile import CropProfile
+    from cucumbervision.dashboard.units import Units
+    from cucumbervision.store.records import FruitRecord, MethodRecord
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import FruitView, RoundView
+
+__all__ = [
+    "RoundLists",
+    "fruit_states",
+    "grade_name",
+    "length_lines",
+    "map_lines",
+    "method_lines",
+    "read_lists",
+    "round_forecast",
+    "round_version",
+    "statistics",
+    "traits_of",
+]
+
+DAY_S = 86400.0
+DEPTH_SCALE_SD = 0.01  # until a bar of known length was measured
+LEAST_SD_M = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class RoundLists:
+    """What the pages show of a round.
+
+    Parameters
+    ----------
+    fruit : tuple of FruitView
+        Each fruit once: the view that stands.
+    grades : dict of str to Grade
+        By fruit key.
+    methods : dict of str to tuple of MethodRecord
+        By fruit key, without paths.
+    detections : int
+        How many detections the fruit are made of.
+    """
+
+    fruit: tuple[FruitView, ...]
+    grades: Mapping[str, Grade]
+    methods: Mapping[str, tuple[MethodRecord, ...]]
+    detections: int
+
+
+def round_version(store: Store, one: RoundView) -> tuple[object, ...]:
+    """Give what changes whenever a round's lists would: its size and the newest line of its log."""
+    newest = store.log(one.key, limit=1)
+    return (one.key, one.stops, one.fruit, one.last_s, newest[0].number if newest else 0)
+
+
+def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists:
+    """Read a round and grade its fruit."""
+    every = store.fruit(round_key)
+    fruit = tuple(view for view in every if view.best)
+    grades = {view.key: grade(traits_of(view.record), profile) for view in fruit}
+    return RoundLists(fruit, grades, store.measurements(round_key), len(every))
+
+
+def traits_of(record: FruitRecord) -> FruitTraits:
+    """Give what a grade goes by.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.records import FruitRecord
+    >>> one = FruitRecord(1, thread_m=0.26, chord_m=0.24, inner_arc_m=0.012, length_m=0.26,
+    ...                   length_kind="thread", interval_low_m=0.25, interval_high_m=0.27,
+    ...                   interval_of="thread")
+    >>> traits = traits_of(one)
+    >>> traits.thread_m, round(traits.inner_arc_mm_per_10cm, 2), traits.belief.median_m
+    (0.26, 5.0, 0.26)
+    """
+    arc = record.inner_arc_m
+    return FruitTraits.from_row(
+        {
+            "length_cm": _per(record.length_m, 100),
+            "length_kind": record.length_kind,
+            "thread_cm": _per(record.thread_m, 100),
+            "centreline_cm": _per(record.centreline_m, 100),
+            "chord_cm": _per(record.chord_m, 100),
+            "interval_low_cm": _per(record.interval_low_m, 100),
+            "interval_high_cm": _per(record.interval_high_m, 100),
+            "interval_of": record.interval_of,
+            "inner_arc_mm_per_10cm": 100 * arc / record.chord_m if arc and record.chord_m else arc,
+            "diameter_max_mm": _per(record.diameter_max_m, 1000),
+            "volume_ml": _per(record.volume_m3, 1e6),
+        }
+    )
+
+
+def grade_name(grade: Grade) -> str:
+    """Say a grade in a word or two: 'class I', 'out of grade', 'not graded'.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.profile_files import load_profile
+    >>> grade_name(grade(FruitTraits(thread_m=0.26), load_profile("long-cucumber")))
+    'class I'
+    """
+    if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):
+        return "not graded"
+    return grade.name if grade.name == "out of grade" else f"class {grade.name}"
+
+
+def statistics(lists: RoundLists) -> dict[str, float | int | None]:
+    """Count a round and give mean and spread of its lengths, metres; rejected fruit are left out.
+
+    Returns
+    -------
+    dict
+        'fruit', 'measured', 'rejected', 'picked', 'detections', 'mean_m', 'sd_m', 'median_m'.
+    """
+    kept = [view for view in lists.fruit if view.verdict is not Verdict.REJECTED]
+    lengths = np.array([v.record.length_m for v in kept if v.record.length_m is not None])
+    many = len(lengths) > 1
+    return {
+        "fruit": len(kept),
+        "measured": len(lengths),
+        "rejected": len(lists.fruit) - len(kept),
+        "picked": sum(view.picked_s is not None for view in kept),
+        "detections": lists.detections,
+        "mean_m": float(lengths.mean()) if len(lengths) else None,
+        "sd_m": float(lengths.std(ddof=1)) if many else None,
+        "median_m": float(np.median(lengths)) if len(lengths) else None,
+    }
+
+
+def length_lines(
+    fruit: Sequence[FruitView], grades: Mapping[str, Grade], units: Units
+) -> list[dict[str, Any]]:
+    """Give a line a measured fruit for the histogram: length and class."""
+    return [
+        {"length": units.value(view.record.length_m), "class": grade_name(grades[view.key])}
+        for view in fruit
+        if view.record.length_m is not None
+    ]
+
+
+def method_lines(lists: RoundLists, keys: set[str], units: Units) -> list[dict[str, Any]]:
+    """Give a line for each method's own length of each fruit."""
+    return [
+        {"method": method.method, "length": units.value(method.length_m)}
+        for key, methods in lists.methods.items()
+        if key in keys
+        for method in methods
+        if method.length_m is not None and method.measured_by is None
+    ]
+
+
+def map_lines(
+    fruit: Sequence[FruitView], grades: Mapping[str, Grade], units: Units
+) -> list[dict[str, Any]]:
+    """Give a line for each fruit whose place is known: along the row, height, class, length."""
+    return [
+        {
+            "key": view.key,
+            "row": f"Row {view.row or '?'}" + (f", {view.side}" if view.side else ""),
+            "along": round(view.along_m, 2),
+            "height": -round(view.record.centre_y_m or 0.0, 3),
+            "length": units.value(view.record.length_m),
+            "class": grade_name(grades[view.key]),
+            "method": view.record.method or "–",
+            "views": view.views,
+            "picked": view.picked_s is not None,
+            "capture": view.capture,
+        }
+        for view in fruit
+        if view.along_m is not None
+    ]
+
+
+def fruit_states(lists: RoundLists, profile: CropProfile) -> list[FruitState]:
+    """Give what the forecast needs of each fruit that was measured and graded."""
+    states = []
+    for view in lists.fruit:
+        found = lists.grades[view.key]
+        length_m = traits_of(view.record).length_m(profile.length)
+        refused = found.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING)
+        if length_m is None or refused or view.verdict is Verdict.REJECTED:
+            continue
+        states.append(
+            FruitState(
+                view.key,
+                view.row or "?",
+                view.along_m or 0.0,
+                length_m,
+                _sd_m(view.record, length_m),
+                day=view.taken_s / DAY_S,
+                side=view.side or "",
+                best_class=found.best_class,
+                picked=view.picked_s is not None,
+            )
+        )
+    return states
+
+
+def round_forecast(lists: RoundLists, profile: CropProfile) -> Forecast:
+    """Forecast a round's fruit over the next week, growth as the profile says it.
+
+    Raises
+    ------
+    ForecastError
+        If a fruit's figures cannot be.
+    """
+    growth = fit_growth([], GrowthPrior.of(profile))
+    return forecast(fruit_states(lists, profile), growth, profile, scale_sd=DEPTH_SCALE_SD)
+
+
+def _sd_m(record: FruitRecord, length_m: float) -> float:
+    belief = traits_of(record).belief
+    if belief is not None:
+        return max(belief.sd_m, LEAST_SD_M)
+    return max(record.length_sd_m or 0.03 * length_m, LEAST_SD_M)
+
+
+def _per(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor

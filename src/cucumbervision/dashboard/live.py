@@ -1,0 +1,247 @@
+"""What the camera sees, for any number of viewers: a thread of its own, or a replay in its place.
+
+The thread opens the camera when somebody looks and lets it go when nobody has looked for a while,
+so that the last viewer to leave releases it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+from cucumbervision.capture.burst import fuse_burst
+from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
+from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
+from cucumbervision.dashboard.health import Health, health_of
+from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cucumbervision.capture.frames import Capture, Stop
+
+__all__ = ["CameraFeed", "Feed", "Look", "Replay"]
+
+UNWATCHED_S = 6.0  # viewers ask several times a second
+PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is to be seen now.
+
+    Parameters
+    ----------
+    state : str
+        'opening', 'live', 'replay' or 'absent'.
+    capture : Capture, optional
+        The newest frame.
+    health : Health, optional
+        How good its depth is.
+    number : int
+        Changes with every new frame.
+    message : str
+        Why there is nothing to see.
+    """
+
+    state: str
+    capture: Capture | None = None
+    health: Health | None = None
+    number: int = 0
+    message: str = ""
+
+
+class Feed(Protocol):
+    """What shows frames and takes captures."""
+
+    def look(self) -> Look:
+        """Show the newest frame, at once."""
+
+    def take(self, burst: int, stop: Stop) -> Capture:
+        """Take a capture; may wait for its frames."""
+
+    def close(self) -> None:
+        """Let go of whatever is held."""
+
+
+class CameraFeed:
+    """A camera in a thread of its own.
+
+    Parameters
+    ----------
+    config : CameraConfig, optional
+        What to stream, or what recording to play in the camera's place; bursts are made here, so
+        its `burst` does not count.
+    unwatched_s : float
+        The camera is released when nobody has looked for so long.
+    """
+
+    def __init__(
+        self, config: CameraConfig | None = None, unwatched_s: float = UNWATCHED_S
+    ) -> None:
+        self._config = replace(config or CameraConfig(fps=PREVIEW_FPS), burst=1)
+        self._unwatched_s = unwatched_s
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._newest: Look = Look("opening")
+        self._watched_s = 0.0
+        self._stopping = False
+
+    @property
+    def open(self) -> bool:
+        """Whether the thread holds the camera."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def look(self) -> Look:
+        """Show the newest frame; begins to stream if nobody was looking."""
+        self._watched_s = time.monotonic()
+        with self._changed:
+            if not self.open and self._newest.state != "absent":
+                self._begin()
+            return self._newest
+
+    def retry(self) -> None:
+        """Look for the camera again."""
+        with self._changed:
+            if not self.open:
+                self._newest = Look("opening")
+
+    def take(self, burst: int, stop: Stop) -> Capture:
+        """Fuse the next frames to one capture.
+
+        Raises
+        ------
+        CameraError
+            If the camera is not there, or sends nothing in time.
+        """
+        frames: list[Capture] = []
+        seen = self.look().number
+        until = time.monotonic() + self._config.timeout_s + burst
+        with self._changed:
+            while len(frames) < burst:
+                if self._newest.state == "absent" or time.monotonic() > until:
+                    message = self._newest.message or "the camera sends nothing"
+                    raise CameraError(message, remedy="check its cable and try again")
+                if self._newest.capture is not None and self._newest.number > seen:
+                    frames.append(self._newest.capture)
+                    seen = self._newest.number
+                else:
+                    self._changed.wait(0.2)
+        color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
+        chosen = frames[kept]
+        return replace(
+            chosen,
+            color=color,
+            depth_m=depth_m,
+            name=f"capture_{frames[0].frame:06d}",
+            frame=frames[0].frame,
+            burst_frame=kept,
+            burst_size=burst,
+            stop=stop,
+        )
+
+    def close(self) -> None:
+        """Let the camera go."""
+        self._stopping = True
+        thread = self._thread
+        if thread is not None:
+            thread.join(self._config.timeout_s + 5)
+
+    def _begin(self) -> None:
+        self._stopping = False
+        self._newest = Look("opening", number=self._newest.number)
+        self._thread = threading.Thread(target=self._stream, name="camera", daemon=True)
+        self._thread.start()
+
+    def _stream(self) -> None:
+        try:
+            with RealSenseCamera(self._config) as camera:
+                while not self._stopping:
+                    if time.monotonic() - self._watched_s > self._unwatched_s:
+                        break
+                    capture = camera.capture_burst()
+                    self._show(Look("live", capture, health_of(capture), self._newest.number + 1))
+            self._show(Look("opening", number=self._newest.number + 1))
+        except CucumberVisionError as error:
+            self._show(Look("absent", number=self._newest.number + 1, message=str(error)))
+
+    def _show(self, look: Look) -> None:
+        with self._changed:
+            self._newest = look
+            self._changed.notify_all()
+
+
+class Replay:
+    """Captures of a folder or a recording, in the camera's place; begins again at its end.
+
+    Parameters
+    ----------
+    path : Path
+        As `capture.readers.open_source` takes it.
+    burst : int
+        Frames fused to one capture, for recordings.
+    """
+
+    def __init__(self, path: Path, burst: int = 5) -> None:
+        self._source = open_source(path, ReadOptions(burst=burst))
+        self._refs: Iterator[CaptureRef] = iter(())
+        self._lock = threading.Lock()
+        self._newest = Look("opening")
+        self._loader: threading.Thread | None = None
+
+    def look(self) -> Look:
+        """Show the capture that is next to be taken; it is read beside the page."""
+        with self._lock:
+            if self._newest.state == "opening" and (
+                self._loader is None or not self._loader.is_alive()
+            ):
+                self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
+                self._loader.start()
+            return self._newest
+
+    def take(self, burst: int, stop: Stop) -> Capture:  # noqa: ARG002, a replay's bursts are fused
+        """Take the capture that is shown, and turn to the next.
+
+        Raises
+        ------
+        CaptureError
+            If nothing of the replay can be read.
+        """
+        self.look()
+        loader = self._loader
+        if loader is not None:
+            loader.join()
+        look = self._newest
+        if look.capture is None:
+            raise CaptureError(look.message or "nothing to replay", remedy="choose another replay")
+        self.turn()
+        return replace(look.capture, stop=stop)
+
+    def turn(self) -> None:
+        """Go on to the next capture."""
+        with self._lock:
+            self._newest = Look("opening", self._newest.capture, None, self._newest.number)
+            self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
+            self._loader.start()
+
+    def close(self) -> None:
+        """Let go of the recording."""
+        self._refs = iter(())
+
+    def _load(self) -> None:
+        number = self._newest.number + 1
+        fault = "holds no captures"
+        for _ in range(2):  # at the end from the beginning, once
+            for ref in self._refs:
+                try:
+                    capture = ref.load()
+                except CucumberVisionError as error:
+                    fault = str(error)
+                    continue
+                self._newest = Look("replay", capture, health_of(capture), number)
+                return
+            self._refs = iter(self._source)
+        self._newest = Look("absent", number=number, message=f"{self._source.path}: {fault}")

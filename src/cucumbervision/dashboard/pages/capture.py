@@ -1,0 +1,234 @@
+"""Capture: what the camera sees, how good its depth is, and one large button."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.agronomy.grade import FruitTraits, grade
+from cucumbervision.capture.frames import Stop
+from cucumbervision.dashboard import parts, shared
+from cucumbervision.dashboard.components import picture
+from cucumbervision.dashboard.jobs import JobState
+from cucumbervision.dashboard.lists import grade_name
+from cucumbervision.dashboard.measuring import TakenStop
+from cucumbervision.dashboard.picture import as_data_url, scale_bar
+from cucumbervision.measurement.selector import Selector
+from cucumbervision.session.overlay import draw_overlay
+
+if TYPE_CHECKING:
+    from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.dashboard.live import Look
+    from cucumbervision.store.views import RoundView
+
+__all__ = ["page"]
+
+VERDICT_COLORS = {"good": "green", "too-near": "orange", "too-far": "orange", "poor": "orange"}
+PREVIEW_PX = 960
+
+
+def page() -> None:
+    """Draw the page."""
+    one = parts.pick_round()
+    if one is None:
+        st.info("Begin a round first: press 'New round'.", icon=":material/flag:")
+        return
+    left, right = st.columns([3, 2], gap="medium")
+    with right:
+        kind = _source()
+        _place()
+        _button(one, kind)
+        _how()
+    with left:
+        _preview(kind)
+    _result(one)
+
+
+def _source() -> str:
+    first = "replay" if "source" not in st.session_state and _no_camera() else None
+    if first:
+        st.session_state["source"] = first
+    chosen = st.segmented_control(
+        "Pictures from",
+        ["camera", "replay"],
+        format_func={"camera": "Camera", "replay": "Replay"}.__getitem__,
+        key="source",
+        default=None if "source" in st.session_state else "camera",
+        required=True,
+        width="stretch",
+    )
+    return chosen or "replay"
+
+
+def _no_camera() -> bool:
+    """Say whether there is surely no camera: none is asked for while the driver is missing."""
+    from importlib.util import find_spec
+
+    return find_spec("pyrealsense2") is None or shared.camera().look().state == "absent"
+
+
+def _place() -> None:
+    for name, value in {"row": "1", "side": "left", "position_m": 0.0, "step_m": 0.4}.items():
+        st.session_state.setdefault(name, value)
+    row, side = st.columns(2)
+    row.text_input("Row", key="row")
+    side.segmented_control(
+        "Side", ["left", "right"], format_func=str.capitalize, key="side", required=True
+    )
+    position, step = st.columns(2)
+    position.number_input("Position [m]", min_value=0.0, step=0.1, format="%.2f", key="position_m")
+    step.number_input(
+        "Step [m]", min_value=0.0, max_value=5.0, step=0.1, format="%.2f", key="step_m"
+    )
+
+
+def _button(one: RoundView, kind: str) -> None:
+    st.button(
+        "Capture",
+        icon=":material/photo_camera:",
+        type="primary",
+        width="stretch",
+        key="take",
+        shortcut="Enter",
+        on_click=_take,
+        args=(one, kind),
+    )
+
+
+def _take(one: RoundView, kind: str) -> None:
+    state, options, feed = st.session_state, shared.options(), shared.feed(kind)
+    stop = Stop(
+        state["row"].strip() or None, state["side"], float(state["position_m"]), one.stops + 1
+    )
+    burst, store, measurer = options.reading.burst, shared.store(), shared.measurer()
+
+    def work(job: Job) -> TakenStop:
+        job.total = 2
+        capture = feed.take(burst, stop)
+        job.step()
+        return measurer.take_stop(store, one.key, capture, options)
+
+    state["job"] = shared.worker().submit("Measuring", work).number
+    state["position_m"] = round(float(state["position_m"]) + float(state["step_m"]), 2)
+
+
+def _how() -> None:
+    with st.expander("How to measure", icon=":material/tune:"):
+        now = shared.settings()
+        burst = st.slider("Frames fused to one capture", 1, 15, now.burst)
+        confidence = st.slider(
+            "Confidence of a detection, at least", 0.05, 0.95, now.confidence, 0.05
+        )
+        selector = st.segmented_control(
+            "Method chosen",
+            list(Selector),
+            format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
+            default=now.selector,
+            required=True,
+        )
+        chosen = now.model_copy(
+            update={"burst": burst, "confidence": confidence, "selector": selector or now.selector}
+        )
+        if chosen != now:
+            shared.save_settings(chosen)
+
+
+def _preview(kind: str) -> None:
+    seen = shared.feed(kind).look()
+    if seen.state == "absent":
+        _absent(kind, seen)
+        return
+
+    @st.fragment(run_every=0.4 if kind == "camera" else 1.0)
+    def _live() -> None:
+        look = shared.feed(kind).look()
+        if look.state == "absent":
+            st.rerun()
+        if look.capture is None:
+            st.info("Opening …", icon=":material/hourglass:")
+            return
+        shown = look.capture
+        near = look.health.distance_m if look.health else None
+        picture(
+            f"preview_{kind}",
+            {"live": as_data_url(shown.color, PREVIEW_PX)},
+            (shown.width, shown.height),
+            bar=scale_bar(shown.intrinsics, near, shared.settings().units),
+            title="What the camera sees",
+        )
+        _health(look)
+
+    _live()
+
+
+def _absent(kind: str, look: Look) -> None:
+    if kind == "replay":
+        st.error(f"The replay cannot be shown. {look.message}", icon=":material/error:")
+        return
+    st.warning(f"No camera was found. {look.message}", icon=":material/videocam_off:")
+    st.write("Connect a RealSense camera to a USB 3 port, or choose 'Replay' to try without one.")
+    if st.button("Look for the camera again", icon=":material/refresh:"):
+        shared.camera().retry()
+        st.rerun()
+
+
+def _health(look: Look) -> None:
+    if look.health is None or look.capture is None:
+        st.caption("Turning to the next capture …")
+        return
+    health, units = look.health, shared.settings().units
+    depth, distance, advice = st.columns([1, 1, 2], vertical_alignment="center")
+    depth.metric("Depth filled", f"{100 * health.fill:.0f} %")
+    distance.metric("Distance", units.text(health.distance_m))
+    color = VERDICT_COLORS.get(health.verdict, "red")
+    advice.badge(health.advice, color=color, width="stretch")
+    said = "Replay" if look.state == "replay" else "Live"
+    drawn = ", simulated" if look.capture.simulated else ""
+    advice.caption(f"{said}: {look.capture.name}{drawn}")
+
+
+def _result(one: RoundView) -> None:
+    job = shared.worker().get(st.session_state.get("job"))
+    if job is None:
+        st.caption(f"{one.stops} stops in this round. What you capture is shown here.")
+        return
+    if not job.finished.is_set():
+        parts.progress(job)
+        return
+    if job.state is JobState.FAILED:
+        st.error(f"Nothing was captured. {job.error}", icon=":material/error:")
+        return
+    taken: TakenStop = job.result
+    if taken.note:
+        st.warning(f"Saved, but not measured: {taken.note}", icon=":material/warning:")
+    _measured(one, taken)
+
+
+def _measured(one: RoundView, taken: TakenStop) -> None:
+    measured, units = taken.measured, shared.settings().units
+    stop = measured.capture.stop
+    st.subheader(f"Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved")
+    left, right = st.columns([3, 2], gap="medium")
+    with left:
+        drawn = draw_overlay(measured.capture, measured.fruit, measured.rows)
+        size = (measured.capture.width, measured.capture.height)
+        picture("result", {"measured": as_data_url(drawn)}, size, title="What was measured")
+    lines = []
+    for row in measured.rows:
+        length_cm = row["length_cm"]
+        length_m = float(length_cm) / 100 if isinstance(length_cm, int | float) else None
+        found = grade(FruitTraits.from_row(row), shared.profile(one))
+        lines.append(
+            {
+                "Fruit": row["fruit"],
+                "Length": units.text(length_m) if length_m else "not measured",
+                "Class": grade_name(found),
+                "Method": row["method"] or row["reason"],
+            }
+        )
+    with right:
+        if lines:
+            st.dataframe(lines, hide_index=True, row_height=44)
+        else:
+            st.info("No fruit was found in this capture.", icon=":material/search_off:")

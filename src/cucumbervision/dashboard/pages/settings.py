@@ -1,0 +1,137 @@
+"""Settings: crop, units, models, calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import streamlit as st
+
+from cucumbervision.agronomy.profile_files import profiles
+from cucumbervision.calibration.calibration_file import read_site_calibration
+from cucumbervision.dashboard import shared
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.measurement.results import Length
+
+__all__ = ["page"]
+
+FINDERS = {
+    "automatic": "Whatever is here",
+    "models": "Only the networks",
+    "dataset": "Masks that come with captures",
+}
+
+
+def page() -> None:
+    """Draw the page."""
+    crop, measuring = st.columns(2, gap="large")
+    with crop:
+        _crop()
+    with measuring:
+        _measuring()
+    _models()
+    st.caption(f"Store: {shared.store().name}")
+
+
+def _keep(**update: object) -> None:
+    now = shared.settings()
+    chosen = type(now).model_validate({**now.model_dump(), **update})
+    if chosen != now:
+        shared.save_settings(chosen)
+
+
+def _crop() -> None:
+    st.subheader("Crop and units")
+    now = shared.settings()
+    entries = {entry.name: entry for entry in profiles()}
+    good = [name for name, entry in entries.items() if entry.profile is not None]
+    name = st.selectbox(
+        "Crop profile of new rounds",
+        good,
+        index=good.index(now.profile) if now.profile in good else 0,
+        format_func=lambda n: p.title if (p := entries[n].profile) else n,
+    )
+    unit = st.segmented_control(
+        "Lengths in",
+        ["cm", "in"],
+        format_func={"cm": "Centimetres", "in": "Inches"}.__getitem__,
+        default=now.unit,
+        required=True,
+    )
+    _keep(profile=name, unit=unit)
+    profile = entries[name].profile
+    if profile is not None:
+        lines = [
+            {"Class": c.name, "From": f"{c.min_cm:g} cm", "Below": f"{c.max_cm:g} cm"}
+            for c in profile.classes
+        ]
+        st.dataframe(lines, hide_index=True)
+        for rule in profile.rules.values():
+            st.caption(rule)
+    for entry in entries.values():
+        if entry.fault:
+            st.warning(entry.fault, icon=":material/error:")
+
+
+def _measuring() -> None:
+    st.subheader("Measuring")
+    now = shared.settings()
+    lengths = list(Length)
+    length = st.segmented_control(
+        "Length that counts",
+        lengths,
+        format_func=lambda x: str(x).capitalize(),
+        default=now.length,
+        required=True,
+        help="Thread: over the outer side, as people measure by hand. Centreline: along the "
+        "middle. Chord: straight from end to end.",
+    )
+    finder = st.selectbox(
+        "Fruit are found by",
+        list(FINDERS),
+        index=list(FINDERS).index(now.fruit_from),
+        format_func=FINDERS.__getitem__,
+    )
+    exact = st.toggle("The same lengths on every machine (slower)", now.full_precision)
+    calibration = st.text_input(
+        "Calibration file of this site",
+        now.calibration,
+        placeholder="none",
+        help="As `cucumbervision calibrate` writes it. Used from the next capture on.",
+    ).strip()
+    if calibration:
+        try:
+            site = read_site_calibration(Path(calibration))
+        except CucumberVisionError as error:
+            st.error(str(error), icon=":material/error:")
+            calibration = now.calibration
+        else:
+            st.success(f"Calibration {site.tag}", icon=":material/verified:")
+    _keep(length=length, fruit_from=finder, full_precision=exact, calibration=calibration)
+
+
+def _models() -> None:
+    st.subheader("Networks")
+    registry = shared.registry()
+    tasks = {
+        "segment": "finds fruit",
+        "pose": "finds their ends",
+        "prompted-mask": "draws outlines",
+    }
+    lines = [
+        {
+            "Network": model.name,
+            "Does": tasks.get(model.task, model.task),
+            "Here": registry.state(model.name),
+            "Size": f"{registry.size_bytes(model.name) / 1e6:.0f} MB",
+            "Licence": model.licence,
+            "From": model.title,
+        }
+        for model in registry.models
+    ]
+    st.dataframe(lines, hide_index=True)
+    if registry.default("segment") is None:
+        st.info(
+            "This version comes without a detector of its own: fruit are found only in captures "
+            "that bring masks, as the bundled ones do.",
+            icon=":material/info:",
+        )

@@ -1,0 +1,133 @@
+"""Parts that several pages draw."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, source_offer
+from cucumbervision.dashboard import shared
+from cucumbervision.dashboard.jobs import Job, JobState
+from cucumbervision.store.records import RoundRecord
+
+if TYPE_CHECKING:
+    from cucumbervision.store.views import FruitView, RoundView
+
+__all__ = ["CLASSES", "footer", "keep_inputs", "pick_round", "progress", "style", "thumbnail_of"]
+
+# Streamlit forgets the input of a page that is left; these are kept for its return.
+KEPT_INPUTS = (
+    "round",
+    "row",
+    "side",
+    "position_m",
+    "step_m",
+    "source",
+    "fruit",
+    "color_by",
+    "list_page",
+)
+CLASSES = ("class I", "class II", "class III", "out of grade", "not graded")
+
+_STYLE = """<style>
+.stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
+  min-height: 3rem; }
+.st-key-take button { min-height: 5.5rem; }
+.st-key-take button p { font-size: 1.6rem; font-weight: 600; }
+.stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
+.stNumberInput button { min-width: 2.75rem; }
+.block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
+@media print {
+  header, .stButton, .st-key-noprint, [data-testid="stToolbar"] { display: none !important; }
+  .block-container { padding: 0 !important; } }
+</style>"""
+
+
+def style() -> None:
+    """Make what is touched large enough for a thumb."""
+    st.html(_STYLE)
+
+
+def keep_inputs() -> None:
+    """Keep the input of pages that are not shown."""
+    for name in KEPT_INPUTS:
+        if name in st.session_state:
+            st.session_state[name] = st.session_state[name]
+
+
+def footer() -> None:
+    """Name the program, its licence and where its source is (AGPL-3.0, section 13)."""
+    offer = source_offer()
+    where = f"[source code]({offer})" if offer.startswith("http") else f"source code: {offer}"
+    st.divider()
+    st.caption(f"CucumberVision {__version__} · {LICENCE} · {where}")
+
+
+def pick_round() -> RoundView | None:
+    """Let a round be chosen, the newest first; None where there is none."""
+    rounds = {one.key: one for one in shared.store().rounds()}
+    if st.session_state.get("round") not in rounds:
+        st.session_state["round"] = next(iter(rounds), None)
+    chosen, new = st.columns([4, 1], vertical_alignment="bottom")
+    with chosen:
+        key = st.selectbox(
+            "Round",
+            list(rounds),
+            format_func=lambda key: _round_name(rounds[key]),
+            key="round",
+            placeholder="No round yet: begin one",
+        )
+    with new, st.popover("New round", icon=":material/add:", width="stretch"):
+        _new_round()
+    return rounds.get(key) if key else None
+
+
+def _round_name(one: RoundView) -> str:
+    import time
+
+    day = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.record.started_s))
+    house = f", {one.record.house}" if one.record.house else ""
+    return f"{one.record.name or 'Round'}{house} · {day} · {one.stops} stops"
+
+
+def _new_round() -> None:
+    name = st.text_input("Name", placeholder="Morning round", key="new_name")
+    house = st.text_input("House", placeholder="House 1", key="new_house")
+
+    def begin() -> None:
+        record = RoundRecord(
+            name=name.strip(), house=house.strip(), profile=shared.settings().profile
+        )
+        shared.store().save_round(record)
+        st.session_state["round"] = record.key
+
+    st.button("Begin this round", type="primary", width="stretch", on_click=begin)
+
+
+def progress(job: Job | None) -> None:
+    """Show how far a job is, until it is done; then the page is drawn anew."""
+    if job is None or job.finished.is_set():
+        return
+
+    @st.fragment(run_every=0.5)
+    def _bar() -> None:
+        if job.finished.is_set():
+            st.rerun()
+        words = f"{job.title}: {job.done} of {job.total}" if job.total else f"{job.title} …"
+        waiting = " (waiting)" if job.state is JobState.WAITING else ""
+        st.progress(job.share, text=words + waiting)
+
+    _bar()
+
+
+def thumbnail_of(view: FruitView) -> str | None:
+    """Give a fruit's little picture; None where none was kept."""
+    if view.thumbnail is None:
+        return None
+    record = view.record
+    box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+    return shared.thumbnail(
+        view.thumbnail.sha256, box, shared.capture_widths(view.stop_key)[view.capture]
+    )

@@ -1,0 +1,149 @@
+"""What a user chose on the Settings page; kept in a file, so that a reload forgets nothing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cucumbervision.agronomy.work import Rates
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.dashboard.units import Units
+from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.selector import Selector
+from cucumbervision.session.options import MeasureOptions
+
+if TYPE_CHECKING:
+    from cucumbervision.perception.registry import Registry
+
+__all__ = ["Settings", "read_settings", "settings_file", "write_settings"]
+
+Share = Annotated[float, Field(ge=0.05, le=0.95)]
+
+
+class Settings(BaseModel):
+    """Choices of the dashboard.
+
+    Parameters
+    ----------
+    profile : str
+        Name of the crop profile.
+    unit : {'cm', 'in'}
+        What lengths are shown in.
+    burst : int
+        Frames fused to one capture.
+    confidence : float
+        Detections below it are left out.
+    selector, length : Selector, Length
+        As in `MeasureOptions`.
+    fruit_from : {'automatic', 'models', 'dataset'}
+        Who finds the fruit: 'automatic' takes the package's own detector where it has one, else
+        the masks that come with a capture.
+    full_precision : bool
+        The same lengths on every machine, at the cost of speed.
+    calibration : str
+        Path of a site's calibration; empty for none.
+    fruit_per_hour, minutes_per_row, fruit_per_crate
+        As in `agronomy.work.Rates`.
+    """
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+    profile: str = "long-cucumber"
+    unit: Literal["cm", "in"] = "cm"
+    burst: Annotated[int, Field(ge=1, le=15)] = 5
+    confidence: Share = 0.30
+    selector: Selector = Selector.BEST
+    length: Length = Length.THREAD
+    fruit_from: Literal["automatic", "models", "dataset"] = "automatic"
+    full_precision: bool = True
+    calibration: str = ""
+    fruit_per_hour: Annotated[float, Field(gt=0)] = 350.0
+    minutes_per_row: Annotated[float, Field(ge=0)] = 2.0
+    fruit_per_crate: Annotated[int, Field(ge=1)] = 12
+
+    @property
+    def units(self) -> Units:
+        """The unit of length."""
+        return Units(self.unit)
+
+    @property
+    def rates(self) -> Rates:
+        """How fast people pick, and what a crate holds."""
+        return Rates(self.fruit_per_hour, self.minutes_per_row, self.fruit_per_crate)
+
+    def options(self, registry: Registry) -> MeasureOptions:
+        """Give the options of a measuring run.
+
+        Parameters
+        ----------
+        registry : Registry
+            Says whether the package has a detector of its own.
+
+        Examples
+        --------
+        >>> from cucumbervision.perception.registry import load_registry
+        >>> Settings(fruit_from="models", burst=3).options(load_registry()).reading.burst
+        3
+        """
+        instances = self.fruit_from
+        if instances == "automatic":
+            instances = "models" if registry.default("segment") else "dataset"
+        return MeasureOptions(
+            # 'auto' takes a capture's own masks first, and names what is missing where it has none.
+            instances="auto" if instances == "dataset" else instances,
+            selector=self.selector,
+            length=self.length,
+            confidence=self.confidence,
+            full_precision=self.full_precision,
+            reading=ReadOptions(burst=self.burst),
+            calibration=Path(self.calibration) if self.calibration else None,
+        )
+
+
+def settings_file(store: str) -> Path:
+    """Give the file for the settings of a store: beside an SQLite file, else the user's own.
+
+    Examples
+    --------
+    >>> settings_file("house.db").name
+    'house.settings.json'
+    """
+    if "://" not in store:
+        return Path(store).with_suffix(".settings.json")
+    import platformdirs
+
+    return Path(platformdirs.user_config_dir("cucumbervision", appauthor=False)) / "dashboard.json"
+
+
+def read_settings(path: Path) -> Settings:
+    """Read settings; the defaults where there are none, or where they cannot be read.
+
+    Examples
+    --------
+    >>> read_settings(Path("nowhere.json")).profile
+    'long-cucumber'
+    """
+    try:
+        return Settings.model_validate_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValidationError):
+        return Settings()
+
+
+def write_settings(settings: Settings, path: Path) -> None:
+    """Write settings, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_settings(Settings(unit="in"), Path(folder) / "a.json")
+    ...     read_settings(Path(folder) / "a.json").unit
+    'in'
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(settings.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    temporary.replace(path)

@@ -1,0 +1,250 @@
+"""What all pages and viewers share: the store, the worker, the camera, the settings."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.dashboard.jobs import Job, Worker
+from cucumbervision.dashboard.lists import RoundLists, read_lists, round_forecast, round_version
+from cucumbervision.dashboard.live import CameraFeed, Feed, Replay
+from cucumbervision.dashboard.measuring import Measurer
+from cucumbervision.dashboard.settings import (
+    Settings,
+    read_settings,
+    settings_file,
+    write_settings,
+)
+from cucumbervision.dashboard.variables import (
+    IMAGES_VARIABLE,
+    REPLAY_VARIABLE,
+    STORE_VARIABLE,
+    default_store,
+)
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.perception.registry import Registry, load_registry
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import Store, open_store
+
+if TYPE_CHECKING:
+    from cucumbervision.agronomy.forecast import Forecast
+    from cucumbervision.agronomy.profile import CropProfile
+    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.store.views import FruitDetail, RoundView
+
+__all__ = [
+    "camera",
+    "capture_widths",
+    "feed",
+    "forecast_of",
+    "fruit_detail",
+    "lists_of",
+    "measurer",
+    "options",
+    "prepare",
+    "profile",
+    "registry",
+    "replay_path",
+    "save_settings",
+    "settings",
+    "store",
+    "thumbnail",
+    "worker",
+]
+
+DEMONSTRATION = "Demonstration (simulated captures)"
+KEPT = 8  # rounds, forecasts or fruit that are held at once
+
+
+def _where() -> str:
+    return os.environ.get(STORE_VARIABLE) or default_store()
+
+
+@st.cache_resource(show_spinner="Opening the store …")
+def _store(where: str, images: str) -> Store:
+    if "://" not in where:
+        Path(where).parent.mkdir(parents=True, exist_ok=True)
+    return open_store(where, images=Path(images) if images else None)
+
+
+def store() -> Store:
+    """Give the store that all viewers work on."""
+    return _store(_where(), os.environ.get(IMAGES_VARIABLE, ""))
+
+
+@st.cache_resource(show_spinner=False)
+def registry() -> Registry:
+    """Give the networks that have a name."""
+    return load_registry()
+
+
+@st.cache_resource(show_spinner=False)
+def worker() -> Worker:
+    """Give the one worker of this machine."""
+    return Worker()
+
+
+@st.cache_resource(show_spinner=False)
+def measurer() -> Measurer:
+    """Give what measures, its networks loaded once."""
+    return Measurer(registry())
+
+
+@st.cache_resource(show_spinner=False)
+def camera() -> CameraFeed:
+    """Give the camera, opened when somebody looks."""
+    return CameraFeed()
+
+
+@st.cache_resource(show_spinner=False)
+def _replay(path: str, burst: int) -> Replay:
+    return Replay(Path(path), burst)
+
+
+def replay_path() -> Path:
+    """Give what is replayed where no camera is: as the command says, or the bundled captures."""
+    if chosen := os.environ.get(REPLAY_VARIABLE):
+        return Path(chosen)
+    from cucumbervision.synthesis.demo import bundled_captures
+
+    return bundled_captures()
+
+
+def feed(kind: str) -> Feed:
+    """Give the camera, or for 'replay' the replay.
+
+    Raises
+    ------
+    CaptureError
+        If the replay cannot be read.
+    """
+    return _replay(str(replay_path()), settings().burst) if kind == "replay" else camera()
+
+
+@st.cache_resource(show_spinner=False)
+def _kept_settings(path: str) -> dict[str, Settings]:
+    return {"now": read_settings(Path(path))}
+
+
+def settings() -> Settings:
+    """Give the settings, the same for all viewers."""
+    return _kept_settings(str(settings_file(_where())))["now"]
+
+
+def save_settings(chosen: Settings) -> None:
+    """Keep settings from now on."""
+    path = settings_file(_where())
+    _kept_settings(str(path))["now"] = chosen
+    write_settings(chosen, path)
+
+
+def options() -> MeasureOptions:
+    """Give the options of the next measurement."""
+    return settings().options(registry())
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT)
+def _profile(name: str) -> CropProfile:
+    return load_profile(name)
+
+
+def profile(one: RoundView) -> CropProfile:
+    """Give a round's crop profile; the settings' where it names none that is here."""
+    return _profile(_named(one))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
+def _lists(version: tuple[object, ...], named: str, where: str) -> RoundLists:
+    del where
+    return read_lists(store(), str(version[0]), _profile(named))
+
+
+def _named(one: RoundView) -> str:
+    named = one.record.profile or settings().profile
+    try:
+        _profile(named)
+    except CucumberVisionError:
+        return "long-cucumber"
+    return named
+
+
+def lists_of(one: RoundView) -> RoundLists:
+    """Give a round's fruit and grades; read again only when something changed."""
+    return _lists(round_version(store(), one), _named(one), _where())
+
+
+@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600)
+def _forecast(version: tuple[object, ...], named: str, where: str) -> Forecast:
+    return round_forecast(_lists(version, named, where), _profile(named))
+
+
+def forecast_of(one: RoundView) -> Forecast:
+    """Give a round's forecast; computed again only when something changed."""
+    return _forecast(round_version(store(), one), _named(one), _where())
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
+def _detail(fruit_key: str, version: tuple[object, ...], where: str) -> FruitDetail:
+    del version, where
+    return store().one_fruit(fruit_key)
+
+
+def fruit_detail(one: RoundView, fruit_key: str) -> FruitDetail:
+    """Give one fruit with everything."""
+    return _detail(fruit_key, round_version(store(), one), _where())
+
+
+@st.cache_data(show_spinner=False, max_entries=2000)
+def capture_widths(stop_key: str) -> dict[str, int]:
+    """Give how wide the captures of a stop are, pixels, by name."""
+    return {one.name: one.width_px for one in store().stop(stop_key).captures}
+
+
+@st.cache_data(show_spinner=False, max_entries=400)
+def thumbnail(sha256: str, box: tuple[float, ...], width_px: int) -> str:
+    """Give a fruit's little picture as a data URL."""
+    from cucumbervision.dashboard.picture import as_data_url, crop
+    from cucumbervision.store.records import FruitRecord, ImageRef
+
+    small = store().images.read_color(ImageRef(sha256, ".jpg", 0, 0, 0))
+    record = FruitRecord(1, "", 1.0, *box)
+    return as_data_url(crop(small, record, width_px))
+
+
+@st.cache_resource(show_spinner=False)
+def _prepared(where: str) -> Job | None:
+    del where
+    if store().rounds():
+        return worker().submit("Loading the networks", _warm)
+    record = RoundRecord(key_of("demonstration"), DEMONSTRATION, profile=settings().profile)
+    store().save_round(record)
+    return worker().submit("Measuring the bundled captures", _demonstrate)
+
+
+def prepare() -> Job | None:
+    """Begin what makes the first capture quick; an empty store gets the bundled round."""
+    return _prepared(_where())
+
+
+def _demonstrate(job: Job) -> None:
+    from cucumbervision.synthesis.demo import bundled_captures
+
+    source = open_source(bundled_captures(), ReadOptions(burst=settings().burst))
+    job.total = source.total or 0
+    for ref in source:
+        taken = measurer().take_stop(store(), key_of("demonstration"), ref.load(), options())
+        job.step(taken.note)
+
+
+def _warm(job: Job) -> None:
+    from cucumbervision.synthesis.demo import bundled_captures
+
+    job.total = 1
+    first = next(iter(open_source(bundled_captures())))
+    measurer().measure(first.load(), options())
+    job.step()

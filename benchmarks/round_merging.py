@@ -188,8 +188,8 @@ def main() -> None:
     for name, (days, settings, swing_m) in DAYS.items():
         table = np.array([linked(days, settings, swing_m, seed) for seed in range(rows)])
         print(f"\nlinks, {name}")
-        heads = ("precision", "recall", "sure: precision", "sure: recall", "mean p - precision")
-        for k, head in enumerate(heads):
+        of_links = ("precision", "recall", "sure: precision", "sure: recall", "mean p - precision")
+        for k, head in enumerate(of_links):
             print(f"  {head:24}{interval(table[:, k])}")
     large = simulate_row(SimulatedRow(fruit=1400, per_m=7), 0)
     start = time.perf_counter(), time.process_time()

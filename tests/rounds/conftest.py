@@ -45,7 +45,7 @@ def save_walk(store: Store) -> SaveWalk:
 
 def _stop(walk: Walk, number: int, record: RoundRecord, row: str) -> StopRecord:
     views, sign = walk.views, 1.0 - 2.0 * float(walk.stops.side[number])
-    fruit = []
+    fruit: list[FruitRecord] = []
     for k in (views.stop == number).nonzero()[0].tolist():
         x, up, depth = views.offset_m[k].tolist()
         length, sd = float(views.length_m[k]), float(views.length_sd[k])

@@ -11,7 +11,7 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.writer import write_native
 from cucumbervision.measurement.results import Method
-from cucumbervision.rounds.adding import Place, add_captures
+from cucumbervision.rounds.adding import Added, Place, add_captures
 from cucumbervision.rounds.poses import PoseLine
 from cucumbervision.rounds.service import fruit_table, merge_round
 from cucumbervision.session.options import MeasureOptions
@@ -90,7 +90,7 @@ def test_drawn_captures_become_each_fruit_once(store: Store, folder: Path) -> No
 
 def test_one_bad_input_loses_nothing_of_the_rest(store: Store, tmp_path: Path) -> None:
     good = draw("left", 0, tmp_path)
-    seen = []
+    seen: list[Added] = []
     nowhere = tmp_path / "nowhere"
     done = add_captures(store, MORNING, [nowhere, good], OPTIONS, report=seen.append)
     assert "nowhere" in done[0].problem

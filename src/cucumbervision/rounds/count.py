@@ -138,8 +138,21 @@ def estimate_count(
         hits = (real * seen).sum() + SEEN * SEEN_WEIGHT
         q = float(hits / (((real + unseen) * shown).sum() + SEEN_WEIGHT))
         q = min(max(q, 0.05), 0.995)
-    sd = np.sqrt((real * (1 - real)).sum() + (unseen * (1 + unseen)).sum())
+    doubt = float((real * (1 - real)).sum()) * _share_learnt(real[once])
+    sd = np.sqrt(doubt + (unseen * (1 + unseen)).sum())
     return FruitCount(float((real + unseen).sum()), float(sd), seen, shown, real, q)
+
+
+def _share_learnt(real: NDArray[np.float64]) -> float:
+    """Give by how much doubt grows since the share of invented ones is learnt from them too.
+
+    By the missing information m of a mixture's share: 1 / (1 - m) (Louis 1982).
+    """
+    if not len(real):
+        return 1.0
+    share = float(real.mean())
+    missing = float((real * (1 - real)).mean()) / max(share * (1 - share), 1e-9)
+    return 1.0 / max(1.0 - missing, 0.25)
 
 
 def _score_ratio(score: NDArray[np.float64], sure: NDArray[np.float64]) -> NDArray[np.float64]:

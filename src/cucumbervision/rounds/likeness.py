@@ -85,10 +85,11 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
     >>> float(log_density(0.0, 1.0).round(3)), float(log_density(6.0, 1.0).round(2))
     (-1.002, -5.55)
     """
-    square = np.square(gap) / variance
+    spread = np.asarray(variance, np.float64)
+    square = np.square(gap) / spread
     core = (1 - TAIL) * np.exp(-0.5 * square)
     tail = TAIL / TAIL_FACTOR * np.exp(-0.5 * square / TAIL_FACTOR**2)
-    return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * variance))
+    return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
 
 
 def size_ratio(

@@ -19,6 +19,8 @@ from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftReco
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from cucumbervision.rounds.from_store import StoredRow
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import FruitView, RoundView
@@ -195,7 +197,8 @@ def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[Link
 
 
 def _report(row: StoredRow, merged: Merged) -> RowReport:
-    count = FruitCount(0.0, 0.0, *[np.zeros(0, np.int64)] * 2, np.zeros(0), 0.0)
+    nothing: NDArray[np.int64] = np.zeros(0, np.int64)
+    count = FruitCount(0.0, 0.0, nothing, nothing, np.zeros(0), 0.0)
     if len(row.views):
         count = count_fruit(merged, row.stops, row.views)
     return RowReport(
@@ -278,10 +281,11 @@ def fruit_table(store: Store, round_key: str) -> list[FruitLine]:
         if view.best and view.verdict is not Verdict.REJECTED
     ]
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
-    return [
-        FruitLine(number, view, *combined.get(view.key, (None, None)), view.views)
-        for number, view in enumerate(best, 1)
-    ]
+    lines = []
+    for number, view in enumerate(best, 1):
+        length_m, sd_m = combined.get(view.key, (None, None))
+        lines.append(FruitLine(number, view, length_m, sd_m, view.views))
+    return lines
 
 
 def _combined(store: Store, round_key: str) -> dict[str, tuple[float, float]]:

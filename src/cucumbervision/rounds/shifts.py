@@ -49,13 +49,13 @@ class FittedStops:
     @property
     def sd_m(self) -> NDArray[np.float64]:
         """Standard deviations, shape (S, 3), metres."""
-        return np.sqrt(np.einsum("css->sc", self.covariance_m2))
+        return np.asarray(np.sqrt(np.einsum("css->sc", self.covariance_m2)), np.float64)
 
     def gap_variance(self, s: NDArray[np.int64], t: NDArray[np.int64]) -> NDArray[np.float64]:
         """Give the variance of how far stops s and t lie apart, shape (K, 3)."""
         own = np.einsum("css->sc", self.covariance_m2)
         between = np.moveaxis(self.covariance_m2[:, s, t], 0, -1)
-        return np.maximum(own[s] + own[t] - 2 * between, 0.0)
+        return np.asarray(np.maximum(own[s] + own[t] - 2 * between, 0.0), np.float64)
 
 
 def prior_stops(stops: RowStops) -> FittedStops:

@@ -1,0 +1,1 @@
+"""A round as files: one set of typed tables, and what writes them."""

@@ -14,7 +14,7 @@ from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged
 from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
 from cucumbervision.rounds.row_views import ALONG, UP, RowStops, RowViews
 from cucumbervision.rounds.shifts import FittedStops
-from cucumbervision.store.views import LinkKind
+from cucumbervision.store.views import LinkKind, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,7 +25,14 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import FruitView, LinkRecord, StopView
 
-__all__ = ["StoredRow", "by_hand_of", "load_rows", "stored_merging"]
+__all__ = [
+    "RoundContent",
+    "StoredRow",
+    "by_hand_of",
+    "load_rows",
+    "read_round",
+    "stored_merging",
+]
 
 CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
@@ -64,26 +71,59 @@ class StoredRow:
     unplaced: tuple[str, ...]
 
 
-def load_rows(store: Store, round_key: str) -> list[StoredRow]:
-    """Read a round's rows.
+@dataclass(frozen=True, eq=False)
+class RoundContent:
+    """What the store holds of a round: read once, used by all that ask for it.
+
+    Parameters
+    ----------
+    key : str
+        The round's.
+    stops : tuple of StopView
+        Its stops.
+    views : tuple of FruitView
+        Its detections, in groups.
+    frames : mapping
+        Poses and cameras by the stops' keys.
+    """
+
+    key: str
+    stops: tuple[StopView, ...]
+    views: tuple[FruitView, ...]
+    frames: Mapping[str, _Frame]
+
+
+def read_round(store: Store, round_key: str) -> RoundContent:
+    """Read a round.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    stops, views = store.stops(round_key), store.fruit(round_key)
+    return RoundContent(round_key, tuple(stops), tuple(views), _frames(store, round_key))
+
+
+def load_rows(content: RoundContent) -> list[StoredRow]:
+    """Give a round's rows as arrays.
 
     Raises
     ------
     RoundError
         If a row has more than two sides.
     """
-    from cucumbervision.store.views import Verdict
-
-    frames = _frames(store, round_key)
     by_row: dict[str, list[StopView]] = {}
-    for stop in store.stops(round_key):
+    for stop in content.stops:
         by_row.setdefault(stop.row or "", []).append(stop)
+    known = {stop.key for stop in content.stops}  # a stop may be saved while we read
     fruit: dict[str, list[FruitView]] = {}
-    for view in store.fruit(round_key):
-        if view.verdict is not Verdict.REJECTED:
+    for view in content.views:
+        if view.verdict is not Verdict.REJECTED and view.stop_key in known:
             fruit.setdefault(view.row or "", []).append(view)
     return [
-        _row(name, stops, fruit.get(name, []), frames) for name, stops in sorted(by_row.items())
+        _row(name, stops, fruit.get(name, []), content.frames)
+        for name, stops in sorted(by_row.items())
     ]
 
 
@@ -238,12 +278,12 @@ def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
     return ByHand(pairs(LinkKind.SAME), pairs(LinkKind.APART))
 
 
-def stored_merging(store: Store, round_key: str, row: StoredRow) -> Merged:
+def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
     """Give a row as it was merged and saved, what was done by hand included."""
-    groups = {view.key: view.group for view in store.fruit(round_key)}
+    groups = {view.key: view.group for view in content.views}
     names = [groups[key] for key in row.fruit_keys]
     _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)
-    stops = {stop.key: stop for stop in store.stops(round_key)}
+    stops = {stop.key: stop for stop in content.stops}
     at_m, sd_m = row.stops.at_m.copy(), row.stops.sd_m.copy()
     for k, key in enumerate(row.stop_keys):
         stop = stops[key]

@@ -14,7 +14,8 @@ from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.measurement.results import Length
 from cucumbervision.rounds.days import LinkSettings
-from cucumbervision.rounds.service import DAY_S, fruit_table, row_reports
+from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.service import DAY_S, find_round, fruit_table, row_reports
 from cucumbervision.store.views import LinkKind
 
 if TYPE_CHECKING:
@@ -73,12 +74,13 @@ def round_summary(store: Store, round_key: str, profile: CropProfile | None = No
 
     Raises
     ------
-    StopIteration
-        Never for a key that `find_round` gave.
+    RoundError
+        If it is not there.
     """
-    view = next(one for one in store.rounds() if one.key == round_key)
-    rows = tuple(row_reports(store, round_key))
-    fruit = [line.view for line in fruit_table(store, round_key)]
+    view = find_round(store, round_key)
+    content = read_round(store, round_key)
+    rows = tuple(row_reports(store, round_key, content))
+    fruit = [line.view for line in fruit_table(store, round_key, content)]
     hanging = [one for one in fruit if one.picked_s is None]
     classes: Counter[str] = Counter()
     if profile is not None:
@@ -137,7 +139,7 @@ def grade_of(record: FruitRecord, profile: CropProfile) -> Grade:
 
 def fruit_states(store: Store, round_key: str, profile: CropProfile) -> list[FruitState]:
     """Give a round's measured fruit as the forecast takes them; picked ones are marked."""
-    day = next(o.record.started_s for o in store.rounds() if o.key == round_key) / DAY_S
+    day = find_round(store, round_key).record.started_s / DAY_S
     states = []
     for line in fruit_table(store, round_key):
         view = line.view

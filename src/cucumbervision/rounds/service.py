@@ -11,10 +11,16 @@ from cucumbervision.errors import RoundError
 from cucumbervision.rounds.best import combined_length, row_fruit
 from cucumbervision.rounds.count import FruitCount, count_fruit
 from cucumbervision.rounds.days import LinkSettings, link_days
-from cucumbervision.rounds.from_store import by_hand_of, load_rows, stored_merging
+from cucumbervision.rounds.from_store import (
+    RoundContent,
+    by_hand_of,
+    load_rows,
+    read_round,
+    stored_merging,
+)
 from cucumbervision.rounds.merge import Merged, MergeSettings, merge_row
 from cucumbervision.rounds.row_views import ALONG
-from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord
+from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -173,7 +179,7 @@ def merge_round(
     links: list[LinkRecord] = []
     positions: dict[str, Position] = {}
     reports = []
-    for row in load_rows(store, round_key):
+    for row in load_rows(read_round(store, round_key)):
         merged = _merged(row, settings, by_hand)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
             first, second = row.fruit_keys[a], row.fruit_keys[b]
@@ -215,11 +221,15 @@ def _report(row: StoredRow, merged: Merged) -> RowReport:
     )
 
 
-def row_reports(store: Store, round_key: str) -> list[RowReport]:
-    """Give the rows of a round as they were merged last, what was done by hand included."""
-    return [
-        _report(row, stored_merging(store, round_key, row)) for row in load_rows(store, round_key)
-    ]
+def row_reports(
+    store: Store, round_key: str, content: RoundContent | None = None
+) -> list[RowReport]:
+    """Give the rows of a round as they were merged last, what was done by hand included.
+
+    `content` is what `from_store.read_round` gave of the round, where it was read already.
+    """
+    content = content or read_round(store, round_key)
+    return [_report(row, stored_merging(content, row)) for row in load_rows(content)]
 
 
 def link_rounds(
@@ -245,15 +255,16 @@ def link_rounds(
     days = (begun[later] - begun[earlier]) / DAY_S
     if not days > 0:
         raise RoundError("the later round began no later", remedy="name the earlier one first")
-    first = {row.name: row for row in load_rows(store, earlier) if len(row.views)}
+    contents = read_round(store, earlier), read_round(store, later)
+    first = {row.name: row for row in load_rows(contents[0]) if len(row.views)}
     links, shifts, found = [], [], []
-    for row in load_rows(store, later):
+    for row in load_rows(contents[1]):
         before = first.get(row.name)
         if before is None or not len(row.views):
             continue
         fruit = [
-            row_fruit(stored_merging(store, key, one), one.views)
-            for key, one in ((earlier, before), (later, row))
+            row_fruit(stored_merging(content, one), one.views)
+            for content, one in zip(contents, (before, row), strict=True)
         ]
         linked = link_days(fruit[0], fruit[1], days, settings)
         for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
@@ -269,17 +280,18 @@ def link_rounds(
     return found
 
 
-def fruit_table(store: Store, round_key: str) -> list[FruitLine]:
-    """List a round's fruit, each once, by row and position; rejected ones are left out."""
-    from cucumbervision.agronomy.fruit import natural_key
-    from cucumbervision.store.views import Verdict
+def fruit_table(
+    store: Store, round_key: str, content: RoundContent | None = None
+) -> list[FruitLine]:
+    """List a round's fruit, each once, by row and position; rejected ones are left out.
 
-    combined = _combined(store, round_key)
-    best = [
-        view
-        for view in store.fruit(round_key)
-        if view.best and view.verdict is not Verdict.REJECTED
-    ]
+    `content` is what `from_store.read_round` gave of the round, where it was read already.
+    """
+    from cucumbervision.agronomy.fruit import natural_key
+
+    content = content or read_round(store, round_key)
+    combined = _combined(content)
+    best = [view for view in content.views if view.best and view.verdict is not Verdict.REJECTED]
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
     lines = []
     for number, view in enumerate(best, 1):
@@ -288,13 +300,13 @@ def fruit_table(store: Store, round_key: str) -> list[FruitLine]:
     return lines
 
 
-def _combined(store: Store, round_key: str) -> dict[str, tuple[float, float]]:
+def _combined(content: RoundContent) -> dict[str, tuple[float, float]]:
     """Give the combined length of each fruit by all keys of its views."""
     found = {}
-    for row in load_rows(store, round_key):
+    for row in load_rows(content):
         if not len(row.views):
             continue
-        cluster = stored_merging(store, round_key, row).cluster
+        cluster = stored_merging(content, row).cluster
         views = row.views
         order = np.argsort(cluster, kind="stable")
         for own in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):

@@ -70,7 +70,9 @@ def write_exports(
         for name, path in tables.pictures.items():
             (out / name).parent.mkdir(exist_ok=True)
             shutil.copyfile(path, out / name)
-        return [path for one in ExportFormat if one in formats for path in writers[one](tables, out)]
+        return [
+            path for one in ExportFormat if one in formats for path in writers[one](tables, out)
+        ]
     except OSError as error:
         raise CucumberVisionError(
             f"cannot be written ({error.strerror or error})",
@@ -108,9 +110,7 @@ def write_json_round(tables: RoundTables, out: Path) -> list[Path]:
 
 
 def _columns(table: Table) -> list[dict[str, str]]:
-    return [
-        {"name": c.name, "unit": c.unit, "type": c.type, "says": c.says} for c in table.columns
-    ]
+    return [{"name": c.name, "unit": c.unit, "type": c.type, "says": c.says} for c in table.columns]
 
 
 def write_parquet(tables: RoundTables, out: Path) -> list[Path]:

@@ -22,6 +22,7 @@ from cucumbervision.cli import (
     demo,
     detect,
     evaluate,
+    export,
     measure,
     models,
     round,
@@ -45,7 +46,8 @@ app.command("demo")(demo.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("benchmark")(benchmark.benchmark)
 app.command("synth")(synth.synth)
-app.command("dashboard")(dashboard.dashboard)
+app.command("export")(export.export)
+app.add_typer(dashboard.app, name="dashboard")
 app.add_typer(data.app, name="data")
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(models.app, name="models")

@@ -1,4 +1,4 @@
-"""`cucumbervision dashboard`: the pages in a browser."""
+"""`cucumbervision dashboard`: the pages in a browser, and the password for other machines."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["dashboard"]
+__all__ = ["app", "dashboard", "set_password"]
+
+app = typer.Typer(help="Capture, look at and forecast rounds in a browser.")
 
 
+@app.callback(invoke_without_command=True)
 def dashboard(
+    context: typer.Context,
     store: Annotated[
         str | None,
         typer.Option(help="SQLite file or postgresql:// URL; by default one of your own."),
@@ -32,6 +36,8 @@ def dashboard(
     ] = True,
 ) -> None:
     """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'."""
+    if context.invoked_subcommand is not None:
+        return
     from cucumbervision.dashboard.server import serve
     from cucumbervision.dashboard.variables import default_store
 
@@ -43,3 +49,18 @@ def dashboard(
         port=port,
         browser=browser,
     )
+
+
+@app.command("set-password")
+def set_password() -> None:
+    """Set the password that viewers on other machines need; only its hash is kept."""
+    from cucumbervision.dashboard.access import (
+        hash_password,
+        password_file,
+        write_password_hash,
+    )
+
+    password = typer.prompt("Password", hide_input=True, confirmation_prompt=True)
+    path = password_file()
+    write_password_hash(path, hash_password(password))
+    typer.echo(f"Its hash is in {path}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import streamlit as st
 
 from cucumbervision.dashboard import parts, shared
+from cucumbervision.dashboard.login import require_login
 from cucumbervision.dashboard.pages import (
     accuracy,
     capture,
@@ -12,6 +13,7 @@ from cucumbervision.dashboard.pages import (
     results,
     row_map,
     settings,
+    upload,
 )
 from cucumbervision.errors import CucumberVisionError
 
@@ -22,12 +24,18 @@ def main() -> None:
     """Draw the page that the viewer chose."""
     st.set_page_config(page_title="CucumberVision", page_icon="🥒", layout="wide")
     parts.style()
+    try:
+        require_login(st.get_option("server.address") or "")
+    except CucumberVisionError as error:
+        st.error(str(error), icon=":material/lock:")
+        st.stop()
     parts.keep_inputs()
     chosen = st.navigation(
         [
             st.Page(
                 capture.page, title="Capture", icon=":material/photo_camera:", url_path="capture"
             ),
+            st.Page(upload.page, title="Upload", icon=":material/upload:", url_path="upload"),
             st.Page(
                 results.page,
                 title="Results",

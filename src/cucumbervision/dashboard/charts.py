@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.dashboard.units import Units
 
-__all__ = ["class_colors", "forecast_chart", "histogram", "map_chart", "method_chart"]
+__all__ = ["class_colors", "day_name", "forecast_chart", "histogram", "map_chart", "method_chart"]
 
+MANY = 40  # fruit from which narrow bars say more than they scatter
 GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 OTHERS = {
     "out of grade": "#E69F00",
@@ -38,23 +39,39 @@ def class_colors(names: Sequence[str]) -> alt.Scale:
     return alt.Scale(domain=list(names), range=[{**OTHERS, **colors}[name] for name in names])
 
 
+def day_name(day: int) -> str:
+    """Name a day by its distance from today.
+
+    Examples
+    --------
+    >>> day_name(0), day_name(1), day_name(2)
+    ('today', 'tomorrow', 'in 2 days')
+    """
+    return ("today", "tomorrow")[day] if day < 2 else f"in {day} days"
+
+
 def histogram(lines: list[dict[str, Any]], classes: Sequence[str], units: Units) -> alt.LayerChart:
     """Draw lengths by class, with a line at the mean and a band of one standard deviation."""
-    step = 1.0 if units.name == "cm" else 0.5
+    step = (1.0 if len(lines) >= MANY else 2.5) / (1 if units.name == "cm" else 2.5)
     table = pd.DataFrame(lines)
     mean, sd = float(table["length"].mean()), float(np.nan_to_num(table["length"].std()))
     bars = (
         alt.Chart(table)
         .mark_bar()
         .encode(
-            x=alt.X("length:Q", bin=alt.Bin(step=step), title=f"Length [{units.name}]"),
-            y=alt.Y("count()", title="Fruit"),
+            x=alt.X(
+                "length:Q",
+                bin=alt.Bin(step=step),
+                title=f"Length [{units.name}]",
+                scale=alt.Scale(zero=False),
+            ),
+            y=alt.Y("count()", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
             color=alt.Color("class:N", scale=class_colors(classes), title=None),
             tooltip=[alt.Tooltip("count()", title="Fruit"), alt.Tooltip("class:N", title="Class")],
         )
     )
     spread = pd.DataFrame([{"low": mean - sd, "high": mean + sd, "mean": mean}])
-    band = alt.Chart(spread).mark_rect(opacity=0.15, color="#000").encode(x="low:Q", x2="high:Q")
+    band = alt.Chart(spread).mark_rect(opacity=0.12, color="#000").encode(x="low:Q", x2="high:Q")
     line = alt.Chart(spread).mark_rule(color="#000", strokeWidth=2).encode(x="mean:Q")
     return (band + bars + line).properties(height=260)
 
@@ -116,7 +133,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
     """Draw the expected number in each class on each day, with its interval."""
     lines = [
         {
-            "day": "today" if day == 0 else f"+{day}",
+            "day": day_name(day),
             "class": _named(found, k),
             "expected": float(found.house.expected[day, k]),
             "low": float(found.house.low[day, k]),
@@ -143,7 +160,13 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
             alt.Tooltip("high:Q", title="to", format=".0f"),
         ],
     )
-    whiskers = base.mark_rule(color="#333").encode(y="low:Q", y2="high:Q", color=alt.value("#333"))
+    whiskers = base.mark_rule().encode(
+        y="low:Q",
+        y2="high:Q",
+        xOffset=alt.XOffset("class:N", sort=names, bandPosition=0.5),
+        color=alt.value("#222"),
+        strokeWidth=alt.value(2),
+    )
     return (bars + whiskers).properties(height=320)
 
 

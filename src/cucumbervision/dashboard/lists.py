@@ -7,40 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.agronomy.forecast import FruitState, forecast
-from cucumbervision.agronomy.grade import FruitTraits, grade
 from cucumbervision.agronomy.grade import Verdict as GradeVerdict
-from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
+from cucumbervision.rounds.outlook import grade_of
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.agronomy.grade import Grade
     from cucumbervision.agronomy.profile import CropProfile
     from cucumbervision.dashboard.units import Units
-    from cucumbervision.store.records import FruitRecord, MethodRecord
+    from cucumbervision.store.records import MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import FruitView, RoundView
 
 __all__ = [
     "RoundLists",
-    "fruit_states",
     "grade_name",
     "length_lines",
     "map_lines",
     "method_lines",
     "read_lists",
-    "round_forecast",
     "round_version",
     "statistics",
-    "traits_of",
 ]
-
-DAY_S = 86400.0
-DEPTH_SCALE_SD = 0.01  # until a bar of known length was measured
-LEAST_SD_M = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,39 +65,8 @@ def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists
     """Read a round and grade its fruit."""
     every = store.fruit(round_key)
     fruit = tuple(view for view in every if view.best)
-    grades = {view.key: grade(traits_of(view.record), profile) for view in fruit}
+    grades = {view.key: grade_of(view.record, profile) for view in fruit}
     return RoundLists(fruit, grades, store.measurements(round_key), len(every))
-
-
-def traits_of(record: FruitRecord) -> FruitTraits:
-    """Give what a grade goes by.
-
-    Examples
-    --------
-    >>> from cucumbervision.store.records import FruitRecord
-    >>> one = FruitRecord(1, thread_m=0.26, chord_m=0.24, inner_arc_m=0.012, length_m=0.26,
-    ...                   length_kind="thread", interval_low_m=0.25, interval_high_m=0.27,
-    ...                   interval_of="thread")
-    >>> traits = traits_of(one)
-    >>> traits.thread_m, round(traits.inner_arc_mm_per_10cm, 2), traits.belief.median_m
-    (0.26, 5.0, 0.26)
-    """
-    arc = record.inner_arc_m
-    return FruitTraits.from_row(
-        {
-            "length_cm": _per(record.length_m, 100),
-            "length_kind": record.length_kind,
-            "thread_cm": _per(record.thread_m, 100),
-            "centreline_cm": _per(record.centreline_m, 100),
-            "chord_cm": _per(record.chord_m, 100),
-            "interval_low_cm": _per(record.interval_low_m, 100),
-            "interval_high_cm": _per(record.interval_high_m, 100),
-            "interval_of": record.interval_of,
-            "inner_arc_mm_per_10cm": 100 * arc / record.chord_m if arc and record.chord_m else arc,
-            "diameter_max_mm": _per(record.diameter_max_m, 1000),
-            "volume_ml": _per(record.volume_m3, 1e6),
-        }
-    )
 
 
 def grade_name(grade: Grade) -> str:
@@ -115,6 +74,7 @@ def grade_name(grade: Grade) -> str:
 
     Examples
     --------
+    >>> from cucumbervision.agronomy.grade import FruitTraits, grade
     >>> from cucumbervision.agronomy.profile_files import load_profile
     >>> grade_name(grade(FruitTraits(thread_m=0.26), load_profile("long-cucumber")))
     'class I'
@@ -189,51 +149,3 @@ def map_lines(
         for view in fruit
         if view.along_m is not None
     ]
-
-
-def fruit_states(lists: RoundLists, profile: CropProfile) -> list[FruitState]:
-    """Give what the forecast needs of each fruit that was measured and graded."""
-    states = []
-    for view in lists.fruit:
-        found = lists.grades[view.key]
-        length_m = traits_of(view.record).length_m(profile.length)
-        refused = found.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING)
-        if length_m is None or refused or view.verdict is Verdict.REJECTED:
-            continue
-        states.append(
-            FruitState(
-                view.key,
-                view.row or "?",
-                view.along_m or 0.0,
-                length_m,
-                _sd_m(view.record, length_m),
-                day=view.taken_s / DAY_S,
-                side=view.side or "",
-                best_class=found.best_class,
-                picked=view.picked_s is not None,
-            )
-        )
-    return states
-
-
-def round_forecast(lists: RoundLists, profile: CropProfile) -> Forecast:
-    """Forecast a round's fruit over the next week, growth as the profile says it.
-
-    Raises
-    ------
-    ForecastError
-        If a fruit's figures cannot be.
-    """
-    growth = fit_growth([], GrowthPrior.of(profile))
-    return forecast(fruit_states(lists, profile), growth, profile, scale_sd=DEPTH_SCALE_SD)
-
-
-def _sd_m(record: FruitRecord, length_m: float) -> float:
-    belief = traits_of(record).belief
-    if belief is not None:
-        return max(belief.sd_m, LEAST_SD_M)
-    return max(record.length_sd_m or 0.03 * length_m, LEAST_SD_M)
-
-
-def _per(value: float | None, factor: float) -> float | None:
-    return None if value is None else value * factor

@@ -89,6 +89,8 @@ class CameraFeed:
         self._newest: Look = Look("opening")
         self._watched_s = 0.0
         self._stopping = False
+        self._filling: list[Capture] = []
+        self._wanted = 0
 
     @property
     def open(self) -> bool:
@@ -118,18 +120,17 @@ class CameraFeed:
             If the camera is not there, or sends nothing in time.
         """
         frames: list[Capture] = []
-        seen = self.look().number
         until = time.monotonic() + self._config.timeout_s + burst
         with self._changed:
+            self._filling, self._wanted = frames, burst
+            self._watched_s = time.monotonic()
+            if not self.open and self._newest.state != "absent":
+                self._begin()
             while len(frames) < burst:
                 if self._newest.state == "absent" or time.monotonic() > until:
                     message = self._newest.message or "the camera sends nothing"
                     raise CameraError(message, remedy="check its cable and try again")
-                if self._newest.capture is not None and self._newest.number > seen:
-                    frames.append(self._newest.capture)
-                    seen = self._newest.number
-                else:
-                    self._changed.wait(0.2)
+                self._changed.wait(0.2)
         color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
         chosen = frames[kept]
         return replace(
@@ -171,6 +172,8 @@ class CameraFeed:
     def _show(self, look: Look) -> None:
         with self._changed:
             self._newest = look
+            if look.capture is not None and len(self._filling) < self._wanted:
+                self._filling.append(look.capture)
             self._changed.notify_all()
 
 

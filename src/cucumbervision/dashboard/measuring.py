@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.rounds.adding import placed_fruit
+from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
 from cucumbervision.session.finders import make_finder
 from cucumbervision.session.results import Failure
 from cucumbervision.session.run import capture_rows, measure_capture
@@ -42,7 +44,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Measurer", "TakenStop", "stored_capture"]
 
-POSITION_SD_M = 0.03  # of a position that an operator reads from a tape or counts in steps
 SEGMENTER = "mobile-sam"
 
 
@@ -87,12 +88,31 @@ class Measurer:
         return MeasuredCapture(capture, fruit, capture_rows(capture, fruit, options, site))
 
     def take_stop(
-        self, store: Store, round_key: str, capture: Capture, options: MeasureOptions
+        self,
+        store: Store,
+        round_key: str,
+        capture: Capture,
+        options: MeasureOptions,
+        *,
+        key: str | None = None,
     ) -> TakenStop:
         """Measure a capture and save it as a stop of a round; its own `stop` says where it is.
 
         A capture in which nothing can be measured is saved with the reason, so that no capture
         is lost.
+
+        Parameters
+        ----------
+        store : Store
+            Where to.
+        round_key : str
+            The round, saved before.
+        capture : Capture
+            The frame.
+        options : MeasureOptions
+            How to measure.
+        key : str, optional
+            The stop's own; a new one by default.
 
         Raises
         ------
@@ -105,7 +125,8 @@ class Measurer:
         except CucumberVisionError as error:
             measured = MeasuredCapture(capture, (), ())
             failures.append(Failure(capture.source, capture.name, error.code, str(error)))
-        record = self._record(store, round_key, [measured], options, failures)
+        record = self._record(store, round_key, measured, options, failures)
+        record = replace(record, key=key or new_key())
         store.save_stop(record)
         return TakenStop(record.key, measured, " ".join(one.message for one in failures))
 
@@ -113,22 +134,28 @@ class Measurer:
         self,
         store: Store,
         round_key: str,
-        measured: Sequence[MeasuredCapture],
+        measured: MeasuredCapture,
         options: MeasureOptions,
         failures: Sequence[Failure],
     ) -> StopRecord:
-        loaded = self._loaded
+        loaded, stop = self._loaded, measured.capture.stop
         models = [] if loaded is None else loaded[1].models
-        return records_from_result(
+        record = records_from_result(
             round_key,
-            measured,
-            key=new_key(),
-            position_sd_m=POSITION_SD_M,
+            [measured],
+            position_sd_m=MIDDLE_SD_M,
             images=store.images,
             artifacts=artifact_records(options, models, loaded[2] if loaded else None),
             failures=failures,
             length=options.length,
         )
+        pose = pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side))
+        captures = tuple(
+            replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
+            for one in record.captures
+        )
+        pose_row = tuple(np.round(pose, 9).ravel().tolist())
+        return replace(record, captures=captures, pose=pose_row)
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Draw the mask of the fruit that somebody pointed at.
@@ -169,7 +196,9 @@ class Measurer:
         fruit = measure_fruit(capture, instance, options.methods, options.selector)
         (row,) = capture_rows(capture, [fruit], options, site)
         corrected = fruit_record(capture, record.number, fruit, row, options.length)
-        return store.correct(detail.view.key, corrected)
+        stop = detail.stop
+        pose = pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side))
+        return store.correct(detail.view.key, placed_fruit(corrected, pose))
 
     def _tools(self, options: MeasureOptions) -> tuple[Finder, SiteCalibration | None]:
         with self._lock:

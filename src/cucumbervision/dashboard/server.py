@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 from importlib.util import find_spec
 from pathlib import Path
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 
-__all__ = ["is_local", "serve", "server_arguments"]
+__all__ = ["serve", "server_arguments"]
 
 APP = Path(__file__).with_name("app.py")
-
-
-def is_local(address: str) -> bool:
-    """Say whether only this machine can reach an address.
-
-    Examples
-    --------
-    >>> is_local("127.0.0.1"), is_local("localhost"), is_local("0.0.0.0"), is_local("10.0.0.7")
-    (True, True, False, False)
-    """
-    if address == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
@@ -85,8 +68,10 @@ def serve(
     ------
     MissingExtraError
         If Streamlit is not installed.
+    AccessError
+        If the address can be reached from other machines, and no login is set up.
     CucumberVisionError
-        If the address can be reached from other machines: that needs a login.
+        If the replay is not there.
     """
     from cucumbervision.dashboard.variables import (
         IMAGES_VARIABLE,
@@ -96,13 +81,9 @@ def serve(
 
     if find_spec("streamlit") is None:
         raise MissingExtraError("streamlit", "dashboard")
-    if not is_local(address):
-        raise CucumberVisionError(
-            "others could reach this address, and the dashboard has no login",
-            source=f"--address {address}",
-            remedy="leave --address out, and reach it from elsewhere through SSH or a proxy "
-            "with a login",
-        )
+    from cucumbervision.dashboard.login import login_of
+
+    login_of(address)
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
     given = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import streamlit as st
 from cucumbervision.agronomy.profile_files import load_profile
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.dashboard.jobs import Job, Worker
-from cucumbervision.dashboard.lists import RoundLists, read_lists, round_forecast, round_version
+from cucumbervision.dashboard.lists import RoundLists, read_lists, round_version
 from cucumbervision.dashboard.live import CameraFeed, Feed, Replay
 from cucumbervision.dashboard.measuring import Measurer
 from cucumbervision.dashboard.settings import (
@@ -28,6 +29,8 @@ from cucumbervision.dashboard.variables import (
 )
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
+from cucumbervision.rounds.outlook import forecast_for
+from cucumbervision.rounds.service import merge_round
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
 
@@ -45,15 +48,18 @@ __all__ = [
     "fruit_detail",
     "lists_of",
     "measurer",
+    "merge",
     "options",
     "prepare",
     "profile",
     "registry",
+    "replay_named",
     "replay_path",
     "save_settings",
     "settings",
     "store",
     "thumbnail",
+    "where",
     "worker",
 ]
 
@@ -61,20 +67,21 @@ DEMONSTRATION = "Demonstration (simulated captures)"
 KEPT = 8  # rounds, forecasts or fruit that are held at once
 
 
-def _where() -> str:
+def where() -> str:
+    """Give where the store is."""
     return os.environ.get(STORE_VARIABLE) or default_store()
 
 
 @st.cache_resource(show_spinner="Opening the store …")
-def _store(where: str, images: str) -> Store:
-    if "://" not in where:
-        Path(where).parent.mkdir(parents=True, exist_ok=True)
-    return open_store(where, images=Path(images) if images else None)
+def _store(place: str, images: str) -> Store:
+    if "://" not in place:
+        Path(place).parent.mkdir(parents=True, exist_ok=True)
+    return open_store(place, images=Path(images) if images else None)
 
 
 def store() -> Store:
     """Give the store that all viewers work on."""
-    return _store(_where(), os.environ.get(IMAGES_VARIABLE, ""))
+    return _store(where(), os.environ.get(IMAGES_VARIABLE, ""))
 
 
 @st.cache_resource(show_spinner=False)
@@ -106,6 +113,11 @@ def _replay(path: str, burst: int) -> Replay:
     return Replay(Path(path), burst)
 
 
+def replay_named() -> bool:
+    """Say whether the command named a replay: it is then shown first."""
+    return bool(os.environ.get(REPLAY_VARIABLE))
+
+
 def replay_path() -> Path:
     """Give what is replayed where no camera is: as the command says, or the bundled captures."""
     if chosen := os.environ.get(REPLAY_VARIABLE):
@@ -133,12 +145,12 @@ def _kept_settings(path: str) -> dict[str, Settings]:
 
 def settings() -> Settings:
     """Give the settings, the same for all viewers."""
-    return _kept_settings(str(settings_file(_where())))["now"]
+    return _kept_settings(str(settings_file(where())))["now"]
 
 
 def save_settings(chosen: Settings) -> None:
     """Keep settings from now on."""
-    path = settings_file(_where())
+    path = settings_file(where())
     _kept_settings(str(path))["now"] = chosen
     write_settings(chosen, path)
 
@@ -159,9 +171,30 @@ def profile(one: RoundView) -> CropProfile:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
-def _lists(version: tuple[object, ...], named: str, where: str) -> RoundLists:
-    del where
+def _lists(version: tuple[object, ...], named: str, place: str) -> RoundLists:
+    del place
     return read_lists(store(), str(version[0]), _profile(named))
+
+
+@st.cache_resource(show_spinner=False)
+def _mergings() -> Counter[str]:
+    return Counter()
+
+
+def merge(round_key: str) -> None:
+    """Find the views of a round that are one fruit, beside the pages."""
+
+    def work(job: Job) -> None:
+        job.total = 1
+        merge_round(store(), round_key)
+        _mergings()[round_key] += 1
+        job.step()
+
+    worker().submit("Merging views of the same fruit", work)
+
+
+def _version(one: RoundView) -> tuple[object, ...]:
+    return (*round_version(store(), one), _mergings()[one.key])
 
 
 def _named(one: RoundView) -> str:
@@ -175,28 +208,29 @@ def _named(one: RoundView) -> str:
 
 def lists_of(one: RoundView) -> RoundLists:
     """Give a round's fruit and grades; read again only when something changed."""
-    return _lists(round_version(store(), one), _named(one), _where())
+    return _lists(_version(one), _named(one), where())
 
 
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600)
-def _forecast(version: tuple[object, ...], named: str, where: str) -> Forecast:
-    return round_forecast(_lists(version, named, where), _profile(named))
+def _forecast(version: tuple[object, ...], named: str, place: str) -> Forecast:
+    del place
+    return forecast_for(store(), str(version[0]), _profile(named))
 
 
 def forecast_of(one: RoundView) -> Forecast:
     """Give a round's forecast; computed again only when something changed."""
-    return _forecast(round_version(store(), one), _named(one), _where())
+    return _forecast(_version(one), _named(one), where())
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
-def _detail(fruit_key: str, version: tuple[object, ...], where: str) -> FruitDetail:
-    del version, where
+def _detail(fruit_key: str, version: tuple[object, ...], place: str) -> FruitDetail:
+    del version, place
     return store().one_fruit(fruit_key)
 
 
 def fruit_detail(one: RoundView, fruit_key: str) -> FruitDetail:
     """Give one fruit with everything."""
-    return _detail(fruit_key, round_version(store(), one), _where())
+    return _detail(fruit_key, _version(one), where())
 
 
 @st.cache_data(show_spinner=False, max_entries=2000)
@@ -217,8 +251,8 @@ def thumbnail(sha256: str, box: tuple[float, ...], width_px: int) -> str:
 
 
 @st.cache_resource(show_spinner=False)
-def _prepared(where: str) -> Job | None:
-    del where
+def _prepared(place: str) -> Job | None:
+    del place
     if store().rounds():
         return worker().submit("Loading the networks", _warm)
     record = RoundRecord(key_of("demonstration"), DEMONSTRATION, profile=settings().profile)
@@ -228,7 +262,7 @@ def _prepared(where: str) -> Job | None:
 
 def prepare() -> Job | None:
     """Begin what makes the first capture quick; an empty store gets the bundled round."""
-    return _prepared(_where())
+    return _prepared(where())
 
 
 def _demonstrate(job: Job) -> None:
@@ -239,6 +273,7 @@ def _demonstrate(job: Job) -> None:
     for ref in source:
         taken = measurer().take_stop(store(), key_of("demonstration"), ref.load(), options())
         job.step(taken.note)
+    merge(key_of("demonstration"))
 
 
 def _warm(job: Job) -> None:

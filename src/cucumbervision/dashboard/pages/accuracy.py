@@ -1,12 +1,33 @@
-"""Accuracy: lengths measured by hand beside the program's."""
+"""Accuracy: lengths measured by hand beside the program's, and a calibration from them."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import streamlit as st
 
-from cucumbervision.dashboard import parts
+from cucumbervision.calibration.calibration_file import write_site_calibration
+from cucumbervision.dashboard import parts, shared
+from cucumbervision.dashboard.hand_truth import (
+    hand_file,
+    hand_lengths,
+    measured_round,
+    write_hand_lengths,
+)
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.evaluation.own_truth import OwnTruth, evaluate_lengths
+from cucumbervision.evaluation.site_calibration import calibrate_lengths
+from cucumbervision.evaluation.truth import read_truth
+from cucumbervision.measurement.results import Length
+
+if TYPE_CHECKING:
+    from cucumbervision.dashboard.lists import RoundLists
+    from cucumbervision.store.views import FruitView, RoundView
 
 __all__ = ["page"]
+
+LINES = 30
 
 
 def page() -> None:
@@ -14,3 +35,108 @@ def page() -> None:
     one = parts.pick_round()
     if one is None:
         st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
+        return
+    lists = shared.lists_of(one)
+    fruit = [view for view in lists.fruit if view.record.length_m is not None]
+    if not fruit:
+        st.info("This round has no measured fruit yet.", icon=":material/straighten:")
+        return
+    st.write(
+        "Measure some fruit by hand and write the lengths here: the table below then says how far "
+        "off each method is on your fruit. Measure some of them twice, without looking at the "
+        "first figure: no method can be shown to be better than the hand."
+    )
+    path = hand_file(shared.where(), one.key)
+    _table(fruit, path)
+    if path.exists():
+        _scores(one, lists, path)
+
+
+def _table(fruit: list[FruitView], path: Path) -> None:
+    units = shared.settings().units
+    known = hand_lengths(path, fruit)
+    pages = -(-len(fruit) // LINES)
+    number = st.number_input(f"Page of {pages}", 1, pages) if pages > 1 else 1
+    shown = fruit[(int(number) - 1) * LINES : int(number) * LINES]
+    kind = st.segmented_control(
+        "Measured by hand",
+        list(Length),
+        format_func=lambda x: str(x).capitalize(),
+        default=Length.THREAD,
+        required=True,
+        help="Thread: laid over the outer side, from end to end. Chord: with calipers.",
+    )
+    lines = [_line(view, known.get(view.key, (None, None))) for view in shown]
+    edited: list[dict[str, Any]] = st.data_editor(
+        lines,
+        hide_index=True,
+        row_height=56,
+        disabled=["Picture", "Fruit", "Program"],
+        column_config={
+            "Picture": st.column_config.ImageColumn("", width="small"),
+            "Program": st.column_config.NumberColumn(f"Program [{units.name}]", format="%.1f"),
+            "First": st.column_config.NumberColumn(
+                f"By hand [{units.name}]", min_value=0.5, max_value=100.0, format="%.2f"
+            ),
+            "Second": st.column_config.NumberColumn(
+                f"Again [{units.name}]", min_value=0.5, max_value=100.0, format="%.2f"
+            ),
+        },
+        key=f"hand_{path.stem}_{number}",
+    )
+    if st.button("Save these lengths", type="primary", icon=":material/save:"):
+        for view, line in zip(shown, edited, strict=True):
+            known[view.key] = _metres(line["First"]), _metres(line["Second"])
+        write_hand_lengths(path, fruit, known, kind or Length.THREAD)
+        st.rerun()
+
+
+def _line(view: FruitView, known: tuple[float | None, float | None]) -> dict[str, Any]:
+    units = shared.settings().units
+    along = "" if view.along_m is None else f", {view.along_m:.2f} m"
+    return {
+        "Picture": parts.thumbnail_of(view),
+        "Fruit": f"Row {view.row or '?'}{along}, no. {view.record.number} of {view.capture}",
+        "Program": units.value(view.record.length_m),
+        "First": units.value(known[0]),
+        "Second": units.value(known[1]),
+    }
+
+
+def _metres(value: float | None) -> float | None:
+    return None if value is None else shared.settings().units.metres(float(value))
+
+
+def _scores(one: RoundView, lists: RoundLists, path: Path) -> None:
+    measured = measured_round(shared.store(), one.key, lists.methods)
+    truth = read_truth(path)
+    found: OwnTruth = evaluate_lengths(measured, truth)
+    st.subheader("How far off")
+    lines = [
+        {
+            "Method": score.method,
+            "Against": str(score.kind),
+            "Fruit": score.fruit,
+            "Mean error": f"{score.metrics.mape_percent:.1f} %",
+            "95 %": "needs 3 fruit"
+            if score.low_percent != score.low_percent
+            else f"{score.low_percent:.1f} to {score.high_percent:.1f} %",
+        }
+        for score in found.scores
+    ]
+    st.dataframe(lines, hide_index=True, row_height=40)
+    for note in found.notes:
+        st.caption(note)
+    st.subheader("Calibrate this site")
+    name = st.text_input("Name of the calibration", "my house")
+    if st.button("Calibrate with these lengths", icon=":material/target:"):
+        try:
+            site = calibrate_lengths(measured, truth, name.strip() or "my house")
+            out = path.with_name(f"{path.stem}.calibration.json")
+            write_site_calibration(out, site)
+        except CucumberVisionError as error:
+            st.error(str(error), icon=":material/error:")
+        else:
+            st.success(
+                f"Written to {out}. Name it in 'Settings' to use it.", icon=":material/check:"
+            )

@@ -46,26 +46,26 @@ def page() -> None:
 
 
 def _source() -> str:
-    first = "replay" if "source" not in st.session_state and _no_camera() else None
-    if first:
-        st.session_state["source"] = first
-    chosen = st.segmented_control(
+    state = st.session_state
+    if state.pop("no_camera", False):
+        state["source"] = "replay"
+        st.info("No camera was found, so the replay is shown.", icon=":material/videocam_off:")
+    state.setdefault("source", "replay" if shared.replay_named() else "camera")
+    chosen: str = st.segmented_control(
         "Pictures from",
         ["camera", "replay"],
         format_func={"camera": "Camera", "replay": "Replay"}.__getitem__,
         key="source",
-        default=None if "source" in st.session_state else "camera",
         required=True,
         width="stretch",
+        on_change=_source_chosen,
     )
-    return chosen or "replay"
+    return chosen
 
 
-def _no_camera() -> bool:
-    """Say whether there is surely no camera: none is asked for while the driver is missing."""
-    from importlib.util import find_spec
-
-    return find_spec("pyrealsense2") is None or shared.camera().look().state == "absent"
+def _source_chosen() -> None:
+    st.session_state["source_chosen"] = True
+    shared.camera().retry()
 
 
 def _place() -> None:
@@ -137,6 +137,9 @@ def _how() -> None:
 def _preview(kind: str) -> None:
     seen = shared.feed(kind).look()
     if seen.state == "absent":
+        if kind == "camera" and not st.session_state.get("source_chosen"):
+            st.session_state["no_camera"] = True
+            st.rerun()
         _absent(kind, seen)
         return
 

@@ -9,6 +9,7 @@ import streamlit as st
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.work import plan_work
 from cucumbervision.dashboard import charts, parts, shared
+from cucumbervision.dashboard.charts import day_name
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
@@ -43,7 +44,7 @@ def _days(found: Forecast) -> None:
     st.altair_chart(charts.forecast_chart(found))
     lines = []
     for day in found.days.tolist():
-        line: dict[str, str] = {"Day": "today" if day == 0 else f"in {day} days"}
+        line: dict[str, str] = {"Day": day_name(day)}
         for k, name in enumerate(found.classes):
             expected, low, high = (
                 getattr(found.house, end)[day, k] for end in ("expected", "low", "high")
@@ -110,7 +111,7 @@ def _work(found: Forecast) -> None:
     lines = []
     for day in plan_work(found, chosen.rates):
         line = {
-            "Day": "today" if day.day == 0 else f"in {day.day} days",
+            "Day": day_name(day.day),
             "Fruit": f"{day.fruit.expected:.0f} ({day.fruit.low:.0f} to {day.fruit.high:.0f})",
             "Hours": f"{day.hours.expected:.1f} ({day.hours.low:.1f} to {day.hours.high:.1f})",
         }

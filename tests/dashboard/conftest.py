@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.dashboard.measuring import Measurer
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.session.options import MeasureOptions
+from cucumbervision.store.records import RoundRecord, StopRecord, key_of
+from cucumbervision.store.repository import Store, open_store
+from cucumbervision.synthesis.demo import bundled_captures
+
+WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
+LONG = RoundRecord(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
+FRUIT_PER_STOP = 5
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with one round: the bundled captures, measured on their own masks."""
+    path = tmp_path_factory.mktemp("made") / "house.db"
+    measurer = Measurer(load_registry())
+    with open_store(path) as store:
+        store.save_round(WALK)
+        for ref in open_source(bundled_captures()):
+            measurer.take_stop(store, WALK.key, ref.load(), MeasureOptions(instances="auto"))
+    return path
+
+
+@pytest.fixture
+def house(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same, to be changed; the dashboard's pages open it."""
+    path = tmp_path / "house.db"
+    shutil.copyfile(made, path)
+    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    monkeypatch.setenv("CUCUMBERVISION_STORE", str(path))
+    monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(bundled_captures()))
+    return path
+
+
+@pytest.fixture
+def store(house: Path) -> Iterator[Store]:
+    with open_store(house) as opened:
+        yield opened
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Twenty-two frames, recorded by the SDK; as in the tests of the readers."""
+    pytest.importorskip("pyrealsense2")
+    path = Path(__file__).parents[1] / "capture" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("capture_conftest", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return Path(module.record(tmp_path / "walk.db3", 22))
+
+
+def long_round(store: Store, template: StopRecord, stops: int) -> None:
+    """Save a round of many stops, each with five fruit of drawn lengths, in four rows."""
+    rng = np.random.default_rng(5)
+    store.save_round(LONG)
+    capture = template.captures[0]
+    for number in range(stops):
+        row, at = divmod(number, max(1, stops // 4))
+        fruit = []
+        for k in range(FRUIT_PER_STOP):
+            one = capture.fruit[k % len(capture.fruit)]
+            length_m = float(rng.normal(0.26, 0.05))
+            fruit.append(
+                replace(
+                    one,
+                    number=k + 1,
+                    length_m=length_m,
+                    thread_m=length_m,
+                    interval_low_m=0.98 * length_m,
+                    interval_high_m=1.02 * length_m,
+                    centre_y_m=float(rng.uniform(-0.4, 0.4)),
+                    offset_m=float(rng.uniform(-0.2, 0.2)),
+                )
+            )
+        store.save_stop(
+            replace(
+                template,
+                key=key_of("long", number),
+                round_key=LONG.key,
+                row=str(row + 1),
+                position_m=round(0.4 * at, 2),
+                step=number + 1,
+                taken_s=1_700_100_000.0 + 10 * number,
+                captures=(replace(capture, fruit=tuple(fruit)),),
+            )
+        )
+
+
+@pytest.fixture(scope="session")
+def make_long() -> Callable[[Store, StopRecord, int], None]:
+    """Give `long_round`."""
+    return long_round

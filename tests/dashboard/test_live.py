@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.camera import CameraConfig
+from cucumbervision.capture.frames import Stop
+from cucumbervision.dashboard.live import CameraFeed, Look, Replay
+from cucumbervision.errors import CameraError, CaptureError
+from cucumbervision.synthesis.demo import bundled_captures
+
+
+def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Look:
+    until = time.monotonic() + 20
+    while time.monotonic() < until:
+        look = feed.look()
+        if look.state == state and look.number != other_than:
+            return look
+        time.sleep(0.02)
+    raise AssertionError(f"never '{state}', but {feed.look()}")
+
+
+def test_a_replay_shows_what_it_takes_and_begins_again_at_its_end() -> None:
+    replay = Replay(bundled_captures())
+    names = []
+    for _ in range(4):
+        shown = wait_for(replay, "replay")
+        assert shown.capture is not None
+        assert shown.health is not None
+        taken = replay.take(5, Stop("7", "left", 1.5, 3))
+        assert taken.name == shown.capture.name
+        assert taken.stop == Stop("7", "left", 1.5, 3)
+        names.append(taken.name)
+    assert names == ["simulated-bench", "simulated-row-a", "simulated-row-b", "simulated-bench"]
+
+
+def test_a_replay_with_nothing_readable_says_so(tmp_path: Path) -> None:
+    broken = tmp_path / "one"
+    broken.mkdir()
+    (broken / "capture.json").write_text("{")
+    replay = Replay(tmp_path)
+    assert "capture.json" in wait_for(replay, "absent").message
+    with pytest.raises(CaptureError, match=r"capture\.json"):
+        replay.take(1, Stop())
+
+
+def test_frames_of_the_camera_become_one_capture(recording: Path) -> None:
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0))
+    taken = feed.take(5, Stop("2", "right", 0.8, 1))
+    feed.close()
+    # The block is 450 mm away and 1 mm farther each frame; the third frame is the sharpest.
+    assert taken.burst_size == 5
+    assert taken.burst_frame == 2
+    assert taken.stop.row == "2"
+    block = taken.depth_m[(taken.depth_m > 0.4) & (taken.depth_m < 0.5)]
+    assert np.median(block) == pytest.approx(0.452, abs=1e-4)
+
+
+def test_the_camera_is_released_when_nobody_looks(recording: Path) -> None:
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), unwatched_s=0.0)
+    feed.look()
+    until = time.monotonic() + 10
+    while feed.open and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not feed.open
+
+
+def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -> None:
+    rs = pytest.importorskip("pyrealsense2")
+    if len(rs.context().query_devices()):
+        pytest.skip("a camera is connected")
+    feed = CameraFeed(CameraConfig(warm_up=0, timeout_s=0.5))
+    absent = wait_for(feed, "absent")
+    assert "camera" in absent.message
+    with pytest.raises(CameraError):
+        feed.take(1, Stop())
+    assert not feed.open
+    feed.retry()
+    assert wait_for(feed, "absent", other_than=absent.number).number > absent.number

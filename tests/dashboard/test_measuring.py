@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.readers import open_source
+from cucumbervision.dashboard.measuring import Measurer, stored_capture
+from cucumbervision.errors import InstancesError
+from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.session.options import MeasureOptions
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import Store
+from cucumbervision.synthesis.demo import SCENES, bundled_captures, place
+
+OPTIONS = MeasureOptions(instances="auto")
+WALK = key_of("walk")
+
+
+@pytest.fixture(scope="module")
+def measurer() -> Measurer:
+    return Measurer(load_registry())
+
+
+def test_a_stop_is_saved_with_its_fruit_where_they_hang(store: Store, measurer: Measurer) -> None:
+    capture = next(iter(open_source(bundled_captures()))).load()
+    one = RoundRecord(key_of("other"))
+    store.save_round(one)
+    spots = Stop("4", "left", 2.0, 1), Stop("4", "right", 2.0, 2)
+    for spot in spots:
+        taken = measurer.take_stop(store, one.key, replace(capture, stop=spot), OPTIONS)
+        assert not taken.note
+    left, right = (
+        [v for v in store.fruit(one.key) if v.side == side] for side in ("left", "right")
+    )
+    # The first fruit of the bench lies 16 cm left of the camera: behind it where the row is on
+    # the left, before it on the right.
+    assert left[0].along_m == pytest.approx(2.0 - 0.16, abs=0.01)
+    assert right[0].along_m == pytest.approx(2.0 + 0.16, abs=0.01)
+
+
+def test_what_cannot_be_measured_is_saved_with_the_reason(store: Store, measurer: Measurer) -> None:
+    capture = replace(next(iter(open_source(bundled_captures()))).load(), masks=())
+    options = replace(OPTIONS, instances="dataset")
+    taken = measurer.take_stop(store, WALK, capture, options)
+    assert "no masks" in taken.note
+    stop = store.stop(taken.key)
+    assert stop.captures[0].color is not None
+    assert stop.failures[0]["code"] == "InstancesError"
+
+
+def test_a_stored_capture_is_the_frame_again(store: Store) -> None:
+    first = next(iter(open_source(bundled_captures()))).load()
+    stop = next(
+        s for v in store.stops(WALK) if (s := store.stop(v.key)).captures[0].name == first.name
+    )
+    again = stored_capture(store.images, stop.captures[0], stop)
+    assert (again.color == first.color).all()
+    assert np.abs(again.depth_m - first.depth_m).max() <= 0.00006
+    assert again.intrinsics == first.intrinsics
+    with pytest.raises(InstancesError, match="not kept"):
+        stored_capture(store.images, replace(stop.captures[0], color=None), stop)
+
+
+def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Measurer) -> None:
+    bench = [v for v in store.fruit(WALK) if v.capture == "simulated-bench"]
+    detail = store.one_fruit(bench[2].key)
+    record = detail.view.record
+    assert record.mask is not None
+    capture = stored_capture(store.images, detail.capture, detail.stop)
+    true = decode_rle(record.mask, capture.height, capture.width)
+    ys, xs = np.nonzero(true)
+    box = (xs.min() - 3.0, ys.min() - 3.0, xs.max() + 3.0, ys.max() + 3.0)
+    tapped = measurer.mask_from_click(capture, (float(np.median(xs)), float(np.median(ys))))
+    boxed = measurer.mask_from_box(capture, box)
+    for mask in (tapped, boxed):
+        assert (mask & true).sum() / (mask | true).sum() > 0.9
+    measurer.correct(store, detail, boxed, OPTIONS)
+    (now,) = [v for v in store.fruit(WALK) if v.key == detail.view.key]
+    assert now.corrected
+    assert now.record.mask_source == MaskSource.SAM
+    thread_m = place(SCENES[2].fruit[2]).thread_m
+    assert now.record.thread_m == pytest.approx(thread_m, rel=0.06)
+    assert now.along_m == pytest.approx(bench[2].along_m, abs=0.01)
+    store.undo(WALK)
+    assert not store.one_fruit(detail.view.key).view.corrected

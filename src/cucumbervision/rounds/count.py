@@ -25,7 +25,7 @@ __all__ = ["FruitCount", "count_fruit", "estimate_count", "times_shown"]
 MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
 SEEN, SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
 FALSE, FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
-STEPS = 50
+STEPS = 400  # where much is hidden, it converges slowly
 
 
 @dataclass(frozen=True, eq=False)

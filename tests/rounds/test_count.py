@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cucumbervision.rounds.count import estimate_count, times_shown
+from cucumbervision.rounds.merge import NO_PAIRS, Merged
+from cucumbervision.rounds.row_views import RowStops, RowViews
+from cucumbervision.rounds.shifts import prior_stops
+
+
+def test_captures_that_could_show_a_fruit() -> None:
+    # Cameras at 0, 0.4 and 0.8 m see 0.7 tan = 0.35 m to either side, less 3 cm of margin.
+    at_m = np.zeros((3, 3))
+    at_m[:, 0] = 0.0, 0.4, 0.8
+    stops = RowStops(at_m, np.full((3, 3), 0.03), np.zeros(3, int), np.full((3, 2), 0.5))
+    # One fruit at 0.2 m, seen by the first two; one at 0.35 m, seen by the second alone.
+    offset = np.array([[0.2, 0, 0.7], [-0.2, 0, 0.7], [-0.05, 0, 0.7], [0.5, 0.0, 0.7]])
+    ones = np.ones(4)
+    stop = np.array([0, 1, 1, 2])
+    views = RowViews(stop, stop, offset, np.full((4, 3), 0.01), *[ones] * 4, ones > 2, ones, ones)
+    cluster = np.array([0, 0, 1, 2])
+    merged = Merged(cluster, prior_stops(stops), NO_PAIRS, np.zeros(0))
+    assert times_shown(merged, stops, views).tolist() == [2, 1, 0]
+
+
+def test_nothing_found_is_nothing() -> None:
+    none = np.zeros(0, np.int64)
+    found = estimate_count(none, none, np.zeros(0), np.zeros(0))
+    assert (found.expected, found.sd) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("q", [0.6, 0.95])
+def test_share_seen_again_is_learnt(q: float) -> None:
+    rng = np.random.default_rng(1)
+    seen = rng.binomial(3, q, 4000)
+    seen = np.append(seen[seen > 0], np.ones(100, int))  # and a hundred that are invented
+    score = np.full(len(seen), 0.8)
+    found = estimate_count(seen, np.full(len(seen), 3), score, np.zeros(0))
+    assert found.seen_again == pytest.approx(q, abs=0.02)
+    assert found.expected == pytest.approx(4000, abs=4 * found.sd)
+    assert found.sd < 100

@@ -3,6 +3,7 @@ from __future__ import annotations
 import importlib.util
 import io
 import os
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -136,3 +137,18 @@ def test_an_upload_limit_reaches_the_player(walk: Path, tmp_path: Path) -> None:
     got = accept_uploads([("walk.db3", walk)], tmp_path, limits)
     assert got.sources[0].open().total == 1
     assert "more than 1 captures" in str(got.refused[0].error)
+
+
+@posix
+def test_it_sees_no_network_where_the_system_allows(tmp_path: Path) -> None:
+    listener = socket.create_server(("127.0.0.1", 0))
+    code = (
+        "from cucumbervision.intake.player import leave_network; import socket; "
+        "sys.exit(9) if not leave_network() else None; "
+        f"socket.create_connection(('127.0.0.1', {listener.getsockname()[1]}), 5)"
+    )
+    faults = run(code, tmp_path)
+    listener.close()
+    if "exit code 9" in faults[0]:
+        pytest.skip("user namespaces are off here")
+    assert faults == ["a.bag: broke the player (exit code 1); copy or record it again"]

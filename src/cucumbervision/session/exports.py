@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.session.rows import Cell
 
-__all__ = ["FAILURE_COLUMNS", "CsvSink", "write_json", "write_workbook"]
+__all__ = ["FAILURE_COLUMNS", "CsvSink", "cell_value", "write_json", "write_workbook"]
 
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
 HEAD_COLOR = "#2F6B3A"
@@ -50,7 +50,7 @@ class CsvSink:
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Append one row; texts are defused, None leaves the cell empty."""
-        self._writer.writerow([_cell(row[name]) for name in self._columns])
+        self._writer.writerow([cell_value(row[name]) for name in self._columns])
         self._stream.flush()
 
     def __enter__(self) -> Self:
@@ -65,7 +65,14 @@ class CsvSink:
         self._stream.close()
 
 
-def _cell(value: Cell) -> str | int | float | None:
+def cell_value(value: Cell) -> str | int | float | None:
+    """Give what a spreadsheet's cell holds: texts defused, true and false as words.
+
+    Examples
+    --------
+    >>> cell_value("@home"), cell_value(True), cell_value(-1.5)
+    ("'@home", 'true', -1.5)
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     return defused(value) if isinstance(value, str) else value
@@ -122,7 +129,7 @@ def _fruit_sheet(book: Any, rows: Sequence[Mapping[str, Cell]], head: Any) -> No
         sheet.write_string(0, index, title.replace("_", " "), head)
         sheet.set_column(index, index, 12, two_digits if column.unit == "cm" else None)
         for line, row in enumerate(rows, start=1):
-            _write(sheet, line, index, _cell(row[column.name]))
+            _write(sheet, line, index, cell_value(row[column.name]))
     sheet.set_row(0, 32)
     sheet.freeze_panes(1, 3)
     sheet.autofilter(0, 0, max(len(rows), 1), len(COLUMNS) - 1)

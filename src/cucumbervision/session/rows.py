@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "Column", "defused", "fruit_row"]
 
 Cell = str | int | float | bool | None
+_FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 DENSITY_KG_M3 = 960.0  # an assumption for cucumbers, until a crop profile says better
 
 
@@ -85,14 +86,14 @@ def defused(text: str) -> str:
     """Make a text harmless that a spreadsheet would run as a formula.
 
     A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
-    injection).
+    injection), as do their full-width forms, which some spreadsheets read alike.
 
     Examples
     --------
     >>> defused("=1+1"), defused("row 3")
     ("'=1+1", 'row 3')
     """
-    return f"'{text}" if text[:1] in {"=", "+", "-", "@", "\t", "\r", "\n"} else text
+    return f"'{text}" if text[:1] in _FORMULA_STARTS else text
 
 
 def fruit_row(

@@ -29,6 +29,7 @@ from cucumbervision.evaluation.eyes.worst import KINDS, draw_sheet, worst_cases
 from cucumbervision.evaluation.report import HTML_NAME, render_page
 from cucumbervision.evaluation.sections import Picture, Section
 from cucumbervision.session.exports import write_json
+from cucumbervision.session.rows import defused
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -341,4 +342,6 @@ def _write_lengths(path: Path, records: Sequence[Record]) -> None:
 def _cell(value: Any) -> Any:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
+    if isinstance(value, str):
+        return defused(value)
     return round(value, 6) if isinstance(value, float) else value

@@ -131,7 +131,7 @@ class _Writer:
             sheet.write_number(line, at, cell, self.number(column))
         elif column.name == "picture":
             # Named by hash: nothing of a stranger's is in it.
-            sheet.write_url(line, at, f"external:{cell}", self.link, "picture")
+            sheet.write_url(line, at, str(cell), self.link, "picture")
         else:
             sheet.write_string(line, at, str(cell_value(cell)))
 

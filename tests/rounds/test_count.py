@@ -18,7 +18,9 @@ def test_captures_that_could_show_a_fruit() -> None:
     offset = np.array([[0.2, 0, 0.7], [-0.2, 0, 0.7], [-0.05, 0, 0.7], [0.5, 0.0, 0.7]])
     ones = np.ones(4)
     stop = np.array([0, 1, 1, 2])
-    views = RowViews(stop, stop, offset, np.full((4, 3), 0.01), *[ones] * 4, ones > 2, ones, ones)
+    views = RowViews(
+        stop, stop, offset, np.full((4, 3), 0.01), ones, ones, ones, ones, ones > 2, ones, ones
+    )
     cluster = np.array([0, 0, 1, 2])
     merged = Merged(cluster, prior_stops(stops), NO_PAIRS, np.zeros(0))
     assert times_shown(merged, stops, views).tolist() == [2, 1, 0]

@@ -7,7 +7,7 @@ import struct
 import zipfile
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 from cucumbervision.errors import UploadError
 from cucumbervision.intake.names import clean_name, is_clutter, member_path
@@ -187,7 +187,7 @@ def _check_sizes(size: int, packed: int, shown: str, source: str, limits: Limits
 
 
 def _copy(
-    packed: BinaryIO | zipfile.ZipExtFile,
+    packed: IO[bytes],
     unpacked: BinaryIO,
     member: zipfile.ZipInfo,
     limits: Limits,

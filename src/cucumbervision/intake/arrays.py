@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tokenize
 import zipfile
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING
 
 from numpy.lib import format as npy
 
@@ -79,7 +79,7 @@ def check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:
     return frozenset(member.filename.removesuffix(".npy") for member in members)
 
 
-def _check_array(stream: BinaryIO, size: int, limits: Limits, source: str) -> None:
+def _check_array(stream: IO[bytes], size: int, limits: Limits, source: str) -> None:
     try:
         version = npy.read_magic(stream)
         read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]

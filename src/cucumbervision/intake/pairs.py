@@ -99,7 +99,9 @@ def sort_pairs(desk: Desk) -> None:
     groups: dict[PurePosixPath | None, list[tuple[Item, Item]]] = {}
     for key in sorted(colors.keys() & depths.keys()):
         document = desk.intrinsics_for(colors[key].name)
-        groups.setdefault(document and document.name, []).append((colors[key], depths[key]))
+        groups.setdefault(document.name if document else None, []).append(
+            (colors[key], depths[key])
+        )
     for name, pairs in groups.items():
         _write_pairs(desk, None if name is None else desk.left[name], pairs)
 

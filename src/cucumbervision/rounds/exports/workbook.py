@@ -83,8 +83,8 @@ class _Writer:
         sheet.set_column(2, 2, 8)
         sheet.set_column(3, 3, 52)
         sheet.write_string(0, 0, str(cell_value(tables.title)), self.bold)
-        for column, text in enumerate(("what", "value", "unit", "what it says")):
-            sheet.write_string(1, column, text, self.head)
+        for at, text in enumerate(("what", "value", "unit", "what it says")):
+            sheet.write_string(1, at, text, self.head)
         sheet.freeze_panes(2, 0)
         line = 2
         for column, cell in zip(tables["summary"].columns, tables["summary"].rows[0], strict=True):
@@ -131,7 +131,7 @@ class _Writer:
             sheet.write_number(line, at, cell, self.number(column))
         elif column.name == "picture":
             # Named by hash: nothing of a stranger's is in it.
-            sheet.write_url(line, at, str(cell), self.link, "picture")
+            sheet.write_url(line, at, f"external:{cell}", self.link, "picture")
         else:
             sheet.write_string(line, at, str(cell_value(cell)))
 

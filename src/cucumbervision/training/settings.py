@@ -136,7 +136,9 @@ def stage_settings(
             "lr0": options.learning_rate * (1.0 if index == 0 else 0.5),
             "lrf": 0.1,
             "momentum": 0.9,
-            "warmup_epochs": 1.0,
+            # A later stage begins with weights that know the pictures: an epoch of warming up would
+            # be all of a stage of one.
+            "warmup_epochs": 1.0 if index == 0 else 0.0,
             "warmup_bias_lr": 0.0,
             "nbs": max(16, options.batch),
             "close_mosaic": min(3, max(1, stage.epochs // 3)),

@@ -10,7 +10,7 @@ def test_jobs_run_one_after_the_other_in_their_order() -> None:
     done: list[int] = []
     go = threading.Event()
     with Worker() as worker:
-        first = worker.submit("first", lambda job: (go.wait(5), done.append(1)))
+        first = worker.submit("first", lambda job: done.append(1) if go.wait(5) else None)
         second = worker.submit("second", lambda job: done.append(2))
         assert second.state is JobState.WAITING
         assert worker.unfinished() == [first, second]

@@ -77,6 +77,7 @@ def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -
     assert "camera" in absent.message
     with pytest.raises(CameraError):
         feed.take(1, Stop())
+    feed.close()
     assert not feed.open
     feed.retry()
     assert wait_for(feed, "absent", other_than=absent.number).number > absent.number

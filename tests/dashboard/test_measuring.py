@@ -50,7 +50,7 @@ def test_what_cannot_be_measured_is_saved_with_the_reason(store: Store, measurer
     assert "no masks" in taken.note
     stop = store.stop(taken.key)
     assert stop.captures[0].color is not None
-    assert stop.failures[0]["code"] == "InstancesError"
+    assert stop.failures[0]["error"] == "InstancesError"
 
 
 def test_a_stored_capture_is_the_frame_again(store: Store) -> None:

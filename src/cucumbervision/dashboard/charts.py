@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import altair as alt
 import numpy as np
-import pandas as pd
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,7 +13,15 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.dashboard.units import Units
 
-__all__ = ["class_colors", "day_name", "forecast_chart", "histogram", "map_chart", "method_chart"]
+__all__ = [
+    "class_colors",
+    "class_name",
+    "day_name",
+    "forecast_chart",
+    "histogram",
+    "map_chart",
+    "method_chart",
+]
 
 MANY = 40  # fruit from which narrow bars say more than they scatter
 GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
@@ -52,9 +59,10 @@ def day_name(day: int) -> str:
 
 def histogram(lines: list[dict[str, Any]], classes: Sequence[str], units: Units) -> alt.LayerChart:
     """Draw lengths by class, with a line at the mean and a band of one standard deviation."""
-    step = (1.0 if len(lines) >= MANY else 2.5) / (1 if units.name == "cm" else 2.5)
-    table = pd.DataFrame(lines)
-    mean, sd = float(table["length"].mean()), float(np.nan_to_num(table["length"].std()))
+    step = (1.0 if len(lines) >= MANY else 2.0) / (1 if units.name == "cm" else 2)
+    table = _data(lines)
+    lengths = np.array([line["length"] for line in lines], np.float64)
+    mean, sd = float(lengths.mean()), float(lengths.std(ddof=1)) if len(lengths) > 1 else 0.0
     bars = (
         alt.Chart(table)
         .mark_bar()
@@ -70,16 +78,17 @@ def histogram(lines: list[dict[str, Any]], classes: Sequence[str], units: Units)
             tooltip=[alt.Tooltip("count()", title="Fruit"), alt.Tooltip("class:N", title="Class")],
         )
     )
-    spread = pd.DataFrame([{"low": mean - sd, "high": mean + sd, "mean": mean}])
+    spread = _data([{"low": mean - sd, "high": mean + sd, "mean": mean}])
     band = alt.Chart(spread).mark_rect(opacity=0.12, color="#000").encode(x="low:Q", x2="high:Q")
     line = alt.Chart(spread).mark_rule(color="#000", strokeWidth=2).encode(x="mean:Q")
-    return (band + bars + line).properties(height=260)
+    chart: alt.LayerChart = (band + bars + line).properties(height=260)
+    return chart
 
 
 def method_chart(lines: list[dict[str, Any]], units: Units) -> alt.Chart:
     """Draw each method's lengths as boxes over their range."""
-    return (
-        alt.Chart(pd.DataFrame(lines))
+    chart: alt.Chart = (
+        alt.Chart(_data(lines))
         .mark_boxplot(extent="min-max", size=18, color="#5AAE61")
         .encode(
             x=alt.X("length:Q", title=f"Length [{units.name}]", scale=alt.Scale(zero=False)),
@@ -87,17 +96,22 @@ def method_chart(lines: list[dict[str, Any]], units: Units) -> alt.Chart:
         )
         .properties(height=260)
     )
+    return chart
 
 
 def map_chart(
-    lines: list[dict[str, Any]], classes: Sequence[str], units: Units, by_length: bool
-) -> alt.FacetChart:
-    """Draw fruit by position and height, a strip for each row and side."""
+    lines: list[dict[str, Any]],
+    shown: list[dict[str, Any]],
+    classes: Sequence[str],
+    units: Units,
+    by_length: bool,
+) -> alt.Chart:
+    """Draw the fruit of one row and side by position and height; strips go with each other."""
     color = (
         alt.Color(
             "length:Q",
             title=f"Length [{units.name}]",
-            scale=alt.Scale(scheme="viridis"),
+            scale=alt.Scale(scheme="viridis", domain=_ends(shown, "length")),
         )
         if by_length
         else alt.Color("class:N", scale=class_colors(classes), title=None)
@@ -110,12 +124,12 @@ def map_chart(
         alt.Tooltip("views:Q", title="Seen from stops"),
         alt.Tooltip("capture:N", title="Capture"),
     ]
-    points = (
-        alt.Chart(pd.DataFrame(lines))
+    chart: alt.Chart = (
+        alt.Chart(_data(lines))
         .mark_point(filled=True, size=90, opacity=0.85)
         .encode(
-            x=alt.X("along:Q", title="Along the row [m]", scale=alt.Scale(zero=False)),
-            y=alt.Y("height:Q", title="Above the camera [m]", scale=alt.Scale(zero=False)),
+            x=alt.X("along:Q", title="Along the row [m]", scale=_scale(shown, "along")),
+            y=alt.Y("height:Q", title="Height [m]", scale=_scale(shown, "height")),
             color=color,
             shape=alt.Shape(
                 "picked:N",
@@ -124,9 +138,23 @@ def map_chart(
             ),
             tooltip=tooltip,
         )
-        .properties(height=170, width="container")
+        .properties(height=200)
     )
-    return points.facet(row=alt.Row("row:N", title=None, header=alt.Header(labelFontSize=14)))
+    return chart
+
+
+def _data(lines: list[dict[str, Any]]) -> alt.Data:
+    return alt.Data(values=lines)
+
+
+def _ends(lines: list[dict[str, Any]], name: str) -> list[float]:
+    known = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
+    return [min(known), max(known)]
+
+
+def _scale(lines: list[dict[str, Any]], name: str) -> alt.Scale:
+    low, high = _ends(lines, name)
+    return alt.Scale(domain=[low - 0.05, high + 0.05], nice=False)
 
 
 def forecast_chart(found: Forecast) -> alt.LayerChart:
@@ -134,7 +162,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
     lines = [
         {
             "day": day_name(day),
-            "class": _named(found, k),
+            "class": class_name(found, k),
             "expected": float(found.house.expected[day, k]),
             "low": float(found.house.low[day, k]),
             "high": float(found.house.high[day, k]),
@@ -142,9 +170,9 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
         for day in found.days.tolist()
         for k in range(len(found.classes))
     ]
-    table = pd.DataFrame(lines)
-    names = [_named(found, k) for k in range(len(found.classes))]
-    order = list(dict.fromkeys(table["day"]))
+    table = _data(lines)
+    names = [class_name(found, k) for k in range(len(found.classes))]
+    order = list(dict.fromkeys(line["day"] for line in lines))
     base = alt.Chart(table).encode(
         x=alt.X("day:N", sort=order, title="Day", axis=alt.Axis(labelAngle=0)),
         xOffset=alt.XOffset("class:N", sort=names),
@@ -160,16 +188,12 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
             alt.Tooltip("high:Q", title="to", format=".0f"),
         ],
     )
-    whiskers = base.mark_rule().encode(
-        y="low:Q",
-        y2="high:Q",
-        xOffset=alt.XOffset("class:N", sort=names, bandPosition=0.5),
-        color=alt.value("#222"),
-        strokeWidth=alt.value(2),
-    )
-    return (bars + whiskers).properties(height=320)
+    whiskers = base.mark_bar(width=2).encode(y="low:Q", y2="high:Q", color=alt.value("#222"))
+    chart: alt.LayerChart = (bars + whiskers).properties(height=320)
+    return chart
 
 
-def _named(found: Forecast, k: int) -> str:
+def class_name(found: Forecast, k: int) -> str:
+    """Name a forecast's class as people read it."""
     name = found.classes[k]
     return name if name in OTHERS else f"class {name}"

@@ -16,6 +16,7 @@ __all__ = ["Health", "health_of"]
 
 NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
 POOR_FILL = 0.60
+NEAREST = 0.10
 STRIDE = 4
 
 
@@ -28,8 +29,7 @@ class Health:
     fill : float
         Share of the picture's middle with a reading, 0 to 1.
     distance_m : float, optional
-        Median distance of the nearer half of what is in the middle: the plants, not what is
-        behind them.
+        Of the nearest tenth of what is in the middle: the fruit, not what is behind them.
     verdict : str
         'good', 'too-near', 'too-far', 'poor' or 'none'.
     advice : str
@@ -64,8 +64,7 @@ def health_of(capture: Capture) -> Health:
     fill = valid.size / middle.size
     if not valid.size:
         return Health(0.0, None, "none", "No depth: too near, or the lens is covered")
-    nearer = valid[valid <= np.median(valid)]
-    distance_m = float(np.median(nearer))
+    distance_m = float(np.quantile(valid, NEAREST / 2))
     if distance_m < NEAR_M:
         return Health(fill, distance_m, "too-near", "Too near: step back")
     if distance_m > FAR_M:

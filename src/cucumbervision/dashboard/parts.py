@@ -37,6 +37,7 @@ _STYLE = """<style>
 .st-key-take button { min-height: 5.5rem; }
 .st-key-take button p { font-size: 1.6rem; font-weight: 600; }
 .stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
+[data-testid="stButtonGroup"] button { min-height: 2.75rem; }
 .stNumberInput button { min-width: 2.75rem; }
 .block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
 @media print {

@@ -184,11 +184,9 @@ def _mergings() -> Counter[str]:
 def merge(round_key: str) -> None:
     """Find the views of a round that are one fruit, beside the pages."""
 
-    def work(job: Job) -> None:
-        job.total = 1
+    def work(_: Job) -> None:
         merge_round(store(), round_key)
         _mergings()[round_key] += 1
-        job.step()
 
     worker().submit("Merging views of the same fruit", work)
 
@@ -240,13 +238,14 @@ def capture_widths(stop_key: str) -> dict[str, int]:
 
 
 @st.cache_data(show_spinner=False, max_entries=400)
-def thumbnail(sha256: str, box: tuple[float, ...], width_px: int) -> str:
+def thumbnail(sha256: str, box: tuple[float, float, float, float], width_px: int) -> str:
     """Give a fruit's little picture as a data URL."""
     from cucumbervision.dashboard.picture import as_data_url, crop
     from cucumbervision.store.records import FruitRecord, ImageRef
 
     small = store().images.read_color(ImageRef(sha256, ".jpg", 0, 0, 0))
-    record = FruitRecord(1, "", 1.0, *box)
+    x1, y1, x2, y2 = box
+    record = FruitRecord(1, box_x1_px=x1, box_y1_px=y1, box_x2_px=x2, box_y2_px=y2)
     return as_data_url(crop(small, record, width_px))
 
 
@@ -276,10 +275,8 @@ def _demonstrate(job: Job) -> None:
     merge(key_of("demonstration"))
 
 
-def _warm(job: Job) -> None:
+def _warm(_: Job) -> None:
     from cucumbervision.synthesis.demo import bundled_captures
 
-    job.total = 1
     first = next(iter(open_source(bundled_captures())))
     measurer().measure(first.load(), options())
-    job.step()

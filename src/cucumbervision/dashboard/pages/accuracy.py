@@ -71,6 +71,7 @@ def _table(fruit: list[FruitView], path: Path) -> None:
         lines,
         hide_index=True,
         row_height=56,
+        placeholder="",
         disabled=["Picture", "Fruit", "Program"],
         column_config={
             "Picture": st.column_config.ImageColumn("", width="small"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import streamlit as st
 
@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 
 __all__ = ["page"]
 
-VERDICT_COLORS = {"good": "green", "too-near": "orange", "too-far": "orange", "poor": "orange"}
+VERDICT_COLORS: dict[str, Literal["green", "orange", "red"]] = {
+    "good": "green",
+    "too-near": "orange",
+    "too-far": "orange",
+    "poor": "orange",
+}
 PREVIEW_PX = 960
 
 
@@ -39,10 +44,12 @@ def page() -> None:
         kind = _source()
         _place()
         _button(one, kind)
+        taken = _result(one)
         _how()
     with left:
         _preview(kind)
-    _result(one)
+        if taken is not None:
+            _picture(taken)
 
 
 def _source() -> str:
@@ -51,7 +58,7 @@ def _source() -> str:
         state["source"] = "replay"
         st.info("No camera was found, so the replay is shown.", icon=":material/videocam_off:")
     state.setdefault("source", "replay" if shared.replay_named() else "camera")
-    chosen: str = st.segmented_control(
+    chosen = st.segmented_control(
         "Pictures from",
         ["camera", "replay"],
         format_func={"camera": "Camera", "replay": "Replay"}.__getitem__,
@@ -60,7 +67,7 @@ def _source() -> str:
         width="stretch",
         on_change=_source_chosen,
     )
-    return chosen
+    return chosen or "replay"
 
 
 def _source_chosen() -> None:
@@ -191,34 +198,29 @@ def _health(look: Look) -> None:
     advice.caption(f"{said}: {look.capture.name}{drawn}")
 
 
-def _result(one: RoundView) -> None:
+def _result(one: RoundView) -> TakenStop | None:
     job = shared.worker().get(st.session_state.get("job"))
     if job is None:
         st.caption(f"{one.stops} stops in this round. What you capture is shown here.")
-        return
+        return None
     if not job.finished.is_set():
         parts.progress(job)
-        return
+        return None
     if job.state is JobState.FAILED:
         st.error(f"Nothing was captured. {job.error}", icon=":material/error:")
-        return
+        return None
     taken: TakenStop = job.result
     if taken.note:
         st.warning(f"Saved, but not measured: {taken.note}", icon=":material/warning:")
-    _measured(one, taken)
+    _lengths(one, taken)
+    return taken
 
 
-def _measured(one: RoundView, taken: TakenStop) -> None:
-    measured, units = taken.measured, shared.settings().units
-    stop = measured.capture.stop
-    st.subheader(f"Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved")
-    left, right = st.columns([3, 2], gap="medium")
-    with left:
-        drawn = draw_overlay(measured.capture, measured.fruit, measured.rows)
-        size = (measured.capture.width, measured.capture.height)
-        picture("result", {"measured": as_data_url(drawn)}, size, title="What was measured")
+def _lengths(one: RoundView, taken: TakenStop) -> None:
+    units, stop = shared.settings().units, taken.measured.capture.stop
+    st.markdown(f"**Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved**")
     lines = []
-    for row in measured.rows:
+    for row in taken.measured.rows:
         length_cm = row["length_cm"]
         length_m = float(length_cm) / 100 if isinstance(length_cm, int | float) else None
         found = grade(FruitTraits.from_row(row), shared.profile(one))
@@ -230,8 +232,14 @@ def _measured(one: RoundView, taken: TakenStop) -> None:
                 "Method": row["method"] or row["reason"],
             }
         )
-    with right:
-        if lines:
-            st.dataframe(lines, hide_index=True, row_height=44)
-        else:
-            st.info("No fruit was found in this capture.", icon=":material/search_off:")
+    if lines:
+        st.dataframe(lines, hide_index=True, row_height=40)
+    elif not taken.note:
+        st.info("No fruit was found in this capture.", icon=":material/search_off:")
+
+
+def _picture(taken: TakenStop) -> None:
+    measured = taken.measured
+    drawn = draw_overlay(measured.capture, measured.fruit, measured.rows)
+    size = (measured.capture.width, measured.capture.height)
+    picture("result", {"measured": as_data_url(drawn)}, size, title="What was measured")

@@ -9,7 +9,7 @@ import streamlit as st
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.work import plan_work
 from cucumbervision.dashboard import charts, parts, shared
-from cucumbervision.dashboard.charts import day_name
+from cucumbervision.dashboard.charts import class_name, day_name
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
@@ -45,12 +45,12 @@ def _days(found: Forecast) -> None:
     lines = []
     for day in found.days.tolist():
         line: dict[str, str] = {"Day": day_name(day)}
-        for k, name in enumerate(found.classes):
+        for k in range(len(found.classes)):
             expected, low, high = (
                 getattr(found.house, end)[day, k] for end in ("expected", "low", "high")
             )
             least = "" if found.complete[day, k] else "at least "
-            line[name] = f"{least}{expected:.0f} ({low:.0f} to {high:.0f})"
+            line[class_name(found, k)] = f"{least}{expected:.0f} ({low:.0f} to {high:.0f})"
         lines.append(line)
     st.dataframe(lines, hide_index=True, row_height=40)
     st.caption(
@@ -82,13 +82,16 @@ def _picks(found: Forecast) -> None:
     st.table(lines)
     with st.container(key="noprint"):
         keys = [pick.fruit.fruit_id for pick in picks]
+
+        def pick() -> None:
+            shared.store().pick(keys)
+
         mark, hint = st.columns([1, 2], vertical_alignment="center")
         mark.button(
             "Mark all as picked",
             icon=":material/shopping_basket:",
             width="stretch",
-            on_click=shared.store().pick,
-            args=(keys,),
+            on_click=pick,
         )
         hint.caption("Print with the browser: Ctrl+P, or Share and Print on a tablet.")
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.store.records import FruitRecord, MethodRecord
     from cucumbervision.store.views import FruitDetail, RoundView
 
 __all__ = ["show"]
@@ -112,6 +113,14 @@ def _figures(lists: RoundLists, detail: FruitDetail) -> None:
 
 def _verdict(one: RoundView, detail: FruitDetail) -> None:
     key, now, store = detail.view.key, detail.view.verdict, shared.store()
+    is_picked = detail.view.picked_s is not None
+
+    def judge(verdict: Verdict | None) -> None:
+        store.set_verdict([key], verdict)
+
+    def pick() -> None:
+        store.unpick([key]) if is_picked else store.pick([key])
+
     accept, reject = st.columns(2)
     for place, verdict, name, icon in (
         (accept, Verdict.ACCEPTED, "Accept", ":material/check:"),
@@ -122,17 +131,15 @@ def _verdict(one: RoundView, detail: FruitDetail) -> None:
             icon=icon,
             width="stretch",
             type="primary" if now is verdict else "secondary",
-            on_click=store.set_verdict,
-            args=([key], None if now is verdict else verdict),
+            on_click=judge,
+            args=(None if now is verdict else verdict,),
         )
     picked, undo = st.columns(2)
-    is_picked = detail.view.picked_s is not None
     picked.button(
         "Not picked" if is_picked else "Picked",
         icon=":material/shopping_basket:",
         width="stretch",
-        on_click=store.unpick if is_picked else store.pick,
-        args=([key],),
+        on_click=pick,
     )
     undo.button("Undo", icon=":material/undo:", width="stretch", on_click=_undo, args=(one,))
     if said := st.session_state.pop("undo_fault", None):
@@ -186,19 +193,19 @@ def _picture(one: RoundView, detail: FruitDetail, capture: Capture) -> None:
         layers=fruit_layers(record, capture.intrinsics),
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box"),
-        ruler_text=ruler[1] if ruler else "",
+        ruler_text=ruler or "",
         title=f"Fruit {record.number} of {detail.view.capture}",
     )
     drawn = ", simulated capture" if capture.simulated else ""
     st.caption(f"{detail.view.capture}{drawn}. Depth: {words}.")
     if said.ruler:
-        ends = tuple(float(x) for x in said.ruler)
-        length_m = ruler_m(capture, ends[:2], ends[2:])
+        x1, y1, x2, y2 = (float(x) for x in said.ruler)
+        length_m = ruler_m(capture, (x1, y1), (x2, y2))
         text = units.text(length_m) if length_m is not None else "no depth there"
-        st.session_state["ruler"] = (ends, text)
+        st.session_state["ruler"] = text
         st.rerun()
     if ruler:
-        st.markdown(f"Ruler: **{ruler[1]}** straight")
+        st.markdown(f"Ruler: **{ruler}** straight")
     if said.point or said.box:
         _correct(one, detail, capture, said.point, said.box)
     _correction()
@@ -242,6 +249,12 @@ def _correction() -> None:
         st.session_state.pop("correction")
 
 
+def _said(method: MethodRecord, record: FruitRecord) -> str:
+    if method.method == record.method:
+        return "chosen"
+    return "" if method.reason == "ok" else method.reason.replace("-", " ")
+
+
 def _methods(detail: FruitDetail) -> None:
     units, record = shared.settings().units, detail.view.record
     lines = []
@@ -255,7 +268,7 @@ def _methods(detail: FruitDetail) -> None:
                 "Thread": units.text(method.thread_m),
                 "Centreline": units.text(method.centreline_m),
                 "Chord": units.text(method.chord_m),
-                "Said": "chosen" if method.method == record.method else method.reason,
+                "Said": _said(method, record),
                 "Instead": "" if own else f"{method.measured_by} stood in",
             }
         )

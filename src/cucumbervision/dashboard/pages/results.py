@@ -58,6 +58,7 @@ def page() -> None:
         return
     _charts(lists, kept.fruit)
     _table(lists, kept.fruit)
+    _merge(one)
 
 
 def _empty(one: RoundView) -> None:
@@ -166,6 +167,19 @@ def _table(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
     if picked := chosen["selection"]["rows"]:
         st.session_state["fruit"] = shown[picked[0]].key
         st.rerun()
+
+
+def _merge(one: RoundView) -> None:
+    merge, hint = st.columns([2, 3], vertical_alignment="center")
+    merge.button(
+        "Merge views of the same fruit",
+        icon=":material/join:",
+        width="stretch",
+        on_click=shared.merge,
+        args=(one.key,),
+    )
+    hint.caption("Fruit that neighbouring stops both show then count once; what you did stands.")
+    parts.progress(next(iter(shared.worker().unfinished()), None))
 
 
 def _line(lists: RoundLists, view: FruitView) -> dict[str, Any]:

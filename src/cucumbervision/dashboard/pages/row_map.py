@@ -38,7 +38,11 @@ def page() -> None:
         return
     named = [name for name in parts.CLASSES if any(line["class"] == name for line in lines)]
     others = sorted({str(line["class"]) for line in lines} - set(named))
-    st.altair_chart(charts.map_chart(lines, [*named, *others], units, colored == "Length"))
+    for row in [row for row in rows if row in shown]:
+        st.markdown(f"**{row}**")
+        here = [line for line in lines if line["row"] == row]
+        by_length = colored == "Length"
+        st.altair_chart(charts.map_chart(here, lines, [*named, *others], units, by_length))
     st.caption(
         "One mark a fruit, a cross where it was picked; point at one or tap it to read more. "
         "Heights count from the camera."

@@ -18,7 +18,7 @@ function make(name, attributes, parent) {
 function text(svg, words, x, y, size, anchor = "start") {
   const node = make("text", {
     x, y, "font-size": size, "font-family": "sans-serif", fill: "#fff", stroke: "#000",
-    "stroke-width": size / 6, "paint-order": "stroke", "text-anchor": anchor,
+    "stroke-width": size / 5, "stroke-linejoin": "round", "font-weight": 600, "paint-order": "stroke", "text-anchor": anchor,
   }, svg);
   node.textContent = words;
 }
@@ -69,7 +69,7 @@ function drawBar(svg, bar, data, unit) {
   const x = 16 * unit, y = data.height - 18 * unit;
   make("line", { x1: x, y1: y, x2: x + bar.px, y2: y, stroke: "#000", "stroke-width": 8 * unit }, svg);
   make("line", { x1: x, y1: y, x2: x + bar.px, y2: y, stroke: "#fff", "stroke-width": 4 * unit }, svg);
-  text(svg, bar.label, x, y - 10 * unit, 17 * unit);
+  text(svg, bar.label, x, y - 10 * unit, 20 * unit);
 }
 
 function draw(root, data, own) {

@@ -38,6 +38,9 @@ def kept() -> str:
 def test_on_this_machine_nobody_logs_in(address: str) -> None:
     assert is_loopback(address)
     assert decide_login(address, oidc=False, password=False) is Login.NONE
+    assert decide_login(address, oidc=False, password=True, always=True) is Login.PASSWORD
+    with pytest.raises(AccessError, match="there is no login"):
+        decide_login(address, oidc=False, password=False, always=True)
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,7 @@ def test_an_upload_is_measured_and_what_is_no_capture_is_told(
     dashboard.go("Upload")
     page.locator("input[type=file]").set_input_files([packed, tmp_path / "odd.png"])
     page.get_by_role("button", name="Measure these files").click()
-    page.get_by_text("1 captures measured").wait_for()
+    page.get_by_text("1 capture saved").wait_for()
     page.get_by_text("odd.png").last.wait_for()
     dashboard.shot("upload")
 

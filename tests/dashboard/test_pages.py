@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -163,6 +164,23 @@ def test_a_round_is_begun(house: Path) -> None:
         assert newest.record.name == "Evening"
         assert newest.record.profile == "long-cucumber"
     assert test.session_state["round"] == newest.key
+
+
+def test_a_round_is_written_as_files(house: Path) -> None:
+    test = app("results")
+    formats = next(p for p in test.get("button_group") if p.label == "Formats")
+    assert formats is not None
+    next(b for b in test.button if b.label == "Make the files").click().run()
+    wait_for_jobs()
+    test.run()
+    assert not test.error
+    job = shared.worker().get(test.session_state[f"export_{WALK}"])
+    assert job is not None
+    with zipfile.ZipFile(job.result) as archive:
+        names = archive.namelist()
+    assert any(name.endswith(".xlsx") for name in names)
+    assert "fruit.csv" in names
+    assert "round.html" in names
 
 
 def test_inches_are_shown_where_chosen(house: Path) -> None:

@@ -124,7 +124,7 @@ def _missing_keys(auth: object) -> str:
     return " and ".join(missing)
 
 
-def decide_login(address: str, *, oidc: bool, password: bool) -> Login:
+def decide_login(address: str, *, oidc: bool, password: bool, always: bool = False) -> Login:
     """Decide how people log in, or refuse to start.
 
     Parameters
@@ -135,6 +135,8 @@ def decide_login(address: str, *, oidc: bool, password: bool) -> Login:
         Whether Streamlit's login is set up: `has_oidc`.
     password : bool
         Whether a password's hash is there: `read_password_hash` gave one.
+    always : bool
+        Ask on this machine too: for a server behind a proxy that others reach.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def decide_login(address: str, *, oidc: bool, password: bool) -> Login:
     cucumbervision.errors.AccessError: 0.0.0.0: others could open the dashboard, and there is no
     login; run `cucumbervision dashboard set-password`, ...
     """
-    if is_loopback(address):
+    if is_loopback(address) and not always:
         return Login.NONE
     if oidc:
         return Login.OIDC

@@ -120,15 +120,17 @@ class Measurer:
             If it cannot be saved.
         """
         failures: list[Failure] = []
+        note = ""
         try:
             measured = self.measure(capture, options)
         except CucumberVisionError as error:
             measured = MeasuredCapture(capture, (), ())
             failures.append(Failure(capture.source, capture.name, error.code, str(error)))
+            note = error.message  # its remedy is for the command line
         record = self._record(store, round_key, measured, options, failures)
         record = replace(record, key=key or new_key())
         store.save_stop(record)
-        return TakenStop(record.key, measured, " ".join(one.message for one in failures))
+        return TakenStop(record.key, measured, note)
 
     def _record(
         self,

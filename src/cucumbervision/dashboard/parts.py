@@ -13,9 +13,20 @@ from cucumbervision.dashboard.jobs import Job, JobState
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
+    from streamlit.delta_generator import DeltaGenerator
+
     from cucumbervision.store.views import FruitView, RoundView
 
-__all__ = ["CLASSES", "footer", "keep_inputs", "pick_round", "progress", "style", "thumbnail_of"]
+__all__ = [
+    "CLASSES",
+    "footer",
+    "halves",
+    "keep_inputs",
+    "pick_round",
+    "progress",
+    "style",
+    "thumbnail_of",
+]
 
 # Streamlit forgets the input of a page that is left; these are kept for its return.
 KEPT_INPUTS = (
@@ -40,6 +51,10 @@ _STYLE = """<style>
 [data-testid="stButtonGroup"] button { min-height: 2.75rem; }
 .stNumberInput button { min-width: 2.75rem; }
 .block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
+@media (max-width: 1000px) {
+  .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
+  .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {
+    min-width: 100%; } }
 @media print {
   header, .stButton, .st-key-noprint, [data-testid="stToolbar"] { display: none !important; }
   .block-container { padding: 0 !important; } }
@@ -56,6 +71,13 @@ def keep_inputs() -> None:
     for name in KEPT_INPUTS:
         if name in st.session_state:
             st.session_state[name] = st.session_state[name]
+
+
+def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
+    """Give a wide and a narrow column, under each other where a tablet is held upright."""
+    with st.container(key="halves"):
+        left, right = st.columns([3, 2], gap="medium")
+    return left, right
 
 
 def footer() -> None:

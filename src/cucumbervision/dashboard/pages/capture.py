@@ -39,7 +39,7 @@ def page() -> None:
     if one is None:
         st.info("Begin a round first: press 'New round'.", icon=":material/flag:")
         return
-    left, right = st.columns([3, 2], gap="medium")
+    left, right = parts.halves()
     with right:
         kind = _source()
         _place()
@@ -191,7 +191,7 @@ def _health(look: Look) -> None:
     depth, distance, advice = st.columns([1, 1, 2], vertical_alignment="center")
     depth.metric("Depth filled", f"{100 * health.fill:.0f} %")
     distance.metric("Distance", units.text(health.distance_m))
-    color = VERDICT_COLORS.get(health.verdict, "red")
+    color = VERDICT_COLORS[health.verdict]
     advice.badge(health.advice, color=color, width="stretch")
     said = "Replay" if look.state == "replay" else "Live"
     drawn = ", simulated" if look.capture.simulated else ""

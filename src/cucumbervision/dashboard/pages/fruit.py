@@ -38,7 +38,7 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
     """Draw a fruit in place of the list."""
     detail = shared.fruit_detail(one, key)
     _head(lists, key)
-    left, right = st.columns([3, 2], gap="medium")
+    left, right = parts.halves()
     with right:
         _figures(lists, detail)
         _verdict(one, detail)

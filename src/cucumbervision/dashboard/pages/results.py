@@ -15,6 +15,7 @@ from cucumbervision.dashboard.lists import (
     method_lines,
     statistics,
 )
+from cucumbervision.dashboard.pages import export
 from cucumbervision.dashboard.pages import fruit as fruit_page
 from cucumbervision.store.views import FruitFilter, Verdict
 
@@ -59,6 +60,8 @@ def page() -> None:
     _charts(lists, kept.fruit)
     _table(lists, kept.fruit)
     _merge(one)
+    with st.expander("Files of this round", icon=":material/download:"):
+        export.show(one)
 
 
 def _empty(one: RoundView) -> None:

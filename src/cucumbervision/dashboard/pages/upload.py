@@ -113,6 +113,7 @@ def _progress() -> None:
     if job.state is JobState.FAILED:
         st.error(job.error, icon=":material/error:")
     else:
-        st.success(f"{job.result} captures measured; see 'Results'.", icon=":material/check:")
+        many = "capture" if job.result == 1 else "captures"
+        st.success(f"{job.result} {many} saved; see 'Results'.", icon=":material/check:")
     for note in job.notes:
         st.warning(note, icon=":material/error:")

@@ -12,7 +12,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.errors import CaptureError
+from cucumbervision.intake.guarded import open_guarded
 from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import play_apart
 from cucumbervision.intake.uploads import accept_uploads
@@ -152,3 +154,30 @@ def test_it_sees_no_network_where_the_system_allows(tmp_path: Path) -> None:
     if "exit code 9" in faults[0]:
         pytest.skip("user namespaces are off here")
     assert faults == ["a.bag: broke the player (exit code 1); copy or record it again"]
+
+
+def test_a_guarded_recording_gives_the_same_captures(walk: Path, tmp_path: Path) -> None:
+    guarded, plain = (
+        [(ref.name, ref.load()) for ref in opener(walk, ReadOptions(burst=3))]
+        for opener in (open_guarded, open_source)
+    )
+    assert [name for name, _ in guarded] == [name for name, _ in plain]
+    for (_, one), (_, other) in zip(guarded, plain, strict=True):
+        assert (one.frame, one.burst_size, one.source) == (
+            other.frame,
+            other.burst_size,
+            other.source,
+        )
+        np.testing.assert_allclose(one.depth_m, other.depth_m, rtol=0, atol=1e-6)
+    cut = tmp_path / "cut.db3"
+    cut.write_bytes(walk.read_bytes()[:20_000])
+    *_, end = open_guarded(cut)
+    with pytest.raises(CaptureError, match=r"cut\.db3: "):
+        end.load()
+
+
+def test_what_is_no_recording_is_opened_as_ever(tmp_path: Path, frame_npz: bytes) -> None:
+    (tmp_path / "a.npz").write_bytes(frame_npz)
+    assert open_guarded(tmp_path / "a.npz").kind == "pair"
+    with pytest.raises(CaptureError, match="does not exist"):
+        open_guarded(tmp_path / "none.bag")

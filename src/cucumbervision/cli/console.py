@@ -17,6 +17,8 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from cucumbervision.capture.readers import open_source
+from cucumbervision.intake.guarded import open_guarded
 from cucumbervision.session.run import count_captures, measure_inputs
 
 if TYPE_CHECKING:
@@ -33,16 +35,23 @@ SIMULATED = "simulated captures are among them: drawn, not taken"
 
 
 def run_and_show(
-    inputs: Sequence[Path], out: Path, options: MeasureOptions, *, quiet: bool, as_json: bool
+    inputs: Sequence[Path],
+    out: Path,
+    options: MeasureOptions,
+    *,
+    quiet: bool,
+    as_json: bool,
+    guard: bool = False,
 ) -> int:
     """Measure, show progress and results, and give the exit code (0 or 1).
 
     Progress, notes and failures go to the standard error, results to the standard output.
     """
+    opener = open_guarded if guard else open_source
     errors = Console(stderr=True, quiet=quiet, highlight=False)
     with progress_bar(errors) as bar:
-        task = bar.add_task("measuring", total=count_captures(inputs, options))
-        result = measure_inputs(inputs, out, options, lambda *_: bar.advance(task))
+        task = bar.add_task("measuring", total=count_captures(inputs, options, opener))
+        result = measure_inputs(inputs, out, options, lambda *_: bar.advance(task), opener)
     if as_json:
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
     elif not quiet:

@@ -83,6 +83,12 @@ def measure(
             "lengths may differ a little from machine to machine.",
         ),
     ] = False,
+    guard: Annotated[
+        bool,
+        typer.Option(
+            "--guard", help="Play recordings from strangers in a limited process of their own."
+        ),
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
@@ -109,4 +115,4 @@ def measure(
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
     )
-    raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet, as_json=as_json))
+    raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet, as_json=as_json, guard=guard))

@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureRef, CaptureSource
+    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
     from cucumbervision.measurement.results import Fruit
     from cucumbervision.session.options import MeasureOptions
     from cucumbervision.session.rows import Cell
 
 __all__ = ["capture_rows", "count_captures", "measure_capture", "measure_inputs"]
 
+Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]
 Report: TypeAlias = Callable[["Capture | None", "Sequence[Fruit]", "Sequence[Failure]"], None]
 
 
@@ -66,7 +67,11 @@ def measure_capture(
 
 
 def measure_inputs(
-    inputs: Sequence[Path], out: Path, options: MeasureOptions, report: Report | None = None
+    inputs: Sequence[Path],
+    out: Path,
+    options: MeasureOptions,
+    report: Report | None = None,
+    opener: Opener = open_source,
 ) -> RunResult:
     """Measure every capture of every input into a folder.
 
@@ -85,6 +90,8 @@ def measure_inputs(
     report : callable, optional
         Called after each capture with the capture (None if it could not be read), its fruit and
         the failures; for progress bars.
+    opener : callable
+        Opens each input; `intake.guarded.open_guarded` for recordings from strangers.
 
     Returns
     -------
@@ -103,7 +110,7 @@ def measure_inputs(
     captures = []
     with ExitStack() as stack:
         rows, failures = _open_tables(out, stack)
-        for read, broken in _read_all(inputs, options):
+        for read, broken in _read_all(inputs, options, opener):
             capture, fruit, noted = _measure_or_note(read, broken, finder, options, site)
             if capture is not None:
                 lines = capture_rows(capture, fruit, options, site)
@@ -199,12 +206,14 @@ def _measure_or_note(
     return capture, fruit, [_failure(capture.source, capture.name, error) for error in refused]
 
 
-def count_captures(inputs: Sequence[Path], options: MeasureOptions) -> int | None:
+def count_captures(
+    inputs: Sequence[Path], options: MeasureOptions, opener: Opener = open_source
+) -> int | None:
     """Say how many captures the inputs hold; None where only reading them would tell."""
     total = 0
     for path in inputs:
         try:
-            source = open_source(path, options.reading)
+            source = opener(path, options.reading)
         except CucumberVisionError:
             total += 1  # its failure is reported as one step
             continue
@@ -215,12 +224,12 @@ def count_captures(inputs: Sequence[Path], options: MeasureOptions) -> int | Non
 
 
 def _read_all(
-    inputs: Sequence[Path], options: MeasureOptions
+    inputs: Sequence[Path], options: MeasureOptions, opener: Opener
 ) -> Iterator[tuple[Capture | None, Failure | None]]:
     taken: set[str] = set()
     for path in inputs:
         try:
-            source = open_source(path, options.reading)
+            source = opener(path, options.reading)
         except CucumberVisionError as error:
             yield None, _failure(str(path), "", error)
             continue

@@ -18,6 +18,8 @@ from cucumbervision.intake.guarded import open_guarded
 from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import play_apart
 from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.session.options import MeasureOptions
+from cucumbervision.session.run import count_captures
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs process groups and rlimits")
 
@@ -169,6 +171,7 @@ def test_a_guarded_recording_gives_the_same_captures(walk: Path, tmp_path: Path)
             other.source,
         )
         np.testing.assert_allclose(one.depth_m, other.depth_m, rtol=0, atol=1e-6)
+    assert count_captures([walk], MeasureOptions(), open_guarded) is None
     cut = tmp_path / "cut.db3"
     cut.write_bytes(walk.read_bytes()[:20_000])
     *_, end = open_guarded(cut)

@@ -17,16 +17,18 @@ from cucumbervision.rounds.exports.fruit_rows import fruit_records
 from cucumbervision.rounds.exports.outlook_rows import forecast_records, pick_records, work_records
 from cucumbervision.rounds.exports.provenance import StopArtifacts, hashes_of, stop_artifacts, utc
 from cucumbervision.rounds.exports.tables import RoundTables, Table
+from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.outlook import forecast_for
 from cucumbervision.rounds.service import fruit_table, row_reports
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.agronomy.profile import CropProfile
     from cucumbervision.agronomy.work import Rates
-    from cucumbervision.rounds.service import FruitLine
+    from cucumbervision.rounds.service import FruitLine, RowReport
     from cucumbervision.store.records import ImageRef
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView, StopView
@@ -71,21 +73,22 @@ def round_tables(
         If the round is not there, or cannot be read.
     """
     view = _round(store, round_key)
-    lines = fruit_table(store, round_key)
-    stops = store.stops(round_key)
+    content = read_round(store, round_key)
+    lines, stops = fruit_table(store, round_key, content), content.stops
+    reports = row_reports(store, round_key, content)
     artifacts = stop_artifacts(store, round_key)
     forecast, note = _forecast(store, round_key, profile, days)
     kept = _pictures(store, [*(s.thumbnail for s in stops), *(x.view.thumbnail for x in lines)])
     names = {sha: f"{PICTURES}/{path.name}" for sha, path in kept.items()} if pictures else {}
     fruit = fruit_records(lines, store.measurements(round_key), profile, forecast, artifacts, names)
-    summary = _summary(store, view, stops, lines, forecast)
+    summary = _summary(view, stops, lines, reports, forecast)
     summary["profile"] = profile_name or (profile.title if profile else view.record.profile)
     provenance = [*artifacts.counted]
     if profile is not None:
         provenance.append(_profile_line(profile, summary["profile"], len(stops)))
     records: dict[str, list[dict[str, Any]]] = {
         "summary": [summary],
-        "rows": _rows(store, round_key),
+        "rows": [_row(row) for row in reports],
         "fruit": fruit,
         "stops": [_stop(k, stop, artifacts, names) for k, stop in enumerate(stops, 1)],
         "forecast": forecast_records(forecast, view.record.started_s),
@@ -132,14 +135,13 @@ def _pictures(store: Store, thumbnails: list[ImageRef | None]) -> dict[str, Path
 
 
 def _summary(
-    store: Store,
     view: RoundView,
-    stops: list[StopView],
-    lines: list[FruitLine],
+    stops: Sequence[StopView],
+    lines: Sequence[FruitLine],
+    reports: Sequence[RowReport],
     forecast: Forecast | None,
 ) -> dict[str, Any]:
     record = view.record
-    reports = row_reports(store, view.key)
     lengths = _hanging_cm(lines)
     return {
         "round": record.name,
@@ -165,7 +167,7 @@ def _summary(
     }
 
 
-def _hanging_cm(lines: list[FruitLine]) -> list[float]:
+def _hanging_cm(lines: Sequence[FruitLine]) -> list[float]:
     return [
         round(100 * line.view.record.length_m, 3)
         for line in lines
@@ -173,19 +175,16 @@ def _hanging_cm(lines: list[FruitLine]) -> list[float]:
     ]
 
 
-def _rows(store: Store, round_key: str) -> list[dict[str, Any]]:
-    return [
-        {
-            "row": row.row,
-            "stops": row.stops,
-            "detections": row.views,
-            "fruit": row.fruit,
-            "expected_fruit": round(row.expected, 2),
-            "expected_fruit_sd": round(row.expected_sd, 2),
-            "unplaced": row.unplaced,
-        }
-        for row in row_reports(store, round_key)
-    ]
+def _row(row: RowReport) -> dict[str, Any]:
+    return {
+        "row": row.row,
+        "stops": row.stops,
+        "detections": row.views,
+        "fruit": row.fruit,
+        "expected_fruit": round(row.expected, 2),
+        "expected_fruit_sd": round(row.expected_sd, 2),
+        "unplaced": row.unplaced,
+    }
 
 
 def _stop(
@@ -233,7 +232,7 @@ def _about(view: RoundView, provenance: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _charts(lines: list[FruitLine], forecast: Forecast | None) -> Charts:
+def _charts(lines: Sequence[FruitLine], forecast: Forecast | None) -> Charts:
     charts = Charts(length_bins(_hanging_cm(lines)))
     if forecast is None:
         return charts

@@ -80,6 +80,7 @@ def long_round(store: Store, template: StopRecord, stops: int) -> None:
                 replace(
                     one,
                     number=k + 1,
+                    methods=one.methods[-2:],
                     length_m=length_m,
                     thread_m=length_m,
                     interval_low_m=0.98 * length_m,

@@ -138,8 +138,10 @@ def test_what_a_broken_player_writes_is_not_believed(tmp_path: Path) -> None:
 
 def test_an_upload_limit_reaches_the_player(walk: Path, tmp_path: Path) -> None:
     limits = Limits(recording=RecordingLimits(captures=1))
-    got = accept_uploads([("walk.db3", walk)], tmp_path, limits)
-    assert got.sources[0].open().total == 1
+    got = accept_uploads([("walk.db3", walk)], tmp_path, limits, burst=2)
+    (ref,) = got.sources[0].open(ReadOptions(depth_unit_m=0.5))
+    assert ref.load().burst_size == 2
+    assert 0.59 < ref.load().depth_m[5, 5] < 0.61  # the recording's own unit
     assert "more than 1 captures" in str(got.refused[0].error)
 
 

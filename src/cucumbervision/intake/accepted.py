@@ -82,6 +82,8 @@ class AcceptedSource:
         options = options or ReadOptions()
         if options.intrinsics is None and self.intrinsics is not None:
             options = replace(options, intrinsics=self.intrinsics)
+        if self.kind == "recording":  # its depth has the recording's own unit
+            options = replace(options, depth_unit_m=None)
         try:
             source = open_source(self.path, options)
         except CucumberVisionError as error:

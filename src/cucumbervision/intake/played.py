@@ -14,16 +14,22 @@ if TYPE_CHECKING:
 __all__ = ["sort_recordings"]
 
 
-def sort_recordings(desk: Desk) -> None:
-    """Make a source of each recording, played in a limited process."""
+def sort_recordings(desk: Desk, burst: int) -> None:
+    """Make a source of each recording, played in a limited process; `burst` frames a capture."""
     for item in [i for i in desk.left.values() if i.kind in {Kind.BAG, Kind.DB3}]:
         desk.take(item.name)
         recording = item.path.with_name(f"{item.path.name}{item.kind.value}")
         item.path.rename(recording)  # the player goes by the ending
         folder = desk.new_folder("recording")
         folder.rmdir()
-        name = shown_name(item.name.stem)
-        played = play_apart(recording, folder, desk.limits.recording, name=name, title=item.title)
+        played = play_apart(
+            recording,
+            folder,
+            desk.limits.recording,
+            burst=burst,
+            name=shown_name(item.name.stem),
+            title=item.title,
+        )
         recording.unlink()
         for error in played.errors:
             desk.out.refuse(item.title, error)

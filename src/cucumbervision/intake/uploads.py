@@ -36,6 +36,7 @@ def accept_uploads(
     folder: Path,
     limits: Limits | None = None,
     *,
+    burst: int = 5,
     report: Callable[[int, str], None] | None = None,
 ) -> AcceptedUploads:
     """Check what somebody sent, and lay out its captures for `open_source`.
@@ -50,6 +51,8 @@ def accept_uploads(
         accepted; nothing else remains, whatever happens.
     limits : Limits, optional
         How much is taken.
+    burst : int
+        Frames of a recording fused to one capture.
     report : callable, optional
         Called with the number of each file, from 0, and its name before it is checked.
 
@@ -78,7 +81,7 @@ def accept_uploads(
             remedy="send them in smaller parts, or as a zip",
         )
     batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
-    intake = _Intake(batch, limits)
+    intake = _Intake(batch, limits, burst)
     try:
         intake.stage.mkdir(parents=True)
         for number, (name, content) in enumerate(files):
@@ -106,8 +109,8 @@ def accept_uploads(
 class _Intake:
     """One upload on its way in."""
 
-    def __init__(self, batch: Path, limits: Limits) -> None:
-        self.batch, self.limits = batch, limits
+    def __init__(self, batch: Path, limits: Limits, burst: int) -> None:
+        self.batch, self.limits, self._burst = batch, limits, burst
         self.stage = batch / "arriving"
         self.out = Sorted()
         self.loose: list[Item] = []
@@ -131,7 +134,7 @@ class _Intake:
     def sort(self, title: str, items: Sequence[Item], *, is_archive: bool) -> None:
         """Make sources of the files of one zip or batch."""
         desk = Desk(title, items, self.batch, self.limits, self.out, is_archive=is_archive)
-        sort_recordings(desk)
+        sort_recordings(desk, self._burst)
         sort_native(desk)
         sort_scenes(desk)
         sort_snapshots(desk)

@@ -109,7 +109,7 @@ class CameraFeed:
         """Look for the camera again."""
         with self._changed:
             if not self.open:
-                self._newest = Look("opening")
+                self._newest = Look("opening", number=self._newest.number)
 
     def take(self, burst: int, stop: Stop) -> Capture:
         """Fuse the next frames to one capture.

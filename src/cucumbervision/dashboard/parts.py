@@ -134,7 +134,7 @@ def progress(job: Job | None) -> None:
     if job is None or job.finished.is_set():
         return
 
-    @st.fragment(run_every=0.5)
+    @st.fragment(run_every=1.0)
     def _bar() -> None:
         if job.finished.is_set():
             st.rerun()

@@ -150,10 +150,12 @@ def _preview(kind: str) -> None:
         _absent(kind, seen)
         return
 
-    @st.fragment(run_every=0.4 if kind == "camera" else 1.0)
+    still = seen.state == "replay"  # it changes only with a capture, which draws the page anew
+
+    @st.fragment(run_every=None if still else 0.5)
     def _live() -> None:
         look = shared.feed(kind).look()
-        if look.state == "absent":
+        if look.state == "absent" or (look.state == "replay" and not still):
             st.rerun()
         if look.capture is None:
             st.info("Opening …", icon=":material/hourglass:")

@@ -182,7 +182,9 @@ def _merge(one: RoundView) -> None:
         args=(one.key,),
     )
     hint.caption("Fruit that neighbouring stops both show then count once; what you did stands.")
-    parts.progress(next(iter(shared.worker().unfinished()), None))
+    job = next(iter(shared.worker().unfinished()), None)
+    if job is not shared.prepare():  # which the frame of all pages shows
+        parts.progress(job)
 
 
 def _line(lists: RoundLists, view: FruitView) -> dict[str, Any]:

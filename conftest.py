@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
+
+# The pages import Streamlit as they load, so that without it there is nothing to collect.
+collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision/dashboard/*"]
 
 
 @pytest.fixture(autouse=True)

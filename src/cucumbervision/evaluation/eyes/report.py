@@ -32,7 +32,7 @@ from cucumbervision.session.exports import write_json
 from cucumbervision.session.rows import defused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from cucumbervision.evaluation.eyes.groups import GroupScore
@@ -43,9 +43,24 @@ if TYPE_CHECKING:
     from cucumbervision.evaluation.records import Record
     from cucumbervision.evaluation.table import Table
 
-__all__ = ["JSON_NAME", "main_tables", "write_eyes_report"]
+__all__ = ["JSON_NAME", "card_numbers", "main_tables", "write_eyes_report"]
 
 JSON_NAME = "results.json"
+CARD_NAME = "card.json"
+# What fits a model's card: what was judged on what, and the figures over all fruit.
+_CARD_KEYS = (
+    "software",
+    "data set",
+    "split",
+    "pictures",
+    "confidence",
+    "networks",
+    "average_precision",
+    "overall",
+    "ends",
+    "ends_swapped",
+    "masks",
+)
 _LENGTH_COLUMNS = (
     *("fruit", "scene", "masks", "method", "length_m", "centreline_m", "thread_m", "chord_m"),
     *("missed", "hidden_share", "cut_off", "distance_m", "selected"),
@@ -94,8 +109,23 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
     return tables
 
 
+def card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the figures of `results.json` that a model's card holds.
+
+    Examples
+    --------
+    >>> card_numbers({"pictures": 3, "groups": [1, 2], "photos": {"photos": 2, "false": [1]}})
+    {'pictures': 3, 'photos': {'photos': 2}}
+    """
+    card = {key: numbers[key] for key in _CARD_KEYS if numbers.get(key)}
+    photos = numbers.get("photos")
+    if photos:
+        card["photos"] = {key: value for key, value in photos.items() if key != "false"}
+    return card
+
+
 def write_eyes_report(result: EyesResult, summary: Summary, out: Path) -> Path:
-    """Write `results.json`, the CSV files and `report.html`.
+    """Write `results.json`, `card.json`, the CSV files and `report.html`.
 
     Of real photos only figures, file names and boxes are written.
 
@@ -122,7 +152,9 @@ def write_eyes_report(result: EyesResult, summary: Summary, out: Path) -> Path:
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_json(out / JSON_NAME, _numbers(result, summary))
+        numbers = _numbers(result, summary)
+        write_json(out / JSON_NAME, numbers)
+        write_json(out / CARD_NAME, card_numbers(numbers))
         _write_rows(out / "fruit.csv", FruitRow, summary.fruit)
         _write_rows(out / "detections.csv", FoundRow, summary.found)
         _write_rows(out / "ends.csv", EndRow, summary.end_rows)

@@ -198,7 +198,7 @@ def test_every_page_is_drawn(dashboard: Dashboard, page: str, words: str, name: 
     dashboard.page.get_by_text(words).first.wait_for()
     dashboard.quiet()
     dashboard.page.wait_for_timeout(500)
-    assert dashboard.page.get_by_text("AGPL-3.0-only").count() == 1
+    assert dashboard.page.get_by_text("· AGPL-3.0-only ·").count() == 1
     dashboard.shot(name)
 
 

@@ -43,6 +43,18 @@ def test_one_polygon_of_all_parts_gives_the_mask_back(mask: NDArray[np.bool_]) -
     assert not crosses_itself(np.round(polygon / 1280, 6) * 1280)
 
 
+def test_a_bridge_crosses_no_outline_of_long_straight_runs() -> None:
+    # The corners of the fork are far from the speck between its prongs; a bridge from corner to
+    # corner would go through a prong.
+    mask = np.zeros((40, 90), bool)
+    mask[2:6, 2:88] = mask[34:38, 2:88] = mask[2:38, 2:6] = True
+    mask[10:14, 40:44] = mask[18:22, 50:54] = mask[26:30, 60:64] = True
+    polygon = one_polygon(mask, min_part_px=0)
+    assert polygon is not None
+    assert not crosses_itself(polygon)
+    assert (fill_polygon(polygon, *mask.shape) == mask).all()
+
+
 @settings(deadline=None, max_examples=60)
 @given(masks)
 def test_outlines_reach_exactly_to_the_masks_box(mask: NDArray[np.bool_]) -> None:

@@ -211,6 +211,8 @@ def _judge_seen(loss: Any) -> None:
             return confidence.sum() * 0
         return judged(confidence[known], (visibility[known] > _HIDDEN).float())
 
+    # Others ask the one for its tolerances.
+    locate.sigmas = located.sigmas  # type: ignore[attr-defined]
     loss.keypoint_loss, loss.bce_pose = locate, judge
 
 

@@ -174,10 +174,12 @@ def _finish(path: Path, *, one_to_one: bool, half: bool) -> None:
     import onnx
 
     network = onnx.load(path)
+    entries = {entry.key: entry.value for entry in network.metadata_props}
+    # Where the data lay on the machine of whoever trained is nobody's business.
+    entries["description"] = entries.get("description", "").split(" trained on ")[0]
     if one_to_one:
-        entries = {entry.key: entry.value for entry in network.metadata_props}
         entries |= {"end2end": "False", ONE_TO_ONE_KEY: "True"}
-        onnx.helper.set_model_props(network, entries)
+    onnx.helper.set_model_props(network, entries)
     if half:
         # Ultralytics' own half precision computes in it too: positions from 512 px on then lie on
         # a grid of half pixels.

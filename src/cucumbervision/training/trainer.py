@@ -217,9 +217,32 @@ def _judge_seen(loss: Any) -> None:
 
 
 def strip(checkpoint: Path, out: Path) -> None:
-    """Write a checkpoint without its optimiser, in half precision; replaces `out` whole."""
+    """Write a checkpoint without its optimiser, in half precision; replaces `out` whole.
+
+    Of paths on this machine only the names stay, and nothing of the folder's repository.
+    """
+    import torch
     from ultralytics.utils.torch_utils import strip_optimizer
 
     part = out.with_suffix(".part")
     strip_optimizer(str(checkpoint), str(part))
+    # Our own file, just written.
+    kept = torch.load(part, map_location="cpu", weights_only=False)
+    kept.pop("git", None)
+    kept["train_args"] = _named(kept.get("train_args") or {})
+    network = kept["model"]
+    for holder in ("args", "yaml"):
+        value = getattr(network, holder, None)
+        if isinstance(value, dict):
+            setattr(network, holder, _named(value))
+    network.pt_path = None
+    torch.save(kept, part)
     part.replace(out)
+
+
+def _named(values: dict[str, Any]) -> dict[str, Any]:
+    """Give paths as their last name."""
+    return {
+        key: Path(value).name if isinstance(value, str) and "/" in value else value
+        for key, value in values.items()
+    }

@@ -118,7 +118,7 @@ def join_parts(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     joined, rest = parts[0], list(parts[1:])
     while rest:
         tree = cKDTree(joined)
-        found = [tree.query(part) for part in rest]
+        found = [tuple(np.asarray(one) for one in tree.query(part)) for part in rest]
         nearest = int(np.argmin([gaps.min() for gaps, _ in found]))
         gaps, at = found[nearest]
         part, j = rest.pop(nearest), int(gaps.argmin())

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import doctest
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,24 @@ def shared_data() -> Path:
     if not folder:
         pytest.skip("CUCUMBERVISION_DATA names no folder of real captures")
     return Path(folder)
+
+
+@pytest.fixture
+def run_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[Path], doctest.TestResults]:
+    """Run a page's examples in an empty folder."""
+
+    def run(page: Path) -> doctest.TestResults:
+        monkeypatch.chdir(tmp_path)
+        return doctest.testfile(
+            str(page),
+            module_relative=False,
+            optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS,
+            encoding="utf-8",
+        )
+
+    return run
 
 
 def capture_of(

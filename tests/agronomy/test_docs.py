@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import doctest
+from collections.abc import Callable
 from pathlib import Path
 
 from cucumbervision.agronomy.profile import CropProfile
@@ -8,13 +9,8 @@ from cucumbervision.agronomy.profile import CropProfile
 PAGE = Path(__file__).parents[2] / "docs" / "agronomy.md"
 
 
-def test_examples_of_the_page_hold() -> None:
-    result = doctest.testfile(
-        str(PAGE),
-        module_relative=False,
-        optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS,
-        encoding="utf-8",
-    )
+def test_examples_of_the_page_hold(run_page: Callable[[Path], doctest.TestResults]) -> None:
+    result = run_page(PAGE)
     assert result.attempted > 20
     assert result.failed == 0
 

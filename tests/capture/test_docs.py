@@ -5,9 +5,8 @@ from __future__ import annotations
 import doctest
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 from cucumbervision.capture.calibration import read_calibration
 from cucumbervision.capture.readers.native import Manifest
@@ -15,14 +14,8 @@ from cucumbervision.capture.readers.native import Manifest
 PAGE = Path(__file__).parents[2] / "docs" / "captures.md"
 
 
-def test_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = doctest.testfile(
-        str(PAGE),
-        module_relative=False,
-        optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS,
-        encoding="utf-8",
-    )
+def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:
+    result = run_page(PAGE)
     assert result.attempted > 20
     assert result.failed == 0
 

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import doctest
+from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 from cucumbervision.session.calibrated import CalibrationFlag
 
 PAGE = Path(__file__).parents[2] / "docs" / "own-truth.md"
 
 
-def test_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = doctest.testfile(
-        str(PAGE),
-        module_relative=False,
-        optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS,
-        encoding="utf-8",
-    )
+def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:
+    result = run_page(PAGE)
     assert result.attempted > 15
     assert result.failed == 0
 

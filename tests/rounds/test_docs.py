@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import doctest
 import re
+from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 import typer
 
 from cucumbervision.cli.round import app
@@ -15,10 +15,8 @@ from cucumbervision.rounds.poses import PoseLine
 PAGE = Path(__file__).parents[2] / "docs" / "rounds.md"
 
 
-def test_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
-    result = doctest.testfile(str(PAGE), module_relative=False, optionflags=flags, encoding="utf-8")
+def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:
+    result = run_page(PAGE)
     assert result.attempted > 8
     assert result.failed == 0
 

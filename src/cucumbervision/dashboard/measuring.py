@@ -13,7 +13,7 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
-from cucumbervision.rounds.adding import placed_fruit
+from cucumbervision.rounds.adding import placed_fruit, placed_stop
 from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
 from cucumbervision.session.finders import make_finder
 from cucumbervision.session.results import Failure
@@ -152,12 +152,7 @@ class Measurer:
             length=options.length,
         )
         pose = pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side))
-        captures = tuple(
-            replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
-            for one in record.captures
-        )
-        pose_row = tuple(np.round(pose, 9).ravel().tolist())
-        return replace(record, captures=captures, pose=pose_row)
+        return placed_stop(record, pose)
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Draw the mask of the fruit that somebody pointed at.

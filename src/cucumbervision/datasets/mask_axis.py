@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.curve import polyline_length
+from cucumbervision.geometry.tube import points_along
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -92,7 +92,8 @@ def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> NDArray[np.float64]
     norm = float(np.linalg.norm(line[-1] - line[0]) * np.linalg.norm(DIRECTIONS[stem]))
     if abs(towards) < 0.25 * norm:
         return None
-    return _evenly(line if towards > 0 else line[::-1])
+    points = points_along(line if towards > 0 else line[::-1], SHARES)
+    return np.column_stack([points, np.full(len(points), 2.0)])
 
 
 def _inside(mask: NDArray[np.bool_], line: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -102,11 +103,3 @@ def _inside(mask: NDArray[np.bool_], line: NDArray[np.float64]) -> NDArray[np.bo
     found = np.zeros(len(line), np.bool_)
     found[within] = mask[v[within], u[within]]
     return found
-
-
-def _evenly(line: NDArray[np.float64]) -> NDArray[np.float64]:
-    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    run = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.array(SHARES) * polyline_length(line)
-    u, v = (np.interp(at, run, line[:, i]) for i in range(2))
-    return np.stack([u, v, np.full(len(at), 2.0)], axis=1)

@@ -15,7 +15,7 @@ from cucumbervision.evaluation.simulate import Simulated, simulate
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.results import Method
 from cucumbervision.measurement.selector import Selector, choose
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask, mask_iou
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -149,7 +149,7 @@ def _record(
         lengths_m=lengths,
         details={
             **details,
-            "mask_iou": _overlap(instance.mask, truth.visible),
+            "mask_iou": round(mask_iou(instance.mask, truth.visible), 4),
             "ends_seen": _ends_seen(taken),
         },
     )
@@ -197,12 +197,6 @@ def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:
         noted["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
         noted["m6_flags"] = list(m6.fit.flags)
     return noted
-
-
-def _overlap(mask: NDArray[np.bool_] | None, exact: NDArray[np.bool_]) -> float:
-    if mask is None:
-        return 0.0
-    return round(np.count_nonzero(mask & exact) / np.count_nonzero(mask | exact), 4)
 
 
 def _ends_seen(taken: Simulated) -> bool:

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "arc_positions",
     "axis_path",
     "bending_direction",
     "inner_arc_height",
+    "points_along",
     "profile",
     "thread_length",
     "volume_of_profile",
@@ -37,6 +38,30 @@ def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
     """
     steps = np.linalg.norm(np.diff(centres_m, axis=0), axis=1)
     return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def points_along(vertices: NDArray[Any], shares: ArrayLike) -> NDArray[np.float64]:
+    """Give the points of a polyline at shares of its length.
+
+    Parameters
+    ----------
+    vertices : ndarray of float, shape (K, D)
+        In order.
+    shares : array_like, shape (N,)
+        0 the first vertex, 1 the last.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, D)
+
+    Examples
+    --------
+    >>> points_along(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]]), [0.25, 0.75]).tolist()
+    [[2.0, 0.0], [4.0, 2.0]]
+    """
+    run = arc_positions(vertices)
+    at = np.asarray(shares) * run[-1]
+    return np.stack([np.interp(at, run, column) for column in np.asarray(vertices).T], axis=1)
 
 
 def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Instance", "MaskSource", "box_iou", "box_of_mask"]
+__all__ = ["Instance", "MaskSource", "box_iou", "box_of_mask", "mask_iou"]
 
 
 class MaskSource(StrEnum):
@@ -97,3 +97,17 @@ def box_iou(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
         return 0.0
     area = [(x[2] - x[0]) * (x[3] - x[1]) for x in (a, b)]
     return float(w * h / (area[0] + area[1] - w * h))
+
+
+def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
+    """Give two masks' intersection over union; 0 where there is no first one.
+
+    Examples
+    --------
+    >>> mask_iou(np.array([[True, True, False]]), np.array([[False, True, True]])) == 1 / 3
+    True
+    """
+    if a is None:
+        return 0.0
+    union = np.count_nonzero(a | b)
+    return float(np.count_nonzero(a & b) / union) if union else 0.0

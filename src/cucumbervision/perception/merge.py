@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.perception.instances import box_iou, box_of_mask
+from cucumbervision.perception.yolo import with_keypoints
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["join_pieces", "merge_instances"]
+__all__ = ["each_once", "join_pieces", "merge_instances"]
 
 SAME_IOU = 0.5
 INSIDE = 0.8
@@ -124,6 +125,25 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
         left = [one for one in left if one not in pieces]
         left.append(_joined(pieces, box, pose))
     return tuple(sorted(left, key=lambda one: -one.score))
+
+
+def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Give each fruit of two networks once, with the pose network's keypoints.
+
+    Parameters
+    ----------
+    found : sequence of Instance
+        Of the detector, after `merge_instances`.
+    posed : sequence of Instance
+        Of the pose network, as it gives them.
+
+    Returns
+    -------
+    tuple of Instance
+        Best first: pieces joined, keypoints where a pose fits.
+    """
+    poses = merge_instances(posed)
+    return with_keypoints(join_pieces(found, poses), poses)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import FruitRecord, StopRecord
     from cucumbervision.store.repository import Store
 
-__all__ = ["Added", "Place", "add_captures", "placed_fruit"]
+__all__ = ["Added", "Place", "add_captures", "placed_fruit", "placed_stop"]
 
 Report: TypeAlias = Callable[["Added"], None]
 
@@ -224,10 +224,7 @@ def _measured(
         failures=[Failure(capture.source, capture.name, e.code, str(e)) for e in refused],
         length=options.length,
     )
-    captures = tuple(
-        replace(one, fruit=tuple(placed_fruit(f, pose) for f in one.fruit)) for one in stop.captures
-    )
-    return replace(stop, captures=captures, pose=tuple(np.round(pose, 9).ravel().tolist()))
+    return placed_stop(stop, pose)
 
 
 def _spot(
@@ -284,3 +281,20 @@ def placed_fruit(fruit: FruitRecord, pose: NDArray[np.float64]) -> FruitRecord:
         length_m=fruit.length_m,
     )
     return replace(fruit, offset_m=round(float(offset[0]), 5), offset_sd_m=round(float(sd[0]), 5))
+
+
+def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:
+    """Give a stop the camera's pose, and each of its fruit the offset along the row.
+
+    Parameters
+    ----------
+    stop : StopRecord
+        With one capture or more.
+    pose : ndarray of float64, shape (4, 4)
+        As `poses.pose_matrix` gives it.
+    """
+    captures = tuple(
+        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
+        for one in stop.captures
+    )
+    return replace(stop, captures=captures, pose=tuple(np.round(pose, 9).ravel().tolist()))

@@ -126,14 +126,12 @@ class Detectors:
         tuple of Instance
             Best first, with the detector's masks and the pose network's keypoints.
         """
-        from cucumbervision.perception.merge import join_pieces, merge_instances
-        from cucumbervision.perception.yolo import with_keypoints
+        from cucumbervision.perception.merge import each_once, merge_instances
 
         found = merge_instances(self._detector.detect(color_rgb))
         if self._pose is None or not found:
             return found
-        poses = merge_instances(self._pose.detect(color_rgb))
-        return with_keypoints(join_pieces(found, poses), poses)
+        return each_once(found, self._pose.detect(color_rgb))
 
 
 def load_pose(options: NetworkOptions, models: list[dict[str, Any]]) -> YoloDetector | None:

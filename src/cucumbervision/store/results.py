@@ -13,6 +13,7 @@ import numpy as np
 from cucumbervision._version import __version__
 from cucumbervision.capture.calibration import CameraModel
 from cucumbervision.capture.frames import Stop
+from cucumbervision.geometry.tube import arc_positions
 from cucumbervision.measurement.results import Length, Method
 from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.images import DEPTH_UNIT_M
@@ -309,9 +310,7 @@ def _method_record(measurement: Measurement) -> MethodRecord:
     diameter: NDArray[np.float64] | None = None
     if fit is not None:
         path = fit.traits.axis_m
-        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(steps)])
-        diameter = np.interp(along, fit.traits.along_m, fit.traits.diameter_m)
+        diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
     kept = np.zeros(0, int)
     if path is not None:
         kept = np.unique(np.linspace(0, len(path) - 1, min(len(path), PATH_POINTS)).round())

@@ -14,7 +14,7 @@ import numpy as np
 
 from cucumbervision.synthesis.arrange import cover, hang, trellis
 from cucumbervision.synthesis.bodies import Variety, random_fruit
-from cucumbervision.synthesis.lay import Ground, crate_rods, lay
+from cucumbervision.synthesis.lay import NEAREST_M, Ground, crate_rods, lay
 from cucumbervision.synthesis.occluders import Leaf, Stem
 from cucumbervision.synthesis.scenes import Scene
 from cucumbervision.synthesis.tube import rotation
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["MOST_FRUIT", "Setting", "Staged", "compose"]
 
 MOST_FRUIT = 12
-NEAREST_M = 0.24  # nothing is drawn nearer to the camera
 TRIES = 30
 LENGTHS_M = {
     Variety.LONG: (0.25, 0.40),

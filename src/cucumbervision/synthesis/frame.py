@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.geometry.tube import arc_positions, points_along
 from cucumbervision.synthesis.compose import Setting, Staged, compose
 from cucumbervision.synthesis.d4xx import D4xx, sense
 from cucumbervision.synthesis.optics import expose, random_exposure
@@ -224,9 +225,9 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
     (0.5, 0.0, 41)
     """
     axis = truth.axis_m
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
-    at = np.linspace(0.0, run[-1], AXIS_POINTS)
-    even = np.stack([np.interp(at, run, axis[:, i]) for i in range(3)], axis=1)
+    run = arc_positions(axis)
+    shares = np.linspace(0.0, 1.0, AXIS_POINTS)
+    even = points_along(axis, shares)
     blossom, stem = body.poles_m
     lean = np.degrees(np.arcsin((stem[2] - blossom[2]) / truth.chord_m))
     return {
@@ -236,5 +237,5 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
         "distance_m": round(float(even[AXIS_POINTS // 2, 2]), 5),
         "tilt_deg": round(float(abs(lean)), 3),
         "axis_m": even.round(5).tolist(),
-        "radius_m": np.interp(at, run, truth.radius_m).round(6).tolist(),
+        "radius_m": np.interp(shares * run[-1], run, truth.radius_m).round(6).tolist(),
     }

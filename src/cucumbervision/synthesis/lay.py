@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.synthesis.tube import Tube
 
-__all__ = ["Ground", "crate_rods", "lay"]
+__all__ = ["NEAREST_M", "Ground", "crate_rods", "lay"]
 
 STEEPEST_DEG = 55.0
-NEAREST_M = 0.24
+NEAREST_M = 0.24  # nothing is drawn nearer to the camera
 EVERY = 8  # of a body's balls stand for it when it is laid
 TRIES = 12
 

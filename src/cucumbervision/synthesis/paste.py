@@ -14,6 +14,7 @@ import numpy as np
 
 from cucumbervision.datasets.labels import Label
 from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.synthesis.scenes import reaches_border
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -227,12 +228,11 @@ def _label(
         inside = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
         points = np.column_stack([points[:, :2], np.where(inside, points[:, 2], 0)])
         points = _hidden_points(points, amodal & ~seen)
-    border = amodal[0].any() or amodal[-1].any() or amodal[:, 0].any() or amodal[:, -1].any()
     return Label.of_mask(
         seen,
         amodal=amodal,
         keypoints=points,
         hidden_share=round(1 - int(seen.sum()) / int(amodal.sum()), 4),
-        cut_off=bool(border),
+        cut_off=reaches_border(amodal),
         pseudo=True,
     )

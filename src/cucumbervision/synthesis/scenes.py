@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry.tube import points_along
 from cucumbervision.synthesis.occluders import (
     Leaf,
     Plane,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.synthesis.raycast import Hit
     from cucumbervision.synthesis.tube import Tube
 
-__all__ = ["FruitTruth", "Kind", "Scene", "View", "look", "truth_of"]
+__all__ = ["FruitTruth", "Kind", "Scene", "View", "look", "reaches_border", "truth_of"]
 
 KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -256,12 +257,24 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
     return tuple(_truth(tube, k, camera, seen) for k, tube in enumerate(scene.fruit))
 
 
+def reaches_border(mask: NDArray[np.bool_]) -> bool:
+    """Say whether a mask of shape (H, W) has a pixel in the picture's outermost rows or columns.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[2, 2:5] = True
+    >>> reaches_border(mask), reaches_border(mask[:3])
+    (False, True)
+    """
+    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
+
+
 def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth:
     visible, amodal = view.mask(index), view.amodal[index]
-    border = amodal[0].any() or amodal[-1].any() or amodal[:, 0].any() or amodal[:, -1].any()
     whole = int(amodal.sum())
     axis = tube.axis_m
-    points = _along(axis, KEYPOINT_SHARES)
+    points = points_along(axis, KEYPOINT_SHARES)
     pixels = camera.project(points)
     return FruitTruth(
         centreline_m=tube.centreline_m,
@@ -272,16 +285,10 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
         visible=visible,
         amodal=amodal,
         hidden_share=1.0 - int(visible.sum()) / whole if whole else 0.0,
-        cut_off=bool(border),
+        cut_off=reaches_border(amodal),
         keypoints_px=pixels,
         keypoint_visibility=_visibility(points, pixels, tube, visible, view.depth_m),
     )
-
-
-def _along(axis_m: NDArray[np.float64], shares: ArrayLike) -> NDArray[np.float64]:
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(axis_m, axis=0), axis=1))])
-    at = np.asarray(shares) * run[-1]
-    return np.stack([np.interp(at, run, axis_m[:, i]) for i in range(3)], axis=1)
 
 
 def _visibility(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.evaluation.eyes.frames import Frame, SeenFruit, Stage, seen_fruit
 from cucumbervision.evaluation.eyes.outcomes import matches_of
-from cucumbervision.perception.merge import join_pieces, merge_instances
-from cucumbervision.perception.yolo import YoloDetector, with_keypoints
+from cucumbervision.perception.merge import each_once, merge_instances
+from cucumbervision.perception.yolo import YoloDetector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -175,7 +175,7 @@ def shipped(
 ) -> tuple[Instance, ...]:
     """Give what a user gets of two networks' detections: each fruit once, with keypoints.
 
-    The same as `session.networks.Detectors.find`, which runs the networks for itself.
+    As `session.networks.Detectors.find`, which runs the networks for itself.
 
     Parameters
     ----------
@@ -187,8 +187,7 @@ def shipped(
     found = merge_instances([one for one in segmented or posed if one.score > confidence])
     if not segmented or not posed or not found:
         return found
-    poses = merge_instances([one for one in posed if one.score > confidence])
-    return with_keypoints(join_pieces(found, poses), poses)
+    return each_once(found, [one for one in posed if one.score > confidence])
 
 
 def found_of(looked: Looked, confidence: float) -> dict[int, Instance]:

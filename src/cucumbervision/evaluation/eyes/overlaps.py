@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.perception.instances import mask_iou
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -22,7 +24,6 @@ __all__ = [
     "OverlapRow",
     "capture_overlaps",
     "draw_by_prompt",
-    "mask_overlap",
     "overlap_rows",
 ]
 
@@ -63,20 +64,6 @@ class OverlapRow:
     point_refused: str = ""
 
 
-def mask_overlap(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
-    """Give two masks' intersection over union; 0 where there is no first one.
-
-    Examples
-    --------
-    >>> mask_overlap(np.array([[True, True, False]]), np.array([[False, True, True]])) == 1 / 3
-    True
-    """
-    if a is None:
-        return 0.0
-    union = np.count_nonzero(a | b)
-    return float(np.count_nonzero(a & b) / union) if union else 0.0
-
-
 def overlap_rows(
     where: tuple[str, str],
     pairs: Sequence[tuple[int, NDArray[np.bool_], Instance]],
@@ -108,9 +95,9 @@ def overlap_rows(
                 number,
                 simulated,
                 prompt_box,
-                math.nan if own is None else mask_overlap(own, true),
-                mask_overlap(by_box.mask, true),
-                mask_overlap(by_point.mask, true),
+                math.nan if own is None else mask_iou(own, true),
+                mask_iou(by_box.mask, true),
+                mask_iou(by_point.mask, true),
                 by_box.mask_failure,
                 by_point.mask_failure,
             )

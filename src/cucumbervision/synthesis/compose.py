@@ -126,8 +126,8 @@ def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str
 def _count(rng: np.random.Generator, setting: Setting) -> int:
     if setting is Setting.CRATE:
         return int(rng.integers(4, MOST_FRUIT + 1))
-    # One picture in twenty shows no fruit: what is not one has to be learnt too.
-    return 0 if rng.random() < 0.05 else int(min(1 + rng.geometric(0.28) - 1, MOST_FRUIT))
+    # One picture in twelve shows no fruit: what is not one has to be learnt too.
+    return 0 if rng.random() < 0.08 else int(min(1 + rng.geometric(0.28) - 1, MOST_FRUIT))
 
 
 def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
@@ -154,7 +154,7 @@ def _on_the_plant(
             if _in_front(covered.leaves[-1]):
                 scene = covered
                 leaf_roles.append("leaf")
-    before = _loose_leaves(rng, camera, distance_m)
+    before = _loose_leaves(rng, camera, distance_m, close=not placed)
     leaf_roles += ["leaf"] * len(before)
     ends = [_ends_of(rng, fruit) for fruit in placed]
     petals = tuple(leaf for one in ends for leaf in one[0])
@@ -203,12 +203,14 @@ def _behind(
 
 
 def _loose_leaves(
-    rng: np.random.Generator, camera: Intrinsics, distance_m: float
+    rng: np.random.Generator, camera: Intrinsics, distance_m: float, *, close: bool
 ) -> tuple[Leaf, ...]:
     leaves = []
-    for _ in range(int(rng.poisson(2.2))):
+    # Without fruit leaves come close: one that fills the picture is often taken for a fruit.
+    many, nearest = (5.0, 0.3) if close else (2.2, 0.6)
+    for _ in range(int(rng.poisson(many))):
         length = rng.uniform(0.05, 0.11)
-        z = distance_m * rng.uniform(0.6, 1.1)
+        z = distance_m * rng.uniform(nearest, 1.1)
         u, v = rng.uniform(0, camera.width), rng.uniform(0, camera.height)
         x, y = (float(r) for r in camera.rays(u, v))
         turn = rotation(rng.uniform(0, 360), rng.normal(0, 35), rng.uniform(-20, 60))

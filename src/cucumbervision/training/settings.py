@@ -30,6 +30,10 @@ _AUGMENTATION: dict[str, Any] = {
     "erasing": 0.0,
 }
 
+# Without outlines a turned box is the box about the old one's corners: far too wide for thin fruit.
+# Scenes that were drawn hold turned cameras themselves.
+_WITHOUT_OUTLINES: dict[str, Any] = {"degrees": 0.0}
+
 
 @dataclass(frozen=True)
 class TrainOptions:
@@ -140,7 +144,7 @@ def stage_settings(
             # be all of a stage of one.
             "warmup_epochs": 1.0 if index == 0 else 0.0,
             "warmup_bias_lr": 0.0,
-            "nbs": max(16, options.batch),
+            "nbs": max(8, options.batch),
             "close_mosaic": min(3, max(1, stage.epochs // 3)),
             "seed": state.seed,
             "deterministic": False,
@@ -151,6 +155,7 @@ def stage_settings(
             "nms": False,
             "conf": 0.01,
             **_AUGMENTATION,
+            **(_WITHOUT_OUTLINES if state.task == "pose" else {}),
             **(options.overrides or {}),
         }
     )

@@ -11,15 +11,21 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cucumbervision.training.assigner import assign_coarsely
 from cucumbervision.training.half_precision import channels_last, narrow, widen
+from cucumbervision.training.points import (
+    learn_to_assign,
+    learn_to_see,
+    set_tolerance,
+    tolerance_at,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Watcher", "learn_to_see", "make_trainer", "strip"]
+__all__ = ["Watcher", "make_trainer", "strip"]
 
 _OUTSIDE = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
-_HIDDEN = 1.5  # COCO: 1 is hidden, 2 seen
 _O2M_FIRST, _O2M_LAST = 0.8, 0.1  # Ultralytics' E2ELoss: share of the one-to-many head
 
 
@@ -87,9 +93,13 @@ def make_trainer(
     _listen(trainer, watcher, threads)
     trainer.add_callback("on_train_start", lambda t: _share_of_heads(t, span))
     if task == "pose":
+        trainer.add_callback("on_train_start", lambda t: learn_to_assign(t.model))
         trainer.add_callback("on_train_start", lambda t: learn_to_see(t.model))
+        trainer.add_callback("on_train_epoch_start", lambda t: _be_stricter(t, span))
     if overrides["device"] == "cpu":
         trainer.add_callback("on_train_start", lambda t: channels_last(t.model))
+        if task == "segment":
+            trainer.add_callback("on_train_start", lambda t: assign_coarsely(t.model))
     if bfloat16:
         trainer.add_callback("on_train_epoch_start", lambda t: narrow(t.model))
         trainer.add_callback("on_train_epoch_end", lambda t: widen(t.model))
@@ -182,38 +192,11 @@ def _share_of_heads(trainer: Any, span: tuple[float, float]) -> None:
     loss.o2o = loss.total - loss.o2m
 
 
-def learn_to_see(model: Any) -> None:
-    """Let a keypoint's confidence tell points that are seen from points that are hidden.
-
-    Ultralytics' tells labelled points from others: a hidden end whose place is labelled would look
-    like a seen one. A fruit none of whose points is labelled teaches nothing of them.
-    """
-    if getattr(model, "criterion", None) is None:
-        model.criterion = model.init_criterion()
-    heads = (getattr(model.criterion, name, None) for name in ("one2many", "one2one"))
-    for loss in [head for head in heads if head is not None] or [model.criterion]:
-        _judge_seen(loss)
-
-
-def _judge_seen(loss: Any) -> None:
-    located, judged = loss.keypoint_loss, loss.bce_pose
-    # The loss asks for the place first, with all that is labelled, then for the confidence.
-    truth: list[Any] = []
-
-    def locate(found: Any, true: Any, labelled: Any, area: Any) -> Any:
-        truth[:] = [true[..., 2]]
-        return located(found, true, labelled, area)
-
-    def judge(confidence: Any, _: Any) -> Any:
-        (visibility,) = truth
-        known = (visibility > 0).any(dim=1)
-        if not known.any():
-            return confidence.sum() * 0
-        return judged(confidence[known], (visibility[known] > _HIDDEN).float())
-
-    # Others ask the one for its tolerances.
-    locate.sigmas = located.sigmas  # type: ignore[attr-defined]
-    loss.keypoint_loss, loss.bce_pose = locate, judge
+def _be_stricter(trainer: Any, span: tuple[float, float]) -> None:
+    """Let the points' tolerance fall over the plan."""
+    begin, end = span
+    progress = begin + (end - begin) * trainer.epoch / max(trainer.epochs, 1)
+    set_tolerance(trainer.model, tolerance_at(progress))
 
 
 def strip(checkpoint: Path, out: Path) -> None:

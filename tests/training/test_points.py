@@ -1,0 +1,104 @@
+import itertools
+import math
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("ultralytics")
+
+from cucumbervision.training.export_yolo import import_ultralytics  # noqa: E402
+from cucumbervision.training.points import (  # noqa: E402
+    learn_to_assign,
+    learn_to_see,
+    set_tolerance,
+    tolerance_at,
+)
+
+pytestmark = pytest.mark.train
+
+
+def network() -> Any:
+    ultralytics = import_ultralytics()
+    model = ultralytics.YOLO("yolo26n-pose.yaml").model
+    model.args = ultralytics.utils.DEFAULT_CFG
+    return model
+
+
+@pytest.fixture(scope="module")
+def losses() -> list[Any]:
+    model = network()
+    learn_to_see(model)
+    return [model.criterion.one2many, model.criterion.one2one]
+
+
+def judged(loss: Any, confidence: Any, visibility: Any) -> float:
+    """Ask for the place and then the confidence, as Ultralytics' loss does."""
+    count = visibility.shape[1]
+    place = torch.zeros(*visibility.shape, 3)
+    place[..., 2] = visibility
+    labelled = visibility != 0
+    loss.keypoint_loss(torch.zeros(len(visibility), count, 3), place, labelled, torch.ones(1, 1))
+    return float(loss.bce_pose(confidence, labelled.float()))
+
+
+def test_a_hidden_point_is_to_look_hidden_though_its_place_is_labelled(losses: list[Any]) -> None:
+    visibility = torch.full((1, 17), 1.0)
+    visibility[0, 0] = 2.0
+    sure_of_the_first = torch.full((1, 17), -20.0)
+    sure_of_the_first[0, 0] = 20.0
+    for loss in losses:
+        assert judged(loss, sure_of_the_first, visibility) == pytest.approx(0.0, abs=1e-6)
+        # Unsure of all, each costs log 2.
+        assert judged(loss, torch.zeros(1, 17), visibility) == pytest.approx(math.log(2), rel=1e-6)
+
+
+def test_a_fruit_without_labelled_points_teaches_nothing_of_them(losses: list[Any]) -> None:
+    visibility = torch.zeros(2, 17)
+    visibility[1] = 2.0
+    confidence = torch.full((2, 17), 20.0)
+    for loss in losses:
+        # The first fruit would cost 20 a point.
+        assert judged(loss, confidence, visibility) == pytest.approx(0.0, abs=1e-6)
+        assert judged(loss, confidence[:1], visibility[:1]) == 0.0
+
+
+def test_the_tolerance_falls_to_what_is_asked_for_and_stays() -> None:
+    falling = [tolerance_at(k / 20) for k in range(21)]
+    assert falling[0] == pytest.approx(0.2)
+    assert all(a >= b for a, b in itertools.pairwise(falling))
+    assert falling[14:] == pytest.approx([0.05] * 7)
+
+
+def test_tolerance_reaches_loss_and_assignment() -> None:
+    model = network()
+    learn_to_assign(model)
+    learn_to_see(model)
+    loss = model.criterion.one2one
+    found, true = torch.zeros(1, 17, 3), torch.zeros(1, 17, 3)
+    found[..., 0] = 1.0  # each is one pixel off, in a box of 100 square pixels
+    seen = torch.ones(1, 17, dtype=torch.bool)
+    for sigma in (0.2, 0.05):
+        set_tolerance(model, sigma)
+        expected = 1 - math.exp(-1 / (2 * 100 * (2 * sigma) ** 2))
+        got = float(loss.keypoint_loss(found, true, seen, torch.full((1, 1), 100.0)))
+        assert got == pytest.approx(expected, rel=1e-5)
+        assert loss.assigner.sigmas.tolist() == pytest.approx([sigma] * 17)
+
+
+def test_an_anchor_with_the_right_box_counts_though_its_points_are_wrong() -> None:
+    model = network()
+    learn_to_assign(model)
+    set_tolerance(model, 0.05)
+    box = torch.tensor([[[10.0, 10.0, 50.0, 30.0]]])
+    found = torch.cat([box, box + 100], dim=1)  # the second is beside it
+    points = torch.zeros(1, 1, 17, 3)
+    points[..., 0], points[..., 1], points[..., 2] = 30.0, 20.0, 2.0
+    indices = tuple(torch.tensor(v) for v in ([0, 0, 0], [0, 0, 0], [0, 1, 0]))
+    far = torch.full((1, 2, 17, 2), 500.0)
+    overlaps = model.criterion.one2one.assigner.pair_overlaps(indices, box, found, far, points)
+    # A perfect box and hopeless points: one half. Ultralytics' own gives nothing.
+    assert overlaps.tolist() == pytest.approx([0.5, 0.0, 0.5], abs=1e-4)
+    near = torch.stack([torch.full((1, 2, 17), 30.0), torch.full((1, 2, 17), 20.0)], dim=-1)
+    overlaps = model.criterion.one2one.assigner.pair_overlaps(indices, box, found, near, points)
+    assert overlaps.tolist() == pytest.approx([1.0, 0.5, 1.0], abs=1e-4)

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,6 +18,9 @@ from cucumbervision.session.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.synthesis.demo import SCENES, bundled_captures, place
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 OPTIONS = MeasureOptions(instances="auto")
 WALK = key_of("walk")
@@ -51,6 +56,27 @@ def test_what_cannot_be_measured_is_saved_with_the_reason(store: Store, measurer
     stop = store.stop(taken.key)
     assert stop.captures[0].color is not None
     assert stop.failures[0]["error"] == "InstancesError"
+
+
+def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(
+    store: Store, measurer: Measurer, tmp_path: Path
+) -> None:
+    capture = next(iter(open_source(bundled_captures()))).load()
+    boxes = ([300.0, 100.0, 200.0, 60.0], [5000.0, 100.0, 200.0, 60.0])
+    instances = {
+        "images": [{"id": 1, "file_name": capture.name, "width": 848, "height": 480}],
+        "categories": [{"id": 1, "name": "cucumber"}],
+        "annotations": [
+            {"id": k, "image_id": 1, "category_id": 1, "bbox": box} for k, box in enumerate(boxes)
+        ],
+    }
+    path = tmp_path / "boxes.json"
+    path.write_text(json.dumps(instances))
+    taken = measurer.take_stop(store, WALK, capture, replace(OPTIONS, instances=str(path)))
+    assert not taken.note
+    stop = store.stop(taken.key)
+    assert len(stop.captures[0].fruit) == 1
+    assert len(stop.failures) == 1
 
 
 def test_a_stored_capture_is_the_frame_again(store: Store) -> None:

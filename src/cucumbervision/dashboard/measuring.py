@@ -79,13 +79,20 @@ class Measurer:
         CucumberVisionError
             If a network or the calibration cannot be loaded, or belongs to another camera.
         """
+        return self._measured(capture, options)[0]
+
+    def _measured(
+        self, capture: Capture, options: MeasureOptions
+    ) -> tuple[MeasuredCapture, tuple[CucumberVisionError, ...]]:
+        """Give what was measured, and what was refused as no fruit of this picture."""
         finder, site = self._tools(options)
         if site is not None:
             from cucumbervision.session.calibrated import calibrated_capture
 
             capture = calibrated_capture(capture, site)
-        fruit, _ = measure_capture(capture, finder, options)
-        return MeasuredCapture(capture, fruit, capture_rows(capture, fruit, options, site))
+        fruit, refused = measure_capture(capture, finder, options)
+        rows = capture_rows(capture, fruit, options, site)
+        return MeasuredCapture(capture, fruit, rows), refused
 
     def take_stop(
         self,
@@ -119,14 +126,13 @@ class Measurer:
         StoreError
             If it cannot be saved.
         """
-        failures: list[Failure] = []
         note = ""
         try:
-            measured = self.measure(capture, options)
+            measured, errors = self._measured(capture, options)
         except CucumberVisionError as error:
-            measured = MeasuredCapture(capture, (), ())
-            failures.append(Failure(capture.source, capture.name, error.code, str(error)))
+            measured, errors = MeasuredCapture(capture, (), ()), (error,)
             note = error.message  # its remedy is for the command line
+        failures = [Failure(capture.source, capture.name, e.code, str(e)) for e in errors]
         record = self._record(store, round_key, measured, options, failures)
         record = replace(record, key=key or new_key())
         store.save_stop(record)

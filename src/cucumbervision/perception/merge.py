@@ -94,7 +94,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
     instances : sequence of Instance
         After `merge_instances`.
     poses : sequence of Instance
-        With keypoints; others join nothing.
+        After `merge_instances` too, with keypoints; others join nothing.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
     >>> [one.box.tolist() for one in join_pieces(pieces, [pose])]
     [[4.5, 4.5, 54.5, 14.5]]
     """
-    left, poses = list(instances), merge_instances(poses)
+    left = list(instances)
     for pose in poses:
         pieces = [one for one in left if _is_piece(one, pose, poses)]
         if len(pieces) < 2:

@@ -132,33 +132,19 @@ class _Frame:
     """A stop's pose, and its captures' numbers and fields of view."""
 
     pose: NDArray[np.float64] | None
-    captures: dict[str, int]
+    captures: Mapping[str, int]
     reach: tuple[float, float]
 
 
 def _frames(store: Store, round_key: str) -> dict[str, _Frame]:
-    """Read poses and cameras: what lists of stops leave out."""
-    from sqlalchemy import select
-
-    from cucumbervision.store.engine import begin
-    from cucumbervision.store.schema import CaptureLine, Round, StopLine
-
-    query = (
-        select(StopLine.key, StopLine.pose, CaptureLine.id, CaptureLine.name, CaptureLine.camera)
-        .join(Round, Round.id == StopLine.round_id)
-        .outerjoin(CaptureLine, CaptureLine.stop_id == StopLine.id)
-        .where(Round.key == round_key)
-        .order_by(StopLine.id, CaptureLine.number)
-    )
-    found: dict[str, _Frame] = {}
-    with begin(store.engine) as connection:
-        for key, pose, number, name, camera in connection.execute(query):
-            if key not in found:
-                matrix = np.array(pose, float).reshape(4, 4) if len(pose) == 16 else None
-                found[key] = _Frame(matrix, {}, _reach(camera or {}))
-            if number is not None:
-                found[key].captures[name] = number
-    return found
+    return {
+        key: _Frame(
+            np.array(at.pose, float).reshape(4, 4) if len(at.pose) == 16 else None,
+            at.captures,
+            _reach(at.camera),
+        )
+        for key, at in store.cameras(round_key).items()
+    }
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:

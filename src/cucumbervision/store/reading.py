@@ -31,6 +31,7 @@ from cucumbervision.store.schema import (
     StopLine,
 )
 from cucumbervision.store.views import (
+    CameraAt,
     FruitView,
     LinkKind,
     LinkRecord,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "IMAGE_COLUMNS",
+    "cameras_at",
     "fruit_views",
     "link_records",
     "method_records",
@@ -301,3 +303,23 @@ def method_records(connection: Connection, round_key: str) -> dict[str, tuple[Me
     for row in cells_of(connection, query):
         found.setdefault(row[0], []).append(MethodRecord(*row[1:]))
     return {key: tuple(methods) for key, methods in found.items()}
+
+
+def cameras_at(connection: Connection, round_key: str) -> dict[str, CameraAt]:
+    """Give poses, cameras and captures' numbers by the stops' keys."""
+    query = (
+        select(StopLine.key, StopLine.pose, CaptureLine.id, CaptureLine.name, CaptureLine.camera)
+        .join(Round, Round.id == StopLine.round_id)
+        .outerjoin(CaptureLine, CaptureLine.stop_id == StopLine.id)
+        .where(Round.key == round_key)
+        .order_by(StopLine.id, CaptureLine.number)
+    )
+    found: dict[str, CameraAt] = {}
+    numbers: dict[str, dict[str, int]] = {}
+    for key, pose, number, name, camera in connection.execute(query):
+        if key not in found:
+            numbers[key] = {}
+            found[key] = CameraAt(pose, numbers[key], camera or {})
+        if number is not None:
+            numbers[key][name] = number
+    return found

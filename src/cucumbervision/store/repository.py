@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     )
     from cucumbervision.store.views import (
         ActionView,
+        CameraAt,
         FruitDetail,
         FruitView,
         LinkRecord,
@@ -189,6 +190,11 @@ class Store:
         """Give every method's first measurement by fruit key, without the paths."""
         with begin(self.engine) as connection:
             return reading.method_records(connection, round_key)
+
+    def cameras(self, round_key: str) -> dict[str, CameraAt]:
+        """Give where the cameras of a round stood, by the stops' keys."""
+        with begin(self.engine) as connection:
+            return reading.cameras_at(connection, round_key)
 
     def stop(self, stop_key: str) -> StopRecord:
         """Give a stop with everything, as it was saved."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -17,6 +17,7 @@ from cucumbervision.store.records import (
 
 __all__ = [
     "ActionView",
+    "CameraAt",
     "FruitDetail",
     "FruitFilter",
     "FruitView",
@@ -29,6 +30,25 @@ __all__ = [
     "StopView",
     "Verdict",
 ]
+
+
+@dataclass(frozen=True)
+class CameraAt:
+    """Where a stop's camera stood, and what it was: what lists of stops leave out.
+
+    Parameters
+    ----------
+    pose : sequence of float
+        Camera to row, 4 x 4 row by row; empty where it is not known.
+    captures : mapping
+        The captures' numbers in the store by their names.
+    camera : mapping
+        Of the first capture, as it was saved; empty where there is none.
+    """
+
+    pose: Sequence[float]
+    captures: Mapping[str, int]
+    camera: Mapping[str, Any]
 
 
 class Saved(StrEnum):

@@ -31,8 +31,9 @@ _AUGMENTATION: dict[str, Any] = {
 }
 
 # Without outlines a turned box is the box about the old one's corners: far too wide for thin fruit.
-# Scenes that were drawn hold turned cameras themselves.
-_WITHOUT_OUTLINES: dict[str, Any] = {"degrees": 0.0}
+# And fruit hang by the stem: which end is up says much of which end it is, as long as the pictures
+# are not turned over. Scenes that were drawn hold turned cameras and lying fruit themselves.
+_POINTS: dict[str, Any] = {"degrees": 0.0, "flipud": 0.0}
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def stage_settings(
             "nms": False,
             "conf": 0.01,
             **_AUGMENTATION,
-            **(_WITHOUT_OUTLINES if state.task == "pose" else {}),
+            **(_POINTS if state.task == "pose" else {}),
             **(options.overrides or {}),
         }
     )

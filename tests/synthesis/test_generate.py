@@ -1,4 +1,9 @@
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +104,26 @@ def test_words_without_meaning_are_refused(option: str, words: str, named: str) 
     size, shares, split = given["size"], given["shares"], given["split"]
     with pytest.raises(DataSetError, match=named):
         parse_options(frames=1, seed=1, size=size, shares=shares, split=split)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="groups of processes are POSIX")
+def test_a_command_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None:
+    program = "from cucumbervision.cli.app import main; main()"
+    command = [sys.executable, "-c", program, "synth", "--out", str(tmp_path / "set")]
+    options = ["--frames", "500", "--size", "96x64", "--no-depth", "--workers", "2", "--quiet"]
+    running = subprocess.Popen([*command, *options], start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not list((tmp_path / "set").glob("images/*.jpg")) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    running.send_signal(signal.SIGTERM)
+    running.wait(30)
+    drawn = len(list((tmp_path / "set").glob("images/*.jpg")))
+    assert 0 < drawn < 500
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(running.pid, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    os.killpg(running.pid, signal.SIGKILL)
+    pytest.fail("workers were left")

@@ -34,6 +34,13 @@ def dashboard(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open a browser on this machine.")
     ] = True,
+    login: Annotated[
+        bool,
+        typer.Option(
+            "--login",
+            help="Ask for the login on this machine too: behind a proxy that others reach.",
+        ),
+    ] = False,
 ) -> None:
     """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'."""
     if context.invoked_subcommand is not None:
@@ -48,6 +55,7 @@ def dashboard(
         address=address,
         port=port,
         browser=browser,
+        login=login,
     )
 
 

@@ -37,10 +37,8 @@ __all__ = [
     "write_password_hash",
 ]
 
-LOGIN_REMEDY = (
-    "run `cucumbervision dashboard set-password`, set up [auth] in Streamlit's secrets.toml, or "
-    "bind to 127.0.0.1"
-)
+_SET_UP = "run `cucumbervision dashboard set-password`, set up [auth] in Streamlit's secrets.toml"
+LOGIN_REMEDY = f"{_SET_UP}, or bind to 127.0.0.1"
 SHORTEST = 10  # characters of a password
 _FILE = "dashboard-password"
 # OWASP's password storage cheat sheet: scrypt with n = 2**17, r = 8, p = 1, some 128 MB.
@@ -141,7 +139,7 @@ def decide_login(address: str, *, oidc: bool, password: bool, always: bool = Fal
     Raises
     ------
     AccessError
-        If it binds beyond this machine, and there is neither.
+        If it binds beyond this machine, or is always to ask, and there is neither.
 
     Examples
     --------
@@ -161,6 +159,10 @@ def decide_login(address: str, *, oidc: bool, password: bool, always: bool = Fal
         return Login.OIDC
     if password:
         return Login.PASSWORD
+    if always:
+        raise AccessError(
+            "a login is asked for, and there is no login set up", source=address, remedy=_SET_UP
+        )
     raise AccessError(
         "others could open the dashboard, and there is no login",
         source=address or "all addresses",

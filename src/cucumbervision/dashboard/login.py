@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import streamlit as st
@@ -14,6 +15,7 @@ from cucumbervision.dashboard.access import (
     password_file,
     read_password_hash,
 )
+from cucumbervision.dashboard.variables import LOGIN_VARIABLE
 from cucumbervision.errors import AccessError
 
 __all__ = ["login_of", "require_login", "secrets_files"]
@@ -28,7 +30,7 @@ def secrets_files() -> tuple[Path, ...]:
 
 
 def login_of(address: str) -> Login:
-    """Decide how people log in to a server at this address.
+    """Decide how people log in to a server at this address; by its variable always.
 
     Raises
     ------
@@ -36,7 +38,12 @@ def login_of(address: str) -> Login:
         If others could reach it and there is no login.
     """
     kept = read_password_hash(password_file())
-    return decide_login(address, oidc=has_oidc(secrets_files()), password=kept is not None)
+    return decide_login(
+        address,
+        oidc=has_oidc(secrets_files()),
+        password=kept is not None,
+        always=bool(os.environ.get(LOGIN_VARIABLE)),
+    )
 
 
 @st.cache_resource(show_spinner=False)

@@ -46,6 +46,7 @@ def serve(
     address: str = "127.0.0.1",
     port: int = 8501,
     browser: bool = True,
+    login: bool = False,
 ) -> None:
     """Serve the dashboard until it is interrupted.
 
@@ -63,18 +64,22 @@ def serve(
         TCP port.
     browser : bool
         Open a browser on this machine.
+    login : bool
+        Ask on this machine too: for a proxy on it that others reach.
 
     Raises
     ------
     MissingExtraError
         If Streamlit is not installed.
     AccessError
-        If the address can be reached from other machines, and no login is set up.
+        If a login is needed (the address can be reached from other machines, or it is asked
+        for), and none is set up.
     CucumberVisionError
         If the replay is not there.
     """
     from cucumbervision.dashboard.variables import (
         IMAGES_VARIABLE,
+        LOGIN_VARIABLE,
         REPLAY_VARIABLE,
         STORE_VARIABLE,
     )
@@ -83,6 +88,7 @@ def serve(
         raise MissingExtraError("streamlit", "dashboard")
     from cucumbervision.dashboard.login import login_of
 
+    os.environ.update({LOGIN_VARIABLE: "always"} if login else {})
     login_of(address)
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")

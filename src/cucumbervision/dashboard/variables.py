@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["IMAGES_VARIABLE", "REPLAY_VARIABLE", "STORE_VARIABLE", "default_store"]
+__all__ = [
+    "IMAGES_VARIABLE",
+    "LOGIN_VARIABLE",
+    "REPLAY_VARIABLE",
+    "STORE_VARIABLE",
+    "default_store",
+]
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
+LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
 
 
 def default_store() -> str:

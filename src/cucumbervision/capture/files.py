@@ -29,6 +29,7 @@ __all__ = [
     "read_mask",
     "read_photo",
     "write_bytes",
+    "write_jpeg",
     "write_png",
 ]
 
@@ -272,6 +273,21 @@ def write_png(path: Path, image: NDArray[Any]) -> None:
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".png", image)
+    write_bytes(path, data.tobytes())
+
+
+def write_jpeg(path: Path, color_rgb: NDArray[np.uint8], quality: int = 95) -> None:
+    """Write an RGB picture.
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be written.
+    """
+    import cv2
+
+    bgr = np.ascontiguousarray(color_rgb[..., ::-1])
+    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     write_bytes(path, data.tobytes())
 
 

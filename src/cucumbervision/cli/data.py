@@ -1,4 +1,4 @@
-"""`cucumbervision data`: check, convert, split, label, merge and describe sets of pictures."""
+"""`cucumbervision data`: check, convert, split, label, cut, merge and describe pictures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["app"]
 
 app = typer.Typer(
     name="data",
-    help="Check, convert, split, label, merge and describe sets of labelled pictures.",
+    help="Check, convert, split, label, cut, merge and describe sets of labelled pictures.",
     no_args_is_help=True,
 )
 
@@ -136,6 +136,23 @@ def pseudo(
     raise typer.Exit(
         data_console.pseudo(folder, out, names, model, prompt.value, runtime.value, link=not copy)
     )
+
+
+@app.command()
+def windows(
+    folder: Folder,
+    out: Annotated[Path, typer.Argument(help="New hub folder.", metavar="OUT")],
+    side: Annotated[
+        int, typer.Option(min=32, help="Side of a window, pixels; larger where a fruit is.")
+    ] = 480,
+    names: Names = "",
+    splits: Annotated[str, typer.Option(help="Whose pictures to cut, by commas.")] = "train",
+    seed: Annotated[int, typer.Option(min=0, help="The same seed cuts the same windows.")] = 0,
+) -> None:
+    """Cut windows around fruit: small pictures to train on, as large as they are in large ones."""
+    from cucumbervision.cli import data_console
+
+    raise typer.Exit(data_console.windows(folder, out, side, names, splits, seed))
 
 
 @app.command()

@@ -19,6 +19,7 @@ from cucumbervision.datasets.merge import merge_datasets
 from cucumbervision.datasets.pictures import write_text
 from cucumbervision.datasets.pseudo import add_pseudo_masks
 from cucumbervision.datasets.splits import find_scenes, scenes_by_name, split_by_scene
+from cucumbervision.datasets.windows import write_windows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.datasets.labels import DataSet
 
-__all__ = ["card", "check", "convert", "merge", "pseudo", "split"]
+__all__ = ["card", "check", "convert", "merge", "pseudo", "split", "windows"]
 
 _WIDE = 500  # one line a finding, for files and pipes
 
@@ -138,6 +139,17 @@ def pseudo(
     )
     for file, fault in drawn.refused:
         console.print(f"  {file}: {fault}", soft_wrap=True, markup=False)
+    return _show_refused(dataset)
+
+
+def windows(folder: Path, out: Path, side: int, names: str, splits: str, seed: int) -> int:
+    """Cut windows around fruit and say how many; give 1 if something was left out."""
+    dataset = open_dataset(folder, _list(names))
+    with _progress("cutting", len(dataset.pictures)) as tick:
+        cut = write_windows(dataset, out, side, splits=_list(splits), seed=seed, progress=tick)
+    fruit = sum(not label.ignore for picture in cut.pictures for label in picture.labels)
+    line = f"{len(cut.pictures)} windows with {fruit} fruit are in {out}"
+    _console().print(line, soft_wrap=True, markup=False)
     return _show_refused(dataset)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.capture.files import read_photo, write_bytes
+from cucumbervision.capture.files import read_photo, write_bytes, write_jpeg
 from cucumbervision.capture.source import safe_name, unique_name
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.session.coco_results import coco_categories, coco_results, results_text
@@ -285,14 +285,9 @@ def _note(failure: Failure, result: DetectResult, sink: CsvSink) -> None:
 
 
 def _write_overlay(path: Path, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]) -> None:
-    import cv2
-
     from cucumbervision.session.detect_overlay import draw_detections
 
-    drawn = draw_detections(color_rgb, found)[..., ::-1]
-    ok, data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    if ok:
-        write_bytes(path, data.tobytes())
+    write_jpeg(path, draw_detections(color_rgb, found), _JPEG_QUALITY)
 
 
 def _plain(value: object) -> object:

@@ -1,5 +1,6 @@
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision.training.export_yolo import import_ultralytics  # noqa: E402
 from cucumbervision.training.points import (  # noqa: E402
+    knows_points,
     learn_to_assign,
     learn_to_see,
     set_tolerance,
@@ -102,3 +104,16 @@ def test_an_anchor_with_the_right_box_counts_though_its_points_are_wrong() -> No
     near = torch.stack([torch.full((1, 2, 17), 30.0), torch.full((1, 2, 17), 20.0)], dim=-1)
     overlaps = model.criterion.one2one.assigner.pair_overlaps(indices, box, found, near, points)
     assert overlaps.tolist() == pytest.approx([1.0, 0.5, 1.0], abs=1e-4)
+
+
+def test_only_a_network_of_five_points_knows_them(tmp_path: Path) -> None:
+    ultralytics = import_ultralytics()
+    assert not knows_points("yolo26n-pose.yaml")
+    for kind, points, known in (("pose", 17, False), ("pose", 5, True), ("seg", 0, False)):
+        net = ultralytics.YOLO(f"yolo26n-{kind}.yaml")
+        if points == 5:
+            net.model = ultralytics.nn.tasks.PoseModel(
+                "yolo26n-pose.yaml", nc=1, data_kpt_shape=(5, 3), verbose=False
+            )
+        net.save(tmp_path / "net.pt")
+        assert knows_points(str(tmp_path / "net.pt")) is known

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from cucumbervision.datasets.labels import KEYPOINT_NAMES
 from cucumbervision.training.learn_from import KEYPOINT_SIGMA
 
-__all__ = ["learn_to_assign", "learn_to_see", "set_tolerance", "tolerance_at"]
+__all__ = ["knows_points", "learn_to_assign", "learn_to_see", "set_tolerance", "tolerance_at"]
 
 _HIDDEN = 1.5  # COCO: 1 is hidden, 2 seen
 _KINDEST = 4.0
@@ -22,7 +23,8 @@ def tolerance_at(progress: float) -> float:
     """Give the keypoints' tolerance (OKS sigma) while learning.
 
     It falls evenly in its logarithm from 0.2, Ultralytics' own for five points, to the 0.05 that
-    is asked for, which holds for the last three tenths.
+    is asked for, which holds for the last three tenths. A network that knows the points already
+    begins there.
 
     Parameters
     ----------
@@ -35,6 +37,23 @@ def tolerance_at(progress: float) -> float:
     [0.2, 0.1, 0.05, 0.05]
     """
     return float(KEYPOINT_SIGMA * _KINDEST ** max(0.0, 1.0 - progress / _STRICT_FROM))
+
+
+def knows_points(weights: str) -> bool:
+    """Tell whether a checkpoint's network was trained for the five points already.
+
+    Parameters
+    ----------
+    weights : str
+        A .pt file that Ultralytics can load; a .yaml knows nothing.
+    """
+    if not weights.endswith(".pt"):
+        return False
+    from ultralytics.nn.tasks import load_checkpoint
+
+    network, _ = load_checkpoint(weights)
+    shape = getattr(network.model[-1], "kpt_shape", (0,))
+    return int(shape[0]) == len(KEYPOINT_NAMES)
 
 
 def set_tolerance(model: Any, sigma: float) -> None:

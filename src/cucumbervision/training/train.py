@@ -14,6 +14,7 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.training.export_yolo import import_ultralytics
 from cucumbervision.training.half_precision import choose_precision
 from cucumbervision.training.learn_from import TASKS, prepare_data
+from cucumbervision.training.points import knows_points
 from cucumbervision.training.settings import LEARNING, TrainOptions, choose_device, stage_settings
 from cucumbervision.training.stages import (
     DONE,
@@ -207,6 +208,7 @@ def _run_stage(
             span=_span(state.stages, index),
             # Two or three pictures tell too little of a layer's mean and spread.
             still_norms=options.batch < _SOUND_BATCH and state.init.endswith(".pt"),
+            strict=state.task == "pose" and knows_points(state.init),
         )
         trainer.train()
         state = link.state

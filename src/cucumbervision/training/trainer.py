@@ -49,6 +49,7 @@ def make_trainer(
     bfloat16: bool,
     span: tuple[float, float],
     still_norms: bool = False,
+    strict: bool = False,
 ) -> Any:
     """Build the trainer of one stage.
 
@@ -69,6 +70,8 @@ def make_trainer(
         of the loss falls over the plan, not anew in every stage.
     still_norms : bool
         Keep the statistics of batch norm as they are; for very small batches.
+    strict : bool
+        Judge points by the final tolerance from the beginning.
 
     Returns
     -------
@@ -95,7 +98,9 @@ def make_trainer(
     if task == "pose":
         trainer.add_callback("on_train_start", lambda t: learn_to_assign(t.model))
         trainer.add_callback("on_train_start", lambda t: learn_to_see(t.model))
-        trainer.add_callback("on_train_epoch_start", lambda t: _be_stricter(t, span))
+        trainer.add_callback(
+            "on_train_epoch_start", lambda t: _be_stricter(t, (1, 1) if strict else span)
+        )
     if overrides["device"] == "cpu":
         trainer.add_callback("on_train_start", lambda t: channels_last(t.model))
         if task == "segment":

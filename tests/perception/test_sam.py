@@ -125,6 +125,38 @@ def test_a_mask_far_beyond_its_box_is_refused() -> None:
     assert found.detector_mask is middle.detector_mask
 
 
+def test_a_mask_unlike_the_detectors_is_refused(segmenter: Segmenter) -> None:
+    # The detector says: only the left half of the tube is the fruit.
+    truth = tube(480, 640, LEFT)
+    half = truth.copy()
+    half[:, 150:] = False
+    fruit = Instance(box_of_mask(truth), detector_mask=half)
+    (found,) = segmenter.segment(drawn(480, 640, LEFT), [fruit])
+    assert found.mask_failure == "mask-off-detector"
+    assert found.mask is None
+
+
+def test_the_detectors_mask_chooses_among_those_of_sam(
+    segmenter: Segmenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # SAM offers the fruit with its shadow, and expects more of it than of the fruit alone.
+    logits = np.full((2, 256, 256), -8.0, np.float32)
+    logits[0, 40:100, 40:120] = 8.0  # a quarter of the picture's 1024 pixels each way
+    logits[1, 40:80, 40:120] = 8.0
+    answer = logits, np.array([0.9, 0.8], np.float32)
+    monkeypatch.setattr(segmenter, "_answers", lambda *_: [answer])
+    box = np.array([159.5, 159.5, 479.5, 399.5])
+    own = np.zeros((1024, 1024), bool)
+    own[165:320, 160:478] = True
+    picture = np.zeros((1024, 1024, 3), np.uint8)
+    (guided,) = segmenter.segment(picture, [Instance(box, detector_mask=own)])
+    (alone,) = segmenter.segment(picture, [Instance(box)])
+    fruit = np.zeros((1024, 1024), bool)
+    fruit[160:320, 160:480] = True
+    assert iou(guided.mask, fruit) > 0.98
+    assert iou(alone.mask, fruit) == pytest.approx(40 / 60, abs=0.01)
+
+
 def test_boxes_with_nothing_of_the_picture_in_them(segmenter: Segmenter) -> None:
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
     outside = [[700, 10, 800, 60], [-90, -90, -10, -10], [50, 50, 50, 90], [np.nan] * 4]

@@ -17,6 +17,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.perception.instances import Instance, MaskSource, box_iou, box_of_mask
 from cucumbervision.perception.sam_picture import (
     mask_from_logits,
+    mask_to_sam,
     points_to_sam,
     prepare_picture,
     rows_needed,
@@ -27,13 +28,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["MIN_BOX_IOU", "MIN_MASK_PX", "PROMPTS", "Segmenter", "mask_fault"]
+    _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+__all__ = ["MIN_AGREEMENT", "MIN_BOX_IOU", "MIN_MASK_PX", "PROMPTS", "Segmenter", "mask_fault"]
 
 PROMPTS = ("box", "box+point", "point")
 """What a detection can be prompted by: its box, its centre, or both."""
 
 MIN_MASK_PX = 100
 MIN_BOX_IOU = 0.5
+MIN_AGREEMENT = 0.6
+"""Least IoU with the detector's own mask, where there is one, that a mask is taken with."""
 
 _TOGETHER = 4  # prompts in one call of the decoder: more would only need more memory
 _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
@@ -120,18 +125,23 @@ class Segmenter:
         -------
         tuple of Instance
             In the same order. `mask` is SAM's, or None with `mask_failure` set; the rest stays.
+
+        Notes
+        -----
+        SAM gives several masks, each with the IoU that it expects. Where the detector drew a mask,
+        the sum of that and the IoU with the detector's decides; else it alone.
         """
         height, width = color_rgb.shape[:2]
         boxes = [_clip(instance.box, height, width) for instance in instances]
         seen = {i: box for i, box in enumerate(boxes) if box is not None}
-        logits = self._logits(color_rgb, np.array(list(seen.values())).reshape(-1, 4), self.prompt)
-        low = dict(zip(seen, logits, strict=True))
+        answers = self._answers(
+            color_rgb, np.array(list(seen.values())).reshape(-1, 4), self.prompt
+        )
+        given = dict(zip(seen, answers, strict=True))
         return tuple(
-            _with_mask(
-                instance,
-                mask_from_logits(low[i], height, width) if i in low else None,
-                seen.get(i, instance.box),
-            )
+            _with_mask(instance, given[i], seen[i], height, width)
+            if i in given
+            else _without_mask(instance, "mask-empty")
             for i, instance in enumerate(instances)
         )
 
@@ -151,13 +161,13 @@ class Segmenter:
             May be empty.
         """
         at = np.array([[u_px, v_px, u_px, v_px]], np.float64)
-        (logits,) = self._logits(color_rgb, at, "point")
-        return mask_from_logits(logits, *color_rgb.shape[:2])
+        ((logits, sure),) = self._answers(color_rgb, at, "point")
+        return mask_from_logits(logits[sure.argmax()], *color_rgb.shape[:2])
 
-    def _logits(
+    def _answers(
         self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64], prompt: str
-    ) -> list[NDArray[np.float32]]:
-        """Give each box's most confident mask as logits, shape (256 or fewer, 256)."""
+    ) -> list[_Answer]:
+        """Give each box's masks as logits, and how good SAM believes each to be."""
         if not len(boxes):
             return []
         height, width = color_rgb.shape[:2]
@@ -166,13 +176,12 @@ class Segmenter:
             # Padding is 44 % of the square under a picture of 16:9.
             picture = picture[:, :, : rows_needed(height, width)]
         embedding = self._encoder.run({"image": picture})["embedding"]
-        found: list[NDArray[np.float32]] = []
+        found: list[_Answer] = []
         for start in range(0, len(boxes), _TOGETHER):
             points, labels = _prompts(boxes[start : start + _TOGETHER], prompt)
             places = points_to_sam(points, height, width)
             answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
-            best = answer["ious"].argmax(axis=1)
-            found.extend(answer["logits"][np.arange(len(best)), best])
+            found.extend(zip(answer["logits"], answer["ious"], strict=True))
         return found
 
 
@@ -244,9 +253,31 @@ def _prompts(
 
 
 def _with_mask(
-    instance: Instance, mask: NDArray[np.bool_] | None, box: NDArray[np.float64]
+    instance: Instance, answer: _Answer, box: NDArray[np.float64], height: int, width: int
 ) -> Instance:
-    fault = "mask-empty" if mask is None else mask_fault(mask, box)
+    """Take the best of SAM's masks, unless it cannot be the fruit."""
+    logits, sure = answer
+    agreement = np.ones(len(sure))
+    own = instance.detector_mask
+    if own is not None and own.any():
+        agreement = _agreement(logits, own)
+    best = int((sure + agreement).argmax())
+    mask = mask_from_logits(logits[best], height, width)
+    fault = mask_fault(mask, box)
+    if not fault and agreement[best] < MIN_AGREEMENT:
+        fault = "mask-off-detector"
     if fault:
-        return replace(instance, mask=None, mask_source=None, mask_failure=fault)
+        return _without_mask(instance, fault)
     return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
+
+
+def _without_mask(instance: Instance, fault: str) -> Instance:
+    return replace(instance, mask=None, mask_source=None, mask_failure=fault)
+
+
+def _agreement(logits: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Give the IoU of each of SAM's masks with the detector's, both in SAM's small pixels."""
+    small = mask_to_sam(mask, logits.shape[1:])
+    masks = logits > 0
+    both = np.count_nonzero(masks & small, axis=(1, 2))
+    return np.asarray(both / np.maximum(np.count_nonzero(masks | small, axis=(1, 2)), 1))

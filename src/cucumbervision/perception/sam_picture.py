@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SIDE",
     "mask_from_logits",
+    "mask_to_sam",
     "points_to_sam",
     "prepare_picture",
     "rows_needed",
@@ -162,6 +163,39 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
     fine = down[:, low_rows] @ logits[low_rows, low_columns] @ across[:, low_columns].T
     mask[rows, columns] = fine > 0
     return mask
+
+
+def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Shrink a mask of the picture to the decoder's pixels.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        In the picture.
+    shape : tuple of int
+        Rows and columns of the decoder's masks: 256, or fewer rows.
+
+    Returns
+    -------
+    ndarray of bool, shape `shape`
+        Pixels of which more than half is in the mask.
+
+    Examples
+    --------
+    >>> mask = np.zeros((720, 1280), bool)
+    >>> mask[:360, :640] = True
+    >>> small = mask_to_sam(mask, (256, 256))
+    >>> small.sum(), small[71, 127], small[72, 127]
+    (np.int64(9216), np.True_, np.False_)
+    """
+    import cv2
+
+    scaled_height, scaled_width = scaled_size(*mask.shape)
+    rows, columns = (max(round(n * _LOW / SIDE), 1) for n in (scaled_height, scaled_width))
+    part = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    small = np.zeros(shape, bool)
+    small[:rows, :columns] = part[: shape[0], : shape[1]] > 0.5
+    return small
 
 
 def _span(flags: NDArray[np.bool_]) -> slice:

@@ -48,6 +48,9 @@ class OverlapRow:
         Of the detector's own mask; NaN where it drew none.
     box_iou, point_iou : float
         Of SAM's mask from the box, and from box and centre; 0 where it was refused.
+    used_iou : float
+        Of the mask that is measured: SAM's by the shipped prompt, or the detector's own where
+        SAM's was refused.
     box_refused, point_refused : str
         Why SAM's mask was refused; empty if it was not.
     """
@@ -60,6 +63,7 @@ class OverlapRow:
     network_iou: float
     box_iou: float
     point_iou: float
+    used_iou: float
     box_refused: str = ""
     point_refused: str = ""
 
@@ -98,6 +102,7 @@ def overlap_rows(
                 math.nan if own is None else mask_iou(own, true),
                 mask_iou(by_box.mask, true),
                 mask_iou(by_point.mask, true),
+                mask_iou(own if by_point.mask is None else by_point.mask, true),
                 by_box.mask_failure,
                 by_point.mask_failure,
             )

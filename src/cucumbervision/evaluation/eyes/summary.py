@@ -73,9 +73,10 @@ class OverlapScore:
     prompt_box : str
         'found' or 'true'.
     masks : str
-        'network alone', 'SAM, box', 'SAM, box + centre'.
+        'network alone', 'SAM, box', 'SAM, box + centre', or 'what is measured': the last, or the
+        network's where SAM's was refused.
     mean, median : Estimate
-        Intersection over union, a refused mask counting as 0.
+        Intersection over union, a refused mask of SAM counting as 0.
     refused : int
         How many were refused.
     """
@@ -197,6 +198,7 @@ def _overlap_scores(rows: Sequence[OverlapRow]) -> list[OverlapScore]:
                     [r.point_iou for r in same],
                     sum(bool(r.point_refused) for r in same),
                 ),
+                "what is measured": ([r.used_iou for r in same], 0),
             }
             for name, (values, refused) in kinds.items():
                 known = np.isfinite(values)

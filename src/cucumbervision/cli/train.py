@@ -123,6 +123,26 @@ def _train(
 
 
 @app.command()
+def ends(
+    sets: Annotated[
+        list[Path], typer.Argument(help="Labelled sets with keypoints.", metavar="SET...")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
+    name: Annotated[str, typer.Option("--name", help="The network's name.")] = "cucumber-ends",
+    epochs: Annotated[int, typer.Option(min=1, help="Rounds through all fruit.")] = 20,
+    seed: Seed = 0,
+    threads: Threads = 0,
+    credit: Annotated[
+        list[str] | None, typer.Option("--credit", help="Whom the card is to name; repeatable.")
+    ] = None,
+) -> None:
+    """Train what tells a fruit's stem end from its blossom end, and write it with its card."""
+    from cucumbervision.cli.ends_console import train_ends
+
+    train_ends(sets, out, name, epochs=epochs, seed=seed, threads=threads, credits=credit or ())
+
+
+@app.command()
 def export(
     source: Annotated[Path, typer.Argument(help="A run's folder, or a checkpoint (.pt).")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],

@@ -11,7 +11,10 @@ from cucumbervision.measurement.m4 import MIN_VISIBILITY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["end_flags"]
+__all__ = ["SURE", "end_flags"]
+
+SURE = 0.9
+"""From this probability on a fruit's ends are said to be told apart."""
 
 BEYOND = 0.10  # of the fruit's length: some times what a pose network errs by at an end
 

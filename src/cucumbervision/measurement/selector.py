@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.cloud import box_pixels
-from cucumbervision.measurement.ends import end_flags
+from cucumbervision.measurement.ends import SURE, end_flags
 from cucumbervision.measurement.m4 import endpoints_visible
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
@@ -172,6 +172,8 @@ def measure_fruit(
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
+    if instance.ends_known is not None and instance.ends_known < SURE:
+        flags.append("ends-unsure")
     if chosen is None:
         choice = _why_nothing(capture, instance.box)
     return Fruit(instance, measurements, chosen, str(choice), fallback, tuple(flags), mask, source)

@@ -44,7 +44,11 @@ class Instance:
     keypoints : ndarray of float64, shape (5, 3), optional
         u, v in pixels and visibility 0 to 1 of KP0 (blossom end) to KP4 (stem end).
     mask_failure : str
-        Why SAM's mask was refused ('mask-empty', 'mask-small', 'mask-off-box'); empty if not.
+        Why SAM's mask was refused ('mask-empty', 'mask-small', 'mask-off-box',
+        'mask-off-detector'); empty if not.
+    ends_known : float, optional
+        How probable it is that `keypoints` run from blossom to stem and not the other way; None
+        where the pose network itself is said to know.
     """
 
     box: NDArray[np.float64]
@@ -55,6 +59,7 @@ class Instance:
     detector_mask: NDArray[np.bool_] | None = None
     keypoints: NDArray[np.float64] | None = None
     mask_failure: str = ""
+    ends_known: float | None = None
 
 
 def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -227,8 +227,10 @@ def _kept(group: Sequence[_Region]) -> Instance:
     best = members[0].instance.score
     trusted = [one for one in members if one.instance.score >= TRUSTED * best]
     kept = max(trusted, key=lambda one: one.area).instance
-    keypoints = [kept.keypoints, *(one.instance.keypoints for one in members)]
-    return replace(kept, score=best, keypoints=next((k for k in keypoints if k is not None), None))
+    posed = [one for one in (kept, *(m.instance for m in members)) if one.keypoints is not None]
+    if not posed:
+        return replace(kept, score=best)
+    return replace(kept, score=best, keypoints=posed[0].keypoints, ends_known=posed[0].ends_known)
 
 
 def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
@@ -257,4 +259,10 @@ def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance
     best = max(pieces, key=lambda one: one.score)
     masks = [mask for one in pieces if (mask := _mask(one)) is not None]
     mask = np.logical_or.reduce(masks)
-    return replace(best, box=box, detector_mask=mask, keypoints=pose.keypoints)
+    return replace(
+        best,
+        box=box,
+        detector_mask=mask,
+        keypoints=pose.keypoints,
+        ends_known=pose.ends_known,
+    )

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.perception.ends import EndTeller
+
 __all__ = ["DEFAULT_CONFIDENCE", "YoloDetector", "with_keypoints"]
 
 DEFAULT_CONFIDENCE = 0.30
@@ -41,6 +43,9 @@ class YoloDetector:
         A detection's score must exceed it, 0 to 1.
     full_precision : bool
         As for `open_network`.
+    ends : EndTeller, optional
+        Tells which end of a fruit is the stem's where the file says that its points are ordered
+        by place. Without one such points keep their order, and nobody knows their ends.
     most : int, optional
         Detections a picture at most, the best ones: with next to no least confidence there are
         hundreds, and each mask is drawn at full size.
@@ -58,9 +63,10 @@ class YoloDetector:
         confidence: float = DEFAULT_CONFIDENCE,
         full_precision: bool = False,
         most: int | None = None,
+        ends: EndTeller | None = None,
     ) -> None:
         self._network = open_network(path, runtime, full_precision=full_precision)
-        self._most = most
+        self._most, self.ends = most, ends
         self._layout = read_layout(self._network)
         self._confidence = confidence
         if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
@@ -80,6 +86,11 @@ class YoloDetector:
     def task(self) -> str:
         """Either 'detect', 'segment' or 'pose'."""
         return self._layout.task
+
+    @property
+    def by_place(self) -> bool:
+        """Whether its keypoints are ordered by where they lie, so that `ends` is needed."""
+        return self._layout.by_place
 
     @property
     def runtime(self) -> str:
@@ -121,7 +132,12 @@ class YoloDetector:
             else choose_raw(output, classes, self._confidence, one_to_one=layout.one_to_one)
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
-        return self._instances(rows[: self._most], prototypes, box)
+        found = self._instances(rows[: self._most], prototypes, box)
+        if not layout.by_place:
+            return found
+        if self.ends is None:
+            return tuple(replace(one, ends_known=0.5) for one in found)
+        return self.ends.tell(color_rgb, found)
 
     def _instances(
         self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox
@@ -188,5 +204,7 @@ def with_keypoints(
     rows, columns = linear_sum_assignment(overlaps, maximize=True)
     for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
         if overlaps[i, j] > 0 and poses[j].keypoints is not None:
-            out[i] = replace(instances[i], keypoints=poses[j].keypoints)
+            out[i] = replace(
+                instances[i], keypoints=poses[j].keypoints, ends_known=poses[j].ends_known
+            )
     return tuple(out)

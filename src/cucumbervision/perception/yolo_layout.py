@@ -13,10 +13,16 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.runtime import Network, TensorInfo
 
-__all__ = ["ONE_TO_ONE_KEY", "YoloLayout", "read_layout"]
+__all__ = ["BY_PLACE", "ONE_TO_ONE_KEY", "ORDER_KEY", "YoloLayout", "read_layout"]
 
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' where the raw head is the one-to-one one."""
+
+ORDER_KEY = "keypoint_order"
+"""Metadata key of our pose exports; without it points run from blossom to stem."""
+
+BY_PLACE = "place"
+"""Its value where points run from a fruit's lower left end to its upper right one."""
 
 _TASKS = ("detect", "segment", "pose")
 _REMEDY = "name an ONNX export of a YOLO detect, segment or pose network"
@@ -52,6 +58,8 @@ class YoloLayout:
         True where the file says that its rows are already chosen.
     one_to_one : bool
         True where a raw head's rows do not overlap.
+    by_place : bool
+        True where keypoints are ordered by where they lie in the picture.
     source : str
         The file, for errors.
     """
@@ -68,6 +76,7 @@ class YoloLayout:
     keypoints: tuple[int, int]
     end_to_end: bool
     one_to_one: bool
+    by_place: bool
     source: str
 
     def raw_classes(self, shape: tuple[int, ...]) -> int | None:
@@ -143,6 +152,7 @@ def read_layout(network: Network) -> YoloLayout:
             or _literal(data, "args", {}, source).get("nms")
         ),
         one_to_one=data.get(ONE_TO_ONE_KEY) == "True",
+        by_place=data.get(ORDER_KEY) == BY_PLACE,
         source=source,
     )
     _, channels, last = rows[0].shape

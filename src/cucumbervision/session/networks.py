@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cucumbervision.perception.ends import EndTeller
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
 
-__all__ = ["Detectors", "NetworkOptions", "Segmenters", "load_pose"]
+__all__ = ["Detectors", "NetworkOptions", "Segmenters", "load_ends", "load_pose"]
 
 
 class NetworkOptions(Protocol):
@@ -224,4 +225,28 @@ def _load(
     )
     name, sha256 = known or (path.name, file_sha256(path))
     models.append({"name": name, "sha256": sha256, "runtime": network.runtime})
+    if network.by_place:
+        network.ends = load_ends(models)
     return network
+
+
+def load_ends(models: list[dict[str, Any]]) -> EndTeller | None:
+    """Load the package's network that tells a fruit's ends apart, if it has one.
+
+    Parameters
+    ----------
+    models : list of dict
+        Gets its name, SHA-256 and runtime.
+    """
+    from cucumbervision.perception.ends import EndTeller
+    from cucumbervision.perception.registry import load_registry
+
+    registry = load_registry()
+    own = registry.default("ends")
+    if own is None:
+        return None
+    path = registry.resolve(own.name)["network"]
+    ends = EndTeller(path)
+    sha256 = registry.hashes(own.name)[path.name]
+    models.append({"name": own.name, "sha256": sha256, "runtime": ends.runtime})
+    return ends

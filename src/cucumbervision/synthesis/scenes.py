@@ -287,8 +287,12 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
         hidden_share=1.0 - int(visible.sum()) / whole if whole else 0.0,
         cut_off=reaches_border(amodal),
         keypoints_px=pixels,
-        keypoint_visibility=_visibility(points, pixels, tube, visible, view.depth_m),
+        keypoint_visibility=_visibility(points, pixels, tube, visible, view.depth_m, camera),
     )
+
+
+GROWN_SHARE = 0.2
+"""Half the width of a stalk or a blossom, as a share of the fruit's largest radius."""
 
 
 def _visibility(
@@ -297,16 +301,22 @@ def _visibility(
     tube: Tube,
     visible: NDArray[np.bool_],
     depth_m: NDArray[np.float64],
+    camera: Intrinsics,
 ) -> NDArray[np.int8]:
     height, width = visible.shape
+    thick_m = float(tube.radii_m.max())
     found = np.zeros(len(pixels), np.int8)
     # An inner point lies a radius under the skin; a pole is on it, or behind the fruit's body.
     allowed = [0.5 * tube.radii_m[0], *[np.inf] * (len(pixels) - 2), 0.5 * tube.radii_m[-1]]
     for k, (u, v) in enumerate(np.rint(pixels).astype(int).tolist()):
         if not (0 <= u < width and 0 <= v < height):
             continue
-        # A pole's own pixel may just miss the outline: its neighbours count too.
-        near = np.s_[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
+        # A pole's own pixel may just miss the outline: its neighbours count too. And where a stalk
+        # or a blossom grows, the end is in sight all the same: as far as these reach.
+        about = 1
+        if k in (0, len(pixels) - 1):
+            about += int(np.ceil(GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6)))
+        near = np.s_[max(v - about, 0) : v + about + 1, max(u - about, 0) : u + about + 1]
         fruit = visible[near]
         behind = points_m[k, 2] - depth_m[near]
         found[k] = 2 if (fruit & (behind <= allowed[k])).any() else 1

@@ -13,6 +13,14 @@ from cucumbervision.errors import TrainingError
 __all__ = ["MAKERS", "ModelCard", "card_markdown", "read_card", "write_card"]
 
 _LICENCE = "AGPL-3.0-only"
+_WHAT = {
+    "segment": "YOLO26, task segment, one class (cucumber).",
+    "pose": "YOLO26, task pose, one class (cucumber), five keypoints. They run from a fruit's "
+    "lower left end to its upper right one where the file's metadata say `keypoint_order: place`, "
+    "and `cucumber-ends` tells which is the stem's; else from the blossom end to the stem end.",
+    "ends": "Tells which end of a cucumber is the stem's, from the fruit laid level along its "
+    "keypoints. Turned by half a turn, a fruit gives exactly the opposite answer.",
+}
 MAKERS = ("Network and its first weights: Ultralytics YOLO26, AGPL-3.0",)
 """Whom every card names."""
 
@@ -35,7 +43,7 @@ class ModelCard:
     name : str
         What commands call it.
     task : str
-        'segment' or 'pose'.
+        'segment', 'pose' or 'ends'.
     file : str
         Name of the ONNX file.
     sha256 : str
@@ -137,10 +145,7 @@ def card_markdown(card: ModelCard) -> str:
     lines = [
         f"# {card.name}",
         "",
-        f"YOLO26, task {card.task}, one class (cucumber)"
-        + (
-            ", five keypoints from the blossom end to the stem end." if card.task == "pose" else "."
-        ),
+        _WHAT[card.task],
         "",
         f"- file: `{card.file}`, {card.size_bytes / 1e6:.2f} MB, SHA-256 `{card.sha256}`",
         f"- exported from a checkpoint with SHA-256 `{card.checkpoint_sha256}`",

@@ -20,7 +20,7 @@ import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
 from cucumbervision.perception.runtime import import_onnxruntime
-from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY
+from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY
 from cucumbervision.training.half_storage import halve_storage
 from cucumbervision.training.torchvision_ops import ensure_torchvision
 
@@ -153,7 +153,8 @@ def export_model(
         finally:
             detect.__dict__.pop("postprocess", None)
         out.parent.mkdir(parents=True, exist_ok=True)
-        _finish(Path(written), one_to_one=head == "one-to-one", half=half)
+        order = str(getattr(model.model, "keypoint_order", ""))
+        _finish(Path(written), one_to_one=head == "one-to-one", half=half, order=order)
         shutil.move(written, out)
     return out
 
@@ -169,8 +170,8 @@ def _corners_to_centres(rows: Any) -> Any:
     return torch.cat(((low + high) / 2, high - low, rest), dim=-1).permute(0, 2, 1)
 
 
-def _finish(path: Path, *, one_to_one: bool, half: bool) -> None:
-    """Say in the metadata which raw head it is, and halve the weights' storage."""
+def _finish(path: Path, *, one_to_one: bool, half: bool, order: str) -> None:
+    """Say in the metadata which head and order of points it is, and halve the weights' storage."""
     import onnx
 
     network = onnx.load(path)
@@ -179,6 +180,8 @@ def _finish(path: Path, *, one_to_one: bool, half: bool) -> None:
     entries["description"] = entries.get("description", "").split(" trained on ")[0]
     if one_to_one:
         entries |= {"end2end": "False", ONE_TO_ONE_KEY: "True"}
+    if order:
+        entries[ORDER_KEY] = order
     onnx.helper.set_model_props(network, entries)
     if half:
         # Ultralytics' own half precision computes in it too: positions from 512 px on then lie on

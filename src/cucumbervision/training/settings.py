@@ -13,7 +13,7 @@ from cucumbervision.training.stages import RunState
 
 __all__ = ["LEARNING", "TrainOptions", "choose_device", "stage_settings"]
 
-LEARNING = ("batch", "freeze", "patience", "learning_rate", "overrides")
+LEARNING = ("batch", "freeze", "patience", "learning_rate", "by_place", "overrides")
 """Options that a run keeps from its beginning; the others are the machine's, and may change."""
 
 _AUGMENTATION: dict[str, Any] = {
@@ -62,6 +62,9 @@ class TrainOptions:
         End after the epoch in which this time has passed; `resume` goes on.
     learning_rate : float
         Of the first stage, by AdamW; later stages begin at half of it.
+    by_place : bool
+        Learn points from a fruit's lower left end to its upper right one, and leave it to `ends`
+        which of them is the stem's; else from blossom to stem.
     check : bool
         Refuse a data set with faults or with the same picture in two splits.
     overrides : mapping
@@ -79,6 +82,7 @@ class TrainOptions:
     workers: int = 0
     minutes: float | None = None
     learning_rate: float = 0.001
+    by_place: bool = True
     check: bool = True
     overrides: Mapping[str, Any] | None = None
 

@@ -21,6 +21,12 @@ __all__ = ["MOST_BYTES", "registry_entry", "ship", "with_entry"]
 MOST_BYTES = 45_000_000
 """What all networks in the package may weigh together."""
 
+_WHAT = {
+    "segment": "YOLO26 for cucumbers: boxes and masks",
+    "pose": "YOLO26 for cucumbers: boxes and five keypoints",
+    "ends": "Which end of a cucumber is the stem's",
+}
+_FROM = {"ends": "CucumberVision"}
 _ENTRY = re.compile(r"^\[\[models\]\]$", re.MULTILINE)
 
 
@@ -101,13 +107,13 @@ def registry_entry(card: ModelCard) -> str:
     >>> entry.splitlines()[:3]
     ['[[models]]', 'name = "c-seg"', 'task = "segment"']
     """
-    what = "boxes and masks" if card.task == "segment" else "boxes and five keypoints"
+    what = _WHAT[card.task]
     values = {
         "name": card.name,
         "task": card.task,
         "licence": card.licence,
-        "title": f"YOLO26 for cucumbers: {what}",
-        "origin": "CucumberVision, begun with Ultralytics' weights",
+        "title": what,
+        "origin": _FROM.get(card.task, "CucumberVision, begun with Ultralytics' weights"),
         "card": f"{card.name}.md",
     }
     lines = ["[[models]]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]

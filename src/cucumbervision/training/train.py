@@ -209,6 +209,7 @@ def _run_stage(
             # Two or three pictures tell too little of a layer's mean and spread.
             still_norms=options.batch < _SOUND_BATCH and state.init.endswith(".pt"),
             strict=state.task == "pose" and knows_points(state.init),
+            by_place=state.task == "pose" and options.by_place,
         )
         trainer.train()
         state = link.state

@@ -11,11 +11,13 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cucumbervision.perception.yolo_layout import BY_PLACE
 from cucumbervision.training.assigner import assign_coarsely
 from cucumbervision.training.half_precision import channels_last, narrow, widen
 from cucumbervision.training.points import (
     learn_to_assign,
     learn_to_see,
+    order_by_place,
     set_tolerance,
     tolerance_at,
 )
@@ -50,6 +52,7 @@ def make_trainer(
     span: tuple[float, float],
     still_norms: bool = False,
     strict: bool = False,
+    by_place: bool = False,
 ) -> Any:
     """Build the trainer of one stage.
 
@@ -72,6 +75,8 @@ def make_trainer(
         Keep the statistics of batch norm as they are; for very small batches.
     strict : bool
         Judge points by the final tolerance from the beginning.
+    by_place : bool
+        Learn points in the order in which they lie in the picture.
 
     Returns
     -------
@@ -91,6 +96,9 @@ def make_trainer(
 
     trainer = Training(overrides=overrides)
     trainer.still_norms = still_norms
+    trainer.by_place = by_place
+    if by_place:
+        trainer.add_callback("on_train_start", _say_by_place)
     # Ultralytics allows the CPU one thread less than it has, and no loading beside it.
     trainer.args.workers = workers
     _listen(trainer, watcher, threads)
@@ -116,6 +124,7 @@ class _Ours:
 
     model: Any
     still_norms: bool
+    by_place: bool
     wdir: Path
     last: Path
     best: Path
@@ -128,6 +137,19 @@ class _Ours:
             for module in self.model.modules():
                 if isinstance(module, torch.nn.BatchNorm2d):
                     module.eval()
+
+    def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """Bring a batch to the device, points in the order to be learnt."""
+        ready: dict[str, Any] = super().preprocess_batch(batch)  # type: ignore[misc]
+        return _ordered(ready) if self.by_place else ready
+
+    def get_validator(self) -> Any:
+        """Judge points in the order that was learnt."""
+        validator = super().get_validator()  # type: ignore[misc]
+        if self.by_place:
+            prepare = validator.preprocess
+            validator.preprocess = lambda batch: _ordered(prepare(batch))
+        return validator
 
     def get_dataloader(self, *args: Any, **kwargs: Any) -> Any:
         """Load the pictures without Ultralytics' own bar on the standard output."""
@@ -150,6 +172,17 @@ class _Ours:
 
     def final_eval(self) -> None:
         """Leave out the validation of an epoch that was validated already."""
+
+
+def _ordered(batch: dict[str, Any]) -> dict[str, Any]:
+    height, width = batch["img"].shape[2:]
+    return batch | {"keypoints": order_by_place(batch["keypoints"], width, height)}
+
+
+def _say_by_place(trainer: Any) -> None:
+    # Exports tell it to whoever uses the points.
+    for network in (trainer.model, trainer.ema.ema):
+        network.keypoint_order = BY_PLACE
 
 
 def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:

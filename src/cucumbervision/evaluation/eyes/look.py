@@ -103,6 +103,7 @@ def open_eyes(
     """
     from cucumbervision.perception.registry import file_sha256, load_registry
     from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.session.networks import load_ends
 
     models: list[dict[str, Any]] = []
 
@@ -114,6 +115,8 @@ def open_eyes(
             {"file": path.name, "sha256": file_sha256(path), "task": network.task}
             | {"runtime": network.runtime}
         )
+        if network.by_place:
+            network.ends = load_ends(models)
         return network
 
     loaded = load(segment), load(pose)

@@ -1,0 +1,186 @@
+"""Which end of a fruit is the stem's: a small network that looks at fruit laid straight.
+
+A pose network trained here gives the five points from a fruit's lower left end to its upper right
+one. The fruit is cut out along them and laid level; a network of a few layers says at which side
+the stem is. It is built so that the fruit turned round gives exactly the opposite answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import ModelError
+from cucumbervision.geometry.tube import arc_positions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+
+__all__ = ["STRIP_PX", "EndTeller", "straighten"]
+
+STRIP_PX = (32, 96)
+"""Height and width of a fruit laid level."""
+
+BEYOND = 0.15  # of the fruit's length, that is shown beyond each end: the stalk
+HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
+_GREY = 114  # what stands for nothing in a network's input too
+
+
+def straighten(
+    color_rgb: NDArray[np.uint8], points_px: NDArray[np.float64]
+) -> NDArray[np.uint8] | None:
+    """Cut a fruit out along its keypoints and lay it level.
+
+    Parameters
+    ----------
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    points_px : ndarray of float64, shape (K, 2)
+        u, v along the fruit's middle, from end to end.
+
+    Returns
+    -------
+    ndarray of uint8, shape (32, 96, 3), or None
+        The first point to the left, up to 0.15 of the length beyond either end; None where the
+        points span no line of at least 4 pixels.
+
+    Examples
+    --------
+    >>> picture = np.zeros((60, 120, 3), np.uint8)
+    >>> picture[20:40, 70:100] = (255, 0, 0)  # a red stem end, to the right
+    >>> line = np.column_stack([np.linspace(20, 100, 5), np.full(5, 30.0)])
+    >>> level, turned = straighten(picture, line), straighten(picture, line[::-1])
+    >>> bool((level[16, 60:80, 0] > 200).all()), bool((turned[16, 16:36, 0] > 200).all())
+    (True, True)
+    """
+    import cv2
+
+    run = arc_positions(points_px)
+    length = float(run[-1])
+    kept = np.concatenate([[True], np.diff(run) > 0])
+    points, run = points_px[kept], run[kept]
+    if len(points) < 2 or length < 4 or not np.isfinite(points).all():
+        return None
+    height, width = STRIP_PX
+    outward = [points[0] - points[1], points[-1] - points[-2]]
+    ends = [at + 2 * BEYOND * length * out / np.linalg.norm(out) for at, out in
+            zip((points[0], points[-1]), outward, strict=True)]  # fmt: skip
+    line = np.vstack([ends[0], points, ends[1]])
+    along = np.linspace(-BEYOND, 1 + BEYOND, width) * length
+    run = np.concatenate([[-2 * BEYOND * length], run, [length * (1 + 2 * BEYOND)]])
+    middle = np.column_stack([np.interp(along, run, line[:, axis]) for axis in (0, 1)])
+    ahead = np.gradient(middle, axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    aside = np.linspace(-HALF_WIDTH, HALF_WIDTH, height)[:, None, None] * length
+    at = middle[None] + aside * np.column_stack([-ahead[:, 1], ahead[:, 0]])[None]
+    picture, corner, scale = _near(color_rgb, at, length * (1 + 2 * BEYOND) / width)
+    at = ((at - corner + 0.5) * scale - 0.5).astype(np.float32)
+    strip = cv2.remap(
+        picture,
+        at[..., 0],
+        at[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(_GREY,) * 3,
+    )
+    return np.asarray(strip, np.uint8)
+
+
+def _near(
+    color_rgb: NDArray[np.uint8], at: NDArray[np.float64], step_px: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    """Give the picture about some points, shrunk to their spacing; its corner and scale."""
+    import cv2
+
+    height, width = color_rgb.shape[:2]
+    low = np.clip(np.floor(at.min(axis=(0, 1))) - 2, 0, (width - 1, height - 1)).astype(int)
+    high = np.clip(np.ceil(at.max(axis=(0, 1))) + 3, low + 1, (width, height)).astype(int)
+    part = color_rgb[low[1] : high[1], low[0] : high[0]]
+    before = np.array([part.shape[1], part.shape[0]])
+    after = before
+    if step_px > 1:
+        after = np.maximum(np.rint(before / step_px), 1).astype(int)
+        small = cv2.resize(part, after.tolist(), interpolation=cv2.INTER_AREA)
+        part = np.asarray(small, np.uint8)
+    return part, low.astype(np.float64), after / before
+
+
+class EndTeller:
+    """The network, ready to tell the ends of fruit apart.
+
+    Parameters
+    ----------
+    path : Path
+        An ONNX file as `cucumbervision train ends` writes it.
+    runtime : str
+        As for `open_network`; 'auto' is ONNX Runtime, which is quickest with so small a network.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be loaded or is another network.
+    """
+
+    def __init__(self, path: Path, runtime: str = "auto") -> None:
+        from cucumbervision.perception.runtime import open_network
+
+        chosen = "onnxruntime" if runtime == "auto" else runtime
+        self._network = open_network(path, chosen, full_precision=True)
+        shape = self._network.inputs[0].shape
+        if shape[1:] != (3, *STRIP_PX) or len(self._network.outputs) != 1:
+            raise ModelError(
+                f"takes {shape}, not fruit laid level",
+                source=path,
+                remedy="name a network by `cucumbervision train ends`",
+            )
+
+    @property
+    def runtime(self) -> str:
+        """What runs it, as `Network.runtime`."""
+        return self._network.runtime
+
+    def tell(
+        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
+    ) -> tuple[Instance, ...]:
+        """Order every fruit's points from its blossom end to its stem end.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture.
+        instances : sequence of Instance
+            With keypoints in whatever order; those without stay as they are.
+
+        Returns
+        -------
+        tuple of Instance
+            In the same order; `ends_known` says how probable it is that the ends are right.
+        """
+        strips = [
+            None if one.keypoints is None else straighten(color_rgb, one.keypoints[:, :2])
+            for one in instances
+        ]
+        seen = [strip for strip in strips if strip is not None]
+        if not seen:
+            return tuple(instances)
+        planes = np.stack(seen).transpose(0, 3, 1, 2).astype(np.float32) / np.float32(255)
+        (answer,) = self._network.run({self._network.inputs[0].name: planes}).values()
+        logits = iter(answer.ravel().tolist())
+        return tuple(
+            one if strip is None else _ordered(one, next(logits))
+            for one, strip in zip(instances, strips, strict=True)
+        )
+
+
+def _ordered(instance: Instance, logit: float) -> Instance:
+    points = instance.keypoints
+    if points is not None and logit < 0:
+        points = points[::-1].copy()
+    return replace(instance, keypoints=points, ends_known=float(1 / (1 + np.exp(-abs(logit)))))

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnx
+import pytest
+from numpy.typing import NDArray
+from onnx import TensorProto, helper
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.ends import STRIP_PX, EndTeller, straighten
+from cucumbervision.perception.instances import Instance, box_of_mask
+from cucumbervision.perception.merge import each_once
+from cucumbervision.perception.yolo import with_keypoints
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Picture = NDArray[np.uint8]
+
+
+def bar(angle_deg: float, length_px: float = 120.0) -> tuple[Picture, NDArray[np.float64]]:
+    """Draw a bar that is blue at its first end and red at its last, and give five points on it."""
+    v, u = np.mgrid[:240, :240] - 120.0
+    ahead = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
+    along, aside = u * ahead[0] + v * ahead[1], -u * ahead[1] + v * ahead[0]
+    picture = np.full((240, 240, 3), 90, np.uint8)
+    inside = (np.abs(along) <= length_px / 2) & (np.abs(aside) <= length_px / 8)
+    picture[inside & (along < 0)] = (20, 20, 220)
+    picture[inside & (along >= 0)] = (220, 20, 20)
+    points = 120.0 + np.linspace(-0.5, 0.5, 5)[:, None] * length_px * ahead
+    return picture, points
+
+
+@pytest.mark.parametrize("angle", [0.0, 35.0, 90.0, 200.0, 290.0])
+@pytest.mark.parametrize("length", [40.0, 120.0, 180.0])
+def test_a_fruit_is_laid_level_whatever_its_angle_and_size(angle: float, length: float) -> None:
+    picture, points = bar(angle, length)
+    strip = straighten(picture, points)
+    assert strip is not None
+    assert strip.shape == (*STRIP_PX, 3)
+    middle = strip[STRIP_PX[0] // 2].astype(int)
+    # 0.15 of the length lies beyond either end: of 96 columns the fruit has 11 to 84.
+    assert (middle[16:44, 2] > 180).all()
+    assert (middle[52:80, 0] > 180).all()
+    assert np.abs(middle[:6] - 90).max() < 30
+    assert np.abs(middle[-6:] - 90).max() < 30
+    turned = straighten(picture, points[::-1])
+    assert turned is not None
+    assert np.abs(turned[::-1, ::-1].astype(int) - strip).mean() < 3
+
+
+def test_what_is_no_line_is_left_out() -> None:
+    picture, points = bar(0)
+    assert straighten(picture, np.repeat(points[:1], 5, axis=0)) is None
+    assert straighten(picture, np.full((5, 2), np.nan)) is None
+    # One point twice is no fault, and points beyond the picture show grey.
+    assert straighten(picture, points[[0, 0, 1, 2, 4]]) is not None
+    beyond = straighten(picture, points + 500)
+    assert beyond is not None
+
+
+@pytest.fixture(scope="module")
+def redness(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network that says: the stem is where it is redder, right less left."""
+    weights = np.zeros((1, 3, *STRIP_PX), np.float32)
+    weights[0, 0, :, 48:], weights[0, 0, :, :48] = 0.01, -0.01
+    nodes = [
+        helper.make_node("Conv", ["fruit", "weights"], ["far"]),
+        helper.make_node("Flatten", ["far"], ["flat"]),
+        helper.make_node("Squeeze", ["flat", "axes"], ["stem_right"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "ends",
+        [helper.make_tensor_value_info("fruit", TensorProto.FLOAT, ["n", 3, *STRIP_PX])],
+        [helper.make_tensor_value_info("stem_right", TensorProto.FLOAT, ["n"])],
+        [
+            onnx.numpy_helper.from_array(weights, "weights"),
+            onnx.numpy_helper.from_array(np.array([1], np.int64), "axes"),
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    path = tmp_path_factory.mktemp("ends") / "ends.onnx"
+    onnx.save(model, path)
+    return path
+
+
+def fruit_at(points: NDArray[np.float64]) -> Instance:
+    box = np.concatenate([points.min(axis=0) - 10, points.max(axis=0) + 10])
+    seen = np.linspace(0.2, 1.0, 5)
+    return Instance(box, keypoints=np.column_stack([points, seen]))
+
+
+def test_points_run_to_the_stem_whichever_way_they_came(redness: Path) -> None:
+    teller = EndTeller(redness)
+    picture, points = bar(120)
+    without = Instance(np.array([0.0, 0, 10, 10]))
+    told = teller.tell(picture, [fruit_at(points), without, fruit_at(points[::-1])])
+    assert told[1] is without
+    for one, seen_at_stem in ((told[0], 1.0), (told[2], 0.2)):
+        assert one.keypoints is not None
+        assert one.keypoints[-1, :2] == pytest.approx(points[-1])
+        assert one.keypoints[-1, 2] == seen_at_stem
+        assert one.ends_known is not None
+        assert one.ends_known > 0.9
+    assert teller.tell(picture, []) == ()
+
+
+def test_a_fruit_of_one_colour_is_unsure(redness: Path) -> None:
+    _, points = bar(0)
+    (told,) = EndTeller(redness).tell(np.full((240, 240, 3), 90, np.uint8), [fruit_at(points)])
+    assert told.ends_known == pytest.approx(0.5, abs=0.01)
+
+
+def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
+    picture, points = bar(0)
+    mask = np.zeros((240, 240), bool)
+    mask[105:136, 60:181] = True
+    (posed,) = EndTeller(redness).tell(picture, [fruit_at(points)])
+    found = Instance(box_of_mask(mask), detector_mask=mask)
+    for (one,) in (with_keypoints([found], [posed]), each_once([found], [posed])):
+        assert one.ends_known == posed.ends_known
+
+
+def test_another_network_is_refused(tmp_path: Path) -> None:
+    node = helper.make_node("Identity", ["x"], ["y"])
+    shape = [1, 3, 64, 64]
+    graph = helper.make_graph(
+        [node],
+        "other",
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT, shape)],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    onnx.save(model, tmp_path / "other.onnx")
+    with pytest.raises(ModelError, match="laid level"):
+        EndTeller(tmp_path / "other.onnx")

@@ -339,3 +339,13 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
     for a, b in zip(ours, theirs, strict=True):
         assert (a.score, a.box.tolist()) == (b.score, b.box.tolist())
         assert (a.keypoints is None) == (b.keypoints is None)
+
+
+def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
+    points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
+    pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)]
+    loaded = [cast(YoloDetector, Replay(*found)) for found in ([], pose)]
+    assert Detectors(*loaded).find(np.zeros((40, 120, 3), np.uint8)) == ()
+    assert shipped([], pose, 0.3) == ()
+    # Without a detector the pose network stands in.
+    assert len(shipped(None, pose, 0.3)) == 1

@@ -53,8 +53,8 @@ def test_mask_against_keypoints(left: int, right: int, flags: tuple[str, ...]) -
 @pytest.mark.parametrize(
     ("visibility", "flags"),
     [
-        ((0.5, 0, 0, 0, 0.5), ()),
-        ((0.49, 1, 1, 1, 1), ("end-hidden",)),
+        ((0.4, 1, 1, 1, 0.4), ()),
+        ((0.39, 1, 1, 1, 1), ("end-hidden",)),
         ((1, 1, 1, 1, 0.2), ("end-hidden",)),
         ((0, 0, 0, 0, 0), ()),  # labelled nowhere: nothing is known
     ],

@@ -66,7 +66,11 @@ def test_the_packages_own_registry_is_sound() -> None:
         assert model.title
         assert model.origin
         # A network is somebody's, whose file is named, or our own, with a card.
-        assert (model.source is None) == (model.task in ("segment", "pose")) == bool(model.card)
+        assert (
+            (model.source is None)
+            == (model.task in ("segment", "pose", "ends"))
+            == bool(model.card)
+        )
         if model.source is not None:
             assert re.fullmatch("[0-9a-f]{64}", model.source.sha256)
             assert model.source.url.startswith(("https://", "pip:"))

@@ -232,3 +232,17 @@ def test_bad_checkpoints_are_named(tmp_path: Path) -> None:
     older = import_ultralytics().YOLO("yolo11n.yaml")
     with pytest.raises(ModelError, match="no one-to-one head"):
         export_model(older, tmp_path / "out.onnx")
+
+
+def test_the_order_of_the_points_goes_into_the_file(tmp_path: Path) -> None:
+    ultralytics = import_ultralytics()
+    model = ultralytics.YOLO(random_network("pose", tmp_path))
+    orders = {}
+    for order in ("", "place"):
+        model.model.keypoint_order = order
+        path = export_model(model, tmp_path / f"pose-{order}.onnx", size_px=SIZE_PX)
+        orders[order] = YoloDetector(path, "onnxruntime").by_place
+    assert orders == {"": False, "place": True}
+    # Without the network that tells the ends apart nobody knows them.
+    detector = YoloDetector(tmp_path / "pose-place.onnx", "onnxruntime", 0.05)
+    assert {one.ends_known for one in detector.detect(picture(160, 160))} == {0.5}

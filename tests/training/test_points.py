@@ -13,6 +13,7 @@ from cucumbervision.training.points import (  # noqa: E402
     knows_points,
     learn_to_assign,
     learn_to_see,
+    order_by_place,
     set_tolerance,
     tolerance_at,
 )
@@ -117,3 +118,47 @@ def test_only_a_network_of_five_points_knows_them(tmp_path: Path) -> None:
             )
         net.save(tmp_path / "net.pt")
         assert knows_points(str(tmp_path / "net.pt")) is known
+
+
+@pytest.mark.parametrize(
+    ("ahead", "turned"),
+    [
+        ((0.2, 0.0), False),  # to the right
+        ((-0.2, 0.0), True),
+        ((0.0, -0.2), False),  # upwards
+        ((0.0, 0.2), True),
+        ((0.1, 0.2), True),  # more down than to the right
+        ((-0.2, -0.1), True),
+    ],
+)
+def test_points_run_from_the_lower_left_to_the_upper_right(
+    ahead: tuple[float, float], turned: bool
+) -> None:
+    points = torch.zeros(1, 5, 3)
+    for axis in (0, 1):
+        points[0, :, axis] = 0.5 + torch.linspace(-0.5, 0.5, 5) * ahead[axis]
+    points[0, :, 2] = torch.tensor([2.0, 2.0, 1.0, 2.0, 1.0])
+    expected = points.flip(1) if turned else points
+    assert torch.equal(order_by_place(points, 640, 640), expected)
+
+
+def test_the_pictures_shape_counts_and_points_outside_do_not() -> None:
+    points = torch.zeros(2, 5, 3)
+    # 0.2 of 640 px to the left is more than 0.3 of 320 px upwards: it is turned.
+    points[0, :, 0] = torch.linspace(0.6, 0.4, 5)
+    points[0, :, 1] = torch.linspace(0.6, 0.3, 5)
+    points[0, :, 2] = 2.0
+    # Of the other only the first two points are in the picture, and run down.
+    points[1, :2, 0] = 0.5
+    points[1, :2, 1] = torch.tensor([0.5, 0.9])
+    points[1, :2, 2] = 2.0
+    ordered = order_by_place(points, 640, 320)
+    assert torch.equal(ordered[0], points[0].flip(0))
+    assert ordered[1, :, 2].tolist() == [0.0, 0.0, 0.0, 2.0, 2.0]
+    assert ordered[1, 3:, 1].tolist() == pytest.approx([0.9, 0.5])
+
+
+def test_one_point_alone_says_nothing_of_the_order() -> None:
+    points = torch.zeros(2, 5, 3)
+    points[0, 1] = torch.tensor([0.5, 0.5, 2.0])
+    assert torch.equal(order_by_place(points, 64, 64), torch.zeros(2, 5, 3))

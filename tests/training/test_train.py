@@ -103,6 +103,7 @@ def test_a_run_keeps_how_it_learns(seg_run: Path) -> None:
         "freeze": 0,
         "patience": 20,
         "learning_rate": 0.001,
+        "by_place": True,
         "overrides": None,
     }
     used = (seg_run / "stage2-96px" / "args.yaml").read_text().splitlines()
@@ -174,7 +175,7 @@ def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_p
     assert torch.equal(head.cv2[0][0].conv.weight, taken.cv2[0][0].conv.weight)
 
 
-def test_points_are_judged_by_the_narrow_tolerance(pose_set: Path, tmp_path: Path) -> None:
+def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: Path) -> None:
     import_ultralytics()
     data = prepare_data(pose_set, "pose", tmp_path)
     state = RunState("pose", str(data), "yolo26n-pose.yaml", parse_stages("64x1,64x1"))
@@ -193,7 +194,8 @@ def test_points_are_judged_by_the_narrow_tolerance(pose_set: Path, tmp_path: Pat
 
     trainer.add_callback("on_train_batch_end", look)
     trainer.train()
-    assert seen["loss"] == pytest.approx([0.05] * 5)
+    # Kindly at the plan's beginning, strictly in validation.
+    assert seen["loss"] == pytest.approx([0.2] * 5)
     assert trainer.validator.sigma.tolist() == pytest.approx([0.05] * 5)
     # Half of the plan: the one-to-many head's share falls from 0.8 half way to 0.1.
     assert seen["share"] == pytest.approx([0.8, 0.45, 0.8])

@@ -158,7 +158,7 @@ def look_at(
         return found
 
     segmented, posed = detect("segment", eyes.segment), detect("pose", eyes.pose)
-    kept = shipped(segmented, posed, eyes.confidence)
+    kept = shipped(segmented if eyes.segment else None, posed, eyes.confidence)
 
     def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
         return tuple(seen_fruit(one, depth_m) for one in found)
@@ -174,7 +174,7 @@ def look_at(
 
 
 def shipped(
-    segmented: Sequence[Instance], posed: Sequence[Instance], confidence: float
+    segmented: Sequence[Instance] | None, posed: Sequence[Instance], confidence: float
 ) -> tuple[Instance, ...]:
     """Give what a user gets of two networks' detections: each fruit once, with keypoints.
 
@@ -182,13 +182,16 @@ def shipped(
 
     Parameters
     ----------
-    segmented, posed : sequence of Instance
-        Of the two networks; without the first, the second's are taken.
+    segmented : sequence of Instance, optional
+        Of the detector; without one the pose network's own are taken.
+    posed : sequence of Instance
+        Of the pose network.
     confidence : float
         A score must exceed it.
     """
-    found = merge_instances([one for one in segmented or posed if one.score > confidence])
-    if not segmented or not posed or not found:
+    first = posed if segmented is None else segmented
+    found = merge_instances([one for one in first if one.score > confidence])
+    if segmented is None or not posed or not found:
         return found
     return each_once(found, [one for one in posed if one.score > confidence])
 

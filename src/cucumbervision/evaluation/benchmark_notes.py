@@ -12,9 +12,9 @@ NOTES = {
         "counts as 100 % error, so refusing is no way out.\n\n"
         "'Exact' masks are the fruit's own pixels; 'disturbed' ones have their outline moved by a "
         "smooth field of 1.5 px RMS; 'perceived' ones are drawn by MobileSAM from the exact box. "
-        "No pose network comes with this version, so M4 has nothing to measure with perceived "
-        "masks. The depth scale is exact in all tables, as after `calibrate --reference-length`; a "
-        "camera that nobody calibrated adds its own.\n\n"
+        "The pose network takes no part here (`evaluate models` judges it), so M4 has nothing to "
+        "measure with perceived masks. The depth scale is exact in all tables, as after `calibrate "
+        "--reference-length`; a camera that nobody calibrated adds its own.\n\n"
         "The oracle knows the tube and errs only by where the mask ends it: no method can be "
         "expected to do better."
     ),

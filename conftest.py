@@ -10,6 +10,10 @@ import pytest
 
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
 collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision/dashboard/*"]
+# The examples of these compute with torch.
+if not find_spec("torch"):
+    training = "src/cucumbervision/training"
+    collect_ignore_glob += [f"{training}/ends.py", f"{training}/points.py"]
 
 
 @pytest.fixture(autouse=True)

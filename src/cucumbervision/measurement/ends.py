@@ -11,13 +11,9 @@ from cucumbervision.measurement.m4 import MIN_VISIBILITY
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["SURE", "end_flags"]
+__all__ = ["end_flags"]
 
-SURE = 0.9
-"""From this probability on a fruit's ends are said to be told apart."""
-
-# Of the package's pose network, on drawn fruit: of ends in sight 2 % lie below it, of hidden ones
-# five of six; M4's own 0.50 would call one end in ten hidden that is in full sight.
+# Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
 IN_SIGHT = 0.40
 BEYOND = 0.10  # of the fruit's length: some times what a pose network errs by at an end
 

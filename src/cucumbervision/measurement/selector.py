@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.cloud import box_pixels
-from cucumbervision.measurement.ends import SURE, end_flags
+from cucumbervision.measurement.ends import end_flags
 from cucumbervision.measurement.m4 import endpoints_visible
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
 from cucumbervision.measurement.results import Fruit, Measurement, Method
+from cucumbervision.perception.ends import SURE
 from cucumbervision.perception.instances import MaskSource
 
 if TYPE_CHECKING:

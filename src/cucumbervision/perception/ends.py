@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.geometry.tube import arc_positions
+from cucumbervision.geometry.tube import arc_positions, points_along
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,10 +23,13 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["STRIP_PX", "EndTeller", "straighten"]
+__all__ = ["STRIP_PX", "SURE", "EndTeller", "straighten"]
 
 STRIP_PX = (32, 96)
 """Height and width of a fruit laid level."""
+
+SURE = 0.9
+"""From this probability on a fruit's ends are said to be told apart."""
 
 BEYOND = 0.15  # of the fruit's length, that is shown beyond each end: the stalk
 HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
@@ -64,18 +67,17 @@ def straighten(
 
     run = arc_positions(points_px)
     length = float(run[-1])
-    kept = np.concatenate([[True], np.diff(run) > 0])
-    points, run = points_px[kept], run[kept]
+    points = points_px[np.concatenate([[True], np.diff(run) > 0])]
     if len(points) < 2 or length < 4 or not np.isfinite(points).all():
         return None
     height, width = STRIP_PX
-    outward = [points[0] - points[1], points[-1] - points[-2]]
-    ends = [at + 2 * BEYOND * length * out / np.linalg.norm(out) for at, out in
-            zip((points[0], points[-1]), outward, strict=True)]  # fmt: skip
-    line = np.vstack([ends[0], points, ends[1]])
-    along = np.linspace(-BEYOND, 1 + BEYOND, width) * length
-    run = np.concatenate([[-2 * BEYOND * length], run, [length * (1 + 2 * BEYOND)]])
-    middle = np.column_stack([np.interp(along, run, line[:, axis]) for axis in (0, 1)])
+    first, last = (
+        out / np.linalg.norm(out) for out in (points[0] - points[1], points[-1] - points[-2])
+    )
+    further = 2 * BEYOND * length
+    line = np.vstack([points[0] + further * first, points, points[-1] + further * last])
+    shares = (np.linspace(-BEYOND, 1 + BEYOND, width) + 2 * BEYOND) / (1 + 4 * BEYOND)
+    middle = points_along(line, shares)
     ahead = np.gradient(middle, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     aside = np.linspace(-HALF_WIDTH, HALF_WIDTH, height)[:, None, None] * length

@@ -1,13 +1,15 @@
 """Which anchors learn which fruit, judged by masks at half the resolution.
 
-Ultralytics scores every candidate by the overlap of its whole mask. On a processor that is more
-than a third of a step; at half the resolution in each direction it is a quarter of that, and a
-fruit's mask is still tens of cells long.
+Ultralytics scores every candidate by the overlap of its whole mask. On a processor that is a large
+part of a step; at half the resolution in each direction it is a small one, and a fruit's mask is
+still tens of cells long.
 """
 
 from __future__ import annotations
 
 from typing import Any
+
+from cucumbervision.training.heads import losses_of
 
 __all__ = ["assign_coarsely"]
 
@@ -24,10 +26,7 @@ def assign_coarsely(model: Any) -> None:
     model : ultralytics.nn.tasks.SegmentationModel
         With or without a criterion; it gets one.
     """
-    if getattr(model, "criterion", None) is None:
-        model.criterion = model.init_criterion()
-    heads = (getattr(model.criterion, name, None) for name in ("one2many", "one2one"))
-    for loss in [head for head in heads if head is not None] or [model.criterion]:
+    for loss in losses_of(model):
         loss.assigner = _coarse(loss.assigner)
 
 

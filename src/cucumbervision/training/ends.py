@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from cucumbervision.capture.files import read_color
 from cucumbervision.datasets.labels import DataSet, Label
 from cucumbervision.errors import TrainingError
-from cucumbervision.perception.ends import STRIP_PX, straighten
+from cucumbervision.geometry.tube import arc_positions
+from cucumbervision.perception.ends import STRIP_PX, SURE, straighten
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.training.cards import ModelCard, write_card
 
@@ -144,7 +145,7 @@ def _copies(
     rng: np.random.Generator, color: NDArray[np.uint8], label: Label
 ) -> list[NDArray[np.uint8]]:
     points = np.asarray(label.keypoints)[:, :2]
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    length = float(arc_positions(points)[-1])
     strips = []
     for _ in range(COPIES):
         moved = points + rng.normal(0, ASIDE_SD * length, points.shape)
@@ -334,7 +335,7 @@ def _judged(
         some = seen == count
         if some.any():
             right[f"{count} ends in sight"] = float((logits[some] > 0).mean())
-    sure = 1 / (1 + np.exp(-np.abs(logits))) >= 0.9
+    sure = 1 / (1 + np.exp(-np.abs(logits))) >= SURE
     share = float((logits[sure] > 0).mean()) if sure.any() else float("nan")
     return EndsResult(
         out, learnt // COPIES, len(logits) // COPIES, right, float(sure.mean()), share

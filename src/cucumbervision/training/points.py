@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from cucumbervision.datasets.labels import KEYPOINT_NAMES
+from cucumbervision.training.heads import losses_of
 from cucumbervision.training.learn_from import KEYPOINT_SIGMA
 
 __all__ = [
@@ -116,7 +117,7 @@ def set_tolerance(model: Any, sigma: float) -> None:
     sigma : float
         Of the object keypoint similarity.
     """
-    for loss in _heads(model):
+    for loss in losses_of(model):
         located = getattr(loss.keypoint_loss, "located", loss.keypoint_loss)
         located.sigmas.fill_(sigma)
         loss.assigner.sigmas.fill_(sigma)
@@ -151,7 +152,7 @@ def learn_to_assign(model: Any) -> None:
             return (points + boxes) / 2
 
     names = ("topk", "topk2", "num_classes", "alpha", "beta", "stride")
-    for loss in _heads(model):
+    for loss in losses_of(model):
         own = {name: getattr(loss.assigner, name) for name in names}
         # A tensor of its own: the loss may change its tolerance apart.
         loss.assigner = Both(loss.keypoint_loss.sigmas.clone(), **own)
@@ -163,16 +164,8 @@ def learn_to_see(model: Any) -> None:
     Ultralytics' tells labelled points from others: a hidden end whose place is labelled would look
     like a seen one. A fruit none of whose points is labelled teaches nothing of them.
     """
-    for loss in _heads(model):
+    for loss in losses_of(model):
         _judge_seen(loss)
-
-
-def _heads(model: Any) -> list[Any]:
-    """Give the losses of the one-to-many and the one-to-one head, or the only one."""
-    if getattr(model, "criterion", None) is None:
-        model.criterion = model.init_criterion()
-    heads = (getattr(model.criterion, name, None) for name in ("one2many", "one2one"))
-    return [head for head in heads if head is not None] or [model.criterion]
 
 
 def _judge_seen(loss: Any) -> None:

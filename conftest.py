@@ -12,7 +12,7 @@ import pytest
 collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision/dashboard/*"]
 # The examples of these compute with torch.
 if not find_spec("torch"):
-    training = "src/cucumbervision/training"
+    training = "src/cucumbervision_lab/training"
     collect_ignore_glob += [f"{training}/ends.py", f"{training}/points.py"]
 
 

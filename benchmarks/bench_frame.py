@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
@@ -34,12 +35,11 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.instances import box_of_mask
 from cucumbervision.perception.letterbox import fit
-from cucumbervision.session.finders import make_finder
-from cucumbervision.session.options import MeasureOptions
-from cucumbervision.session.rows import fruit_row
-from cucumbervision.synthesis.demo import bundled_captures
-from cucumbervision.synthesis.render import render
-from cucumbervision.synthesis.tube import arc_tube, rotation
+from cucumbervision.pipeline.finders import make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.rows import fruit_row
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

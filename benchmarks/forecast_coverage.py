@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from cucumbervision.agronomy.forecast import Counts, Detection, Forecast, forecast
 from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, fit_growth
-from cucumbervision.agronomy.histories import Spreads
-from cucumbervision.agronomy.profile import CropProfile
-from cucumbervision.agronomy.profile_files import load_profile
-from cucumbervision.agronomy.simulated import HouseSettings, SimulatedHouse, simulate_house
+from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.profiles import CropProfile, load_profile
+from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, simulate_house
 
 NAIVE_M_PER_DAY = 0.03
 CLIP = 0.01  # the least probability that the log score counts for either

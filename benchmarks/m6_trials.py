@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from cucumbervision.capture.burst import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import Region, run_methods
-from cucumbervision.measurement.results import Measurement, Method
+from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.perception.instances import box_of_mask
-from cucumbervision.synthesis.render import render
-from cucumbervision.synthesis.sensor import noisy_depth
-from cucumbervision.synthesis.tube import Tube, arc_tube, rotation
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 # The paper's seven protocol fruit (three sizes, 6.9 to 25 cm) and its validation table's five.

@@ -21,8 +21,8 @@ from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.session.options import MeasureOptions
-from cucumbervision.session.run import measure_inputs
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
 
 CARROT, YCB = "rgbd/carrot_realsense_1280", "rgbd/ycb_realsense_640"
 MASKS = {"data set": None, "MobileSAM, box + point": "box+point", "MobileSAM, box": "box"}

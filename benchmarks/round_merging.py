@@ -21,9 +21,9 @@ from scipy.optimize import linear_sum_assignment
 from cucumbervision.rounds.best import row_fruit
 from cucumbervision.rounds.clusters import cluster_pairs
 from cucumbervision.rounds.count import count_fruit
-from cucumbervision.rounds.days import DayLinks, link_days
+from cucumbervision.rounds.day_linking import DayLinks, link_days
 from cucumbervision.rounds.merge import Merged, merge_row
-from cucumbervision.rounds.simulate import SimulatedRow, Walk, grow_plants, simulate_row, walk
+from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}
 CASES = {

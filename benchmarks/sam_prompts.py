@@ -16,7 +16,7 @@ import numpy as np
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.perception.sam import PROMPTS, Segmenter
-from cucumbervision.session.finders import dataset_instances
+from cucumbervision.pipeline.finders import dataset_instances
 
 
 def overlaps(folder: Path, segmenter: Segmenter) -> tuple[list[float], int]:

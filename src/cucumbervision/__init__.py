@@ -5,7 +5,7 @@ The public names; each is loaded when it is first used.
 Examples
 --------
 >>> import cucumbervision as cv
->>> from cucumbervision.synthesis.demo import bundled_captures
+>>> from cucumbervision.capture.bundled import bundled_captures
 >>> ref = next(iter(cv.open_source(bundled_captures())))
 >>> capture = ref.load()
 >>> instances = cv.dataset_instances(capture)
@@ -21,7 +21,7 @@ from cucumbervision._version import __version__
 
 if TYPE_CHECKING:
     from cucumbervision.capture.burst import fuse_burst
-    from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
+    from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream, check_intrinsics
     from cucumbervision.capture.readers import open_source
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.writer import write_native
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.measurement.methods import Region, run_methods
-    from cucumbervision.measurement.results import (
+    from cucumbervision.measurement.result import (
         Fruit,
         Length,
         LengthKind,
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance, MaskSource
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision.session.finders import dataset_instances
-    from cucumbervision.session.options import MeasureOptions
-    from cucumbervision.session.overlay import draw_overlay
-    from cucumbervision.session.run import measure_inputs
+    from cucumbervision.pipeline.finders import dataset_instances
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.pipeline.overlay import draw_overlay
+    from cucumbervision.pipeline.run import measure_inputs
 
 _HOME = {
     "CameraConfig": "capture.camera",

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.agronomy.belief import LengthBelief
+from cucumbervision.agronomy.grades import LengthBelief
 from cucumbervision.errors import ForecastError
 
 

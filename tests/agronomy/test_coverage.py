@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from cucumbervision.agronomy.forecast import Detection, Forecast, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
-from cucumbervision.agronomy.profile_files import load_profile
-from cucumbervision.agronomy.simulated import HouseSettings, SimulatedHouse, simulate_house
+from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, simulate_house
 
 LONG = load_profile("long-cucumber")
 PRIOR = GrowthPrior.of(LONG)

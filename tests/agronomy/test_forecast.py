@@ -10,8 +10,8 @@ from scipy.special import ndtr
 from cucumbervision.agronomy.forecast import Detection, Forecast, FruitState, forecast
 from cucumbervision.agronomy.fruit import mark_picked
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
-from cucumbervision.agronomy.histories import Spreads
-from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
 
 LONG = load_profile("long-cucumber")

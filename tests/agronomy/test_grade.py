@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from cucumbervision.agronomy.belief import LengthBelief
-from cucumbervision.agronomy.grade import OUT_OF_GRADE, FruitTraits, Verdict, grade
-from cucumbervision.agronomy.profile_files import load_profile
-from cucumbervision.measurement.results import Length
+from cucumbervision.agronomy.grades import OUT_OF_GRADE, FruitTraits, LengthBelief, Verdict, grade
+from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.measurement.result import Length
 
 LONG = load_profile("long-cucumber")
 STRICT = LONG.model_copy(update={"size_rules": "decide"})

@@ -3,12 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.agronomy.curve import LINEAR, Curve
-from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
-from cucumbervision.agronomy.histories import Basis, Spreads, gather, run_filter
-from cucumbervision.agronomy.profile_files import load_profile
-from cucumbervision.agronomy.simulated import HouseSettings, simulate_house
+from cucumbervision.agronomy.growth import LINEAR, Curve, GrowthPrior, Link, fit_growth
+from cucumbervision.agronomy.kalman import Basis, Spreads, gather, run_filter
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
+from cucumbervision_lab.simulation.growth import HouseSettings, simulate_house
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior.of(load_profile("long-cucumber"))

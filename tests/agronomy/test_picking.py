@@ -6,7 +6,7 @@ from cucumbervision.agronomy.forecast import Forecast, FruitState, forecast
 from cucumbervision.agronomy.fruit import mark_picked
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.picking import pick_list
-from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
 
 LONG = load_profile("long-cucumber")

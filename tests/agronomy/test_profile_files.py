@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import cucumbervision
-from cucumbervision.agronomy.profile_files import load_profile, profiles, profiles_folder
+from cucumbervision.agronomy.profiles import load_profile, profiles, profiles_folder
 from cucumbervision.errors import ProfileError
-from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.result import Length
 
-SHIPPED = Path(cucumbervision.__file__).parent / "agronomy" / "profiles"
+SHIPPED = Path(cucumbervision.__file__).parent / "agronomy" / "crops"
 NAMES = ["aubergine", "courgette", "green-bean", "long-cucumber", "mini-cucumber"]
 
 

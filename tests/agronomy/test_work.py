@@ -4,8 +4,8 @@ import pytest
 
 from cucumbervision.agronomy.forecast import FruitState, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
-from cucumbervision.agronomy.histories import Spreads
-from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.agronomy.work import Rates, plan_work
 from cucumbervision.errors import ForecastError
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cucumbervision.calibration.depth_scale import fit_depth_scale
+from cucumbervision.calibration.corrections import fit_depth_scale
 from cucumbervision.capture.intrinsics import Intrinsics
 
 

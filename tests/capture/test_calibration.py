@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.calibration import read_calibration
+from cucumbervision.capture.camera_file import read_calibration
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
 from cucumbervision.errors import CaptureError, IntrinsicsError
 

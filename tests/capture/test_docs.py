@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from cucumbervision.capture.calibration import read_calibration
+from cucumbervision.capture.camera_file import read_calibration
 from cucumbervision.capture.readers.native import Manifest
 
 PAGE = Path(__file__).parents[2] / "docs" / "captures.md"

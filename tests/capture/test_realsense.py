@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture._realsense import AlignedStream, camera_fault, play_file
-from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
+from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
+from cucumbervision.capture.cameras.realsense_sdk import AlignedStream, camera_fault, play_file
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Distortion, Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
@@ -25,7 +25,7 @@ from cucumbervision.errors import (
     IntrinsicsError,
     MissingExtraError,
 )
-from cucumbervision.geometry.align import align_depth_to_color
+from cucumbervision.geometry.camera import align_depth_to_color
 
 pytest.importorskip("pyrealsense2")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.cli.detect_console import summary_table
-from cucumbervision.session.detect import DetectResult, Looked
+from cucumbervision.pipeline.detect import DetectResult, Looked
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:

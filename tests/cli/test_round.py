@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.synthesis.demo import bundled_captures
 
 
 def run(*arguments: str) -> str:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.readers import open_source
 from cucumbervision.dashboard.measuring import Measurer
 from cucumbervision.perception.registry import load_registry
-from cucumbervision.session.options import MeasureOptions
+from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.synthesis.demo import bundled_captures
 
 WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
 LONG = RoundRecord(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")

@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.store.repository import open_store
-from cucumbervision.synthesis.demo import bundled_captures
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (

@@ -5,19 +5,19 @@ from pathlib import Path
 
 import pytest
 
+from cucumbervision.accuracy.own_truth import evaluate_lengths
+from cucumbervision.accuracy.truth import read_truth
+from cucumbervision.calibration.site_calibration import calibrate_lengths
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.dashboard.hand_truth import (
     hand_file,
     hand_lengths,
     measured_round,
     write_hand_lengths,
 )
-from cucumbervision.evaluation.own_truth import evaluate_lengths
-from cucumbervision.evaluation.site_calibration import calibrate_lengths
-from cucumbervision.evaluation.truth import read_truth
-from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
-from cucumbervision.synthesis.demo import bundled_captures
 
 WALK = key_of("walk")
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.camera import CameraConfig
+from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.cameras.realsense import CameraConfig
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard.live import CameraFeed, Look, Replay
 from cucumbervision.errors import CameraError, CaptureError
-from cucumbervision.synthesis.demo import bundled_captures
 
 
 def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Look:

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.dashboard.measuring import Measurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import decode_rle
 from cucumbervision.perception.registry import load_registry
-from cucumbervision.session.options import MeasureOptions
+from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
-from cucumbervision.synthesis.demo import SCENES, bundled_captures, place
+from cucumbervision_lab.synthesis.demo import SCENES, place
 
 if TYPE_CHECKING:
     from pathlib import Path

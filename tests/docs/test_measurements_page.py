@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.measurement.results import LengthKind, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Method, Reason
 from cucumbervision.measurement.selector import Choice
-from cucumbervision.session.calibrated import CalibrationFlag
-from cucumbervision.session.intervals import TOO_WIDE
-from cucumbervision.session.rows import COLUMNS
+from cucumbervision.pipeline.calibrated import CalibrationFlag
+from cucumbervision.pipeline.intervals import TOO_WIDE
+from cucumbervision.pipeline.rows import COLUMNS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")

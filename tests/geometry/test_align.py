@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.geometry.align import align_depth_to_color
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 
 SHIFT_M = (0.015, 0.0, 0.0)
 DEPTH_K = np.array([[160.0, 0, 160], [0, 160, 90], [0, 0, 1]])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.geometry.bspline import cubic_basis, differences
+from cucumbervision.geometry.tube import cubic_basis, differences
 
 
 @pytest.mark.parametrize("segments", [1, 4, 12])

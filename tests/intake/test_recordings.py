@@ -18,8 +18,8 @@ from cucumbervision.intake.guarded import open_guarded
 from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import play_apart
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.session.options import MeasureOptions
-from cucumbervision.session.run import count_captures
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import count_captures
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs process groups and rlimits")
 

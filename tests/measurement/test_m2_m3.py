@@ -7,10 +7,10 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.cloud import box_points, masked_points
 from cucumbervision.measurement.m2 import measure_m2
 from cucumbervision.measurement.m3 import measure_m3
-from cucumbervision.measurement.results import Reason
+from cucumbervision.measurement.result import Reason
 from cucumbervision.perception.instances import box_of_mask
-from cucumbervision.synthesis.render import render
-from cucumbervision.synthesis.tube import arc_tube, rotation
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 
 def visible_extent_m(length_m: float, radius_m: float, depth_m: float) -> float:

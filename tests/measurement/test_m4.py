@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.m4 import endpoints_visible, measure_m4
-from cucumbervision.measurement.results import LengthKind, Reason
+from cucumbervision.measurement.result import LengthKind, Reason
 
 RADIUS_PX, PIXEL_M = 400.0, 0.455 / 910  # at 0.455 m one pixel is 0.5 mm
 

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.m5 import measure_m5
-from cucumbervision.measurement.results import LengthKind, Reason
-from cucumbervision.synthesis.render import render
-from cucumbervision.synthesis.tube import arc_tube, helix_tube, rotation
+from cucumbervision.measurement.result import LengthKind, Reason
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.tube import arc_tube, helix_tube, rotation
 
 
 def line_cloud(length_m: float, points: int = 2000) -> NDArray[np.float64]:

@@ -13,11 +13,10 @@ from cucumbervision.capture.burst import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.results import LengthKind, Measurement, Reason
-from cucumbervision.measurement.tube_types import TubeFit, TubeLengths
-from cucumbervision.synthesis.render import render
-from cucumbervision.synthesis.sensor import noisy_depth
-from cucumbervision.synthesis.tube import Tube, arc_tube, rotation
+from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit, TubeLengths
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 Picture = tuple[NDArray[np.float32], NDArray[np.bool_]]
 BACK_M = 1.1

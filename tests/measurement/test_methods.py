@@ -5,7 +5,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
-from cucumbervision.measurement.results import LengthKind, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Method, Reason
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.results import Measurement, Method, Reason
+from cucumbervision.measurement.result import Measurement, Method, Reason
 from cucumbervision.measurement.selector import Choice, Selector, choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.measurement.uncertainty import (
+from cucumbervision.measurement.intervals import (
     Band,
     IntervalModel,
     conformal_quantile,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from cucumbervision.perception.mask_codes import decode_rle, encode_rle
+from cucumbervision.perception.masks import decode_rle, encode_rle
 
 MASKS = st.tuples(st.integers(1, 12), st.integers(1, 60)).flatmap(lambda size: arrays(bool, size))
 

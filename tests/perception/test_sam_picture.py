@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.perception.sam_picture import (
+from cucumbervision.perception.sam import (
     mask_from_logits,
     points_to_sam,
     prepare_picture,

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.perception.yolo_decode import choose_raw, choose_rows, suppress
+from cucumbervision.perception.yolo import choose_raw, choose_rows, suppress
 
 
 def raw(*anchors: tuple[float, ...]) -> np.ndarray:

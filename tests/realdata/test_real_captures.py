@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.session.options import MeasureOptions
-from cucumbervision.session.run import measure_inputs
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
 
 pytestmark = pytest.mark.realdata
 

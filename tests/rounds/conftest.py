@@ -7,7 +7,6 @@ from typing import Protocol
 
 import pytest
 
-from cucumbervision.rounds.simulate import Walk
 from cucumbervision.store.records import (
     CaptureRecord,
     FruitRecord,
@@ -16,6 +15,7 @@ from cucumbervision.store.records import (
     key_of,
 )
 from cucumbervision.store.repository import Store, open_store
+from cucumbervision_lab.simulation.rounds import Walk
 
 MORNING = RoundRecord(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
 

@@ -10,16 +10,16 @@ import pytest
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.writer import write_native
-from cucumbervision.measurement.results import Method
+from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import Added, Place, add_captures
 from cucumbervision.rounds.poses import PoseLine
 from cucumbervision.rounds.service import fruit_table, merge_round
-from cucumbervision.session.options import MeasureOptions
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
-from cucumbervision.synthesis.render import render
-from cucumbervision.synthesis.sensor import noisy_depth
-from cucumbervision.synthesis.tube import arc_tube, rotation
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 CAMERA = Intrinsics(424, 240, 308.2, 308.1, 212.1, 119.8)
 MORNING = key_of("rounds", "morning")

@@ -6,7 +6,7 @@ import pytest
 from cucumbervision.rounds.count import estimate_count, times_shown
 from cucumbervision.rounds.merge import NO_PAIRS, Merged
 from cucumbervision.rounds.row_views import RowStops, RowViews
-from cucumbervision.rounds.shifts import prior_stops
+from cucumbervision.rounds.stop_alignment import prior_stops
 
 
 def test_captures_that_could_show_a_fruit() -> None:

@@ -11,7 +11,7 @@ from cucumbervision.rounds.clusters import cluster_pairs, join_clusters, sweep
 from cucumbervision.rounds.count import count_fruit
 from cucumbervision.rounds.merge import ByHand, merge_row
 from cucumbervision.rounds.row_views import RowStops, RowViews
-from cucumbervision.rounds.simulate import SimulatedRow, Walk, simulate_row
+from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, simulate_row
 
 GIVEN = SimulatedRow(per_m=10)
 HARDER = SimulatedRow(per_m=14, operator_sd_m=0.06, missed=0.10)

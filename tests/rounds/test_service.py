@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.outlook import (
+from cucumbervision.rounds.forecasting import (
     forecast_for,
     growth_links,
     round_pick_list,
@@ -20,10 +20,10 @@ from cucumbervision.rounds.service import (
     link_rounds,
     merge_round,
 )
-from cucumbervision.rounds.simulate import SimulatedRow, Walk, grow_plants, simulate_row, walk
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import LinkKind
+from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 Save = Callable[..., None]
 ROW = SimulatedRow(fruit=60, per_m=10)
@@ -91,7 +91,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     assert 0.02 < grown < 0.04
     assert {link.fruit_id for link in links} <= {v.group for v in store.fruit(NEXT.key)}
     assert store.shifts(NEXT.key)[0].shift_m == pytest.approx(found.shift_m)
-    from cucumbervision.agronomy.profile_files import load_profile
+    from cucumbervision.agronomy.profiles import load_profile
 
     outlook = forecast_for(store, NEXT.key, load_profile("long-cucumber"), days=2)
     assert outlook.house.expected[0].sum() == pytest.approx(len(fruit_table(store, NEXT.key)))
@@ -118,7 +118,7 @@ def test_growth_is_followed_through_three_rounds(store: Store) -> None:
 
 def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
     del row
-    from cucumbervision.agronomy.profile_files import load_profile
+    from cucumbervision.agronomy.profiles import load_profile
 
     profile = load_profile("long-cucumber")
     picks = round_pick_list(store, MORNING, profile)

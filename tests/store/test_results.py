@@ -6,18 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import CaptureError
-from cucumbervision.measurement.results import Fruit, Length, Method
+from cucumbervision.measurement.result import Fruit, Length, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.session.finders import dataset_instances
-from cucumbervision.session.intervals import with_simulated_interval
-from cucumbervision.session.options import MeasureOptions
-from cucumbervision.session.results import Failure
-from cucumbervision.session.rows import fruit_row
+from cucumbervision.perception.masks import decode_rle
+from cucumbervision.pipeline.finders import dataset_instances
+from cucumbervision.pipeline.intervals import with_simulated_interval
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.results import Failure
+from cucumbervision.pipeline.rows import fruit_row
 from cucumbervision.store.records import RoundRecord, record_json
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.results import (
@@ -27,7 +28,6 @@ from cucumbervision.store.results import (
     records_from_result,
     view_score,
 )
-from cucumbervision.synthesis.demo import bundled_captures
 
 
 @pytest.fixture(scope="module")

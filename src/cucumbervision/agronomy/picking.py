@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.fruit import natural_key
-from cucumbervision.agronomy.profile import TOO_LONG
+from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def pick_list(
     --------
     >>> from cucumbervision.agronomy.forecast import FruitState, forecast
     >>> from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
-    >>> from cucumbervision.agronomy.profile_files import load_profile
+    >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
     >>> at = [("2", 4.0, 0.28), ("2", 9.0, 0.30), ("1", 3.0, 0.27), ("1", 5.0, 0.22)]
     >>> fruit = [FruitState(f"{row}-{x}", row, x, length, 0.004) for row, x, length in at]

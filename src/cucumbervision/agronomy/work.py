@@ -117,7 +117,7 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     --------
     >>> from cucumbervision.agronomy.forecast import FruitState, forecast
     >>> from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
-    >>> from cucumbervision.agronomy.profile_files import load_profile
+    >>> from cucumbervision.agronomy.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
     >>> fruit = [FruitState(str(k), "1", 0.1 * k, 0.30, 0.004) for k in range(70)]
     >>> found = forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.calibration.corrections import Form
-from cucumbervision.capture.calibration import CameraModel
+from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model
 from cucumbervision.errors import CalibrationError
-from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.result import Length
 
 if TYPE_CHECKING:
     from pathlib import Path

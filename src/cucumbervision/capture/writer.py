@@ -112,7 +112,7 @@ def _manifest(
     *,
     fused: bool,
 ) -> dict[str, Any]:
-    from cucumbervision.capture.calibration import CameraModel
+    from cucumbervision.capture.camera_file import CameraModel
     from cucumbervision.capture.readers.native import FORMAT
 
     return {

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import logging
 import sys
+from importlib.metadata import entry_points
 from typing import Annotated
 
 import typer
 
 from cucumbervision._version import __version__
 from cucumbervision.cli import (
-    benchmark,
     calibrate,
     dashboard,
-    data,
     demo,
     detect,
     evaluate,
@@ -26,12 +25,13 @@ from cucumbervision.cli import (
     measure,
     models,
     round,
-    synth,
-    train,
 )
 from cucumbervision.errors import CucumberVisionError
 
 __all__ = ["app", "main"]
+
+_COMMANDS = "cucumbervision.commands"
+"""Entry points of further commands: each is called with the program and its groups."""
 
 app = typer.Typer(
     name="cucumbervision",
@@ -44,15 +44,17 @@ app.command("measure", epilog=measure.EPILOG)(measure.measure)
 app.command("detect", epilog=detect.EPILOG)(detect.detect)
 app.command("demo")(demo.demo)
 app.command("calibrate")(calibrate.calibrate)
-app.command("benchmark")(benchmark.benchmark)
-app.command("synth")(synth.synth)
 app.command("export")(export.export)
-app.add_typer(dashboard.app, name="dashboard")
-app.add_typer(data.app, name="data")
-app.add_typer(evaluate.app, name="evaluate")
-app.add_typer(models.app, name="models")
-app.add_typer(round.app, name="round")
-app.add_typer(train.app, name="train")
+_GROUPS = {
+    "dashboard": dashboard.app,
+    "evaluate": evaluate.app,
+    "models": models.app,
+    "round": round.app,
+}
+for _name, _group in _GROUPS.items():
+    app.add_typer(_group, name=_name)
+for _further in entry_points(group=_COMMANDS):
+    _further.load()(app, _GROUPS)
 
 
 def _show_version(wanted: bool) -> None:

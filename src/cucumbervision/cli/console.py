@@ -19,14 +19,14 @@ from rich.table import Table
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.intake.guarded import open_guarded
-from cucumbervision.session.run import count_captures, measure_inputs
+from cucumbervision.pipeline.run import count_captures, measure_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.session.options import MeasureOptions
-    from cucumbervision.session.results import RunResult
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.pipeline.results import RunResult
 
 __all__ = ["progress_bar", "results_table", "run_and_show"]
 

@@ -23,10 +23,10 @@ def demo(
 
     Masks by MobileSAM, lengths by M1 to M6.
     """
+    from cucumbervision.capture.bundled import bundled_captures
     from cucumbervision.cli.console import run_and_show
     from cucumbervision.perception.registry import load_registry
-    from cucumbervision.session.finders import demo_options
-    from cucumbervision.synthesis.demo import bundled_captures
+    from cucumbervision.pipeline.finders import demo_options
 
     options, line = demo_options(load_registry())
     if not (quiet or as_json):

@@ -59,7 +59,7 @@ def detect(
 ) -> None:
     """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
     from cucumbervision.cli.detect_console import run_and_show
-    from cucumbervision.session.detect import DetectOptions
+    from cucumbervision.pipeline.detect import DetectOptions
 
     options = DetectOptions(
         model=model,

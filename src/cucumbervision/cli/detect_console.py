@@ -10,13 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from cucumbervision.cli.console import progress_bar
-from cucumbervision.session.detect import detect_inputs
+from cucumbervision.pipeline.detect import detect_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.session.detect import DetectOptions, DetectResult
+    from cucumbervision.pipeline.detect import DetectOptions, DetectResult
 
 __all__ = ["run_and_show", "summary_table"]
 

@@ -49,9 +49,9 @@ def export(
     ] = True,
 ) -> None:
     """Write a round: summary, fruit, stops, forecast, pick list; with the hashes it rests on."""
-    from cucumbervision.agronomy.profile_files import load_profile
-    from cucumbervision.rounds.exports.build import round_tables
-    from cucumbervision.rounds.exports.writers import ExportFormat, write_exports
+    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.exports.build import round_tables
+    from cucumbervision.exports.writers import ExportFormat, write_exports
     from cucumbervision.rounds.service import find_round
     from cucumbervision.store.repository import open_store
 

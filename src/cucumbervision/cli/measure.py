@@ -97,9 +97,9 @@ def measure(
     """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import run_and_show
-    from cucumbervision.measurement.results import Length
+    from cucumbervision.measurement.result import Length
     from cucumbervision.measurement.selector import Selector
-    from cucumbervision.session.options import MeasureOptions, parse_methods
+    from cucumbervision.pipeline.options import MeasureOptions, parse_methods
 
     options = MeasureOptions(
         instances=instances,

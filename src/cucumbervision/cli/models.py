@@ -36,25 +36,6 @@ def list_models() -> None:
 
 
 @app.command()
-def pull(
-    name: Name,
-    given: Annotated[
-        Path | None,
-        typer.Option("--from", help="The publisher's file, downloaded by hand.", metavar="FILE"),
-    ] = None,
-) -> None:
-    """Fetch a network from its publisher, check its hash and export it to ONNX."""
-    from rich.console import Console
-
-    from cucumbervision.cli.download_bar import DownloadBar
-    from cucumbervision.training.pull import pull_model
-
-    files = pull_model(name, given=given, progress=DownloadBar(name))
-    for path in files.values():
-        Console(highlight=False).print(str(path), soft_wrap=True)
-
-
-@app.command()
 def verify(
     name: Annotated[
         str | None, typer.Argument(help="One network; all that are on this machine without it.")

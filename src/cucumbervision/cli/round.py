@@ -46,7 +46,7 @@ def new(
     images: Images = None,
 ) -> None:
     """Begin a round and print its key."""
-    from cucumbervision.agronomy.profile_files import load_profile
+    from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.store.records import RoundRecord
     from cucumbervision.store.repository import open_store
 
@@ -89,10 +89,10 @@ def add(
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
     from cucumbervision.cli.round_console import add_and_show
-    from cucumbervision.measurement.results import Length
+    from cucumbervision.measurement.result import Length
+    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.poses import read_poses
-    from cucumbervision.session.options import MeasureOptions
 
     if higher_to not in (None, "left", "right"):
         raise typer.BadParameter("give right or left", param_hint="--higher-to")

@@ -9,19 +9,19 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.cli.console import progress_bar
+from cucumbervision.pipeline.run import count_captures
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.service import find_round, fruit_table, list_rounds
-from cucumbervision.session.run import count_captures
 from cucumbervision.store.repository import open_store
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.agronomy.profile import CropProfile
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.service import FruitLine, RowLinks, RowReport
-    from cucumbervision.session.options import MeasureOptions
 
 __all__ = ["add_and_show", "show_links", "show_picks", "show_round", "show_rounds", "show_rows"]
 
@@ -97,7 +97,7 @@ def show_links(rows: Sequence[RowLinks]) -> None:
 
 
 def _profile(given: str | None, of_round: str) -> CropProfile | None:
-    from cucumbervision.agronomy.profile_files import load_profile
+    from cucumbervision.agronomy.profiles import load_profile
 
     name = given or of_round
     return load_profile(name) if name else None
@@ -130,7 +130,7 @@ def _cells(line: FruitLine, profile: CropProfile | None) -> list[str]:
     low, high = record.interval_low_m, record.interval_high_m
     name = ""
     if profile is not None:
-        from cucumbervision.rounds.outlook import grade_of
+        from cucumbervision.rounds.forecasting import grade_of
 
         name = grade_of(record, profile).name
     remarks = [record.flags]
@@ -174,8 +174,8 @@ def show_rounds(where: str) -> None:
 
 def show_picks(where: str, name: str, given: str | None) -> None:
     """Show today's ready fruit."""
-    from cucumbervision.agronomy.profile_files import load_profile
-    from cucumbervision.rounds.outlook import round_pick_list
+    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.rounds.forecasting import round_pick_list
 
     with open_store(where) as store:
         view = find_round(store, name)

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from cucumbervision.accuracy.measured import read_measured
+from cucumbervision.accuracy.own_report import write_own_report
+from cucumbervision.accuracy.own_truth import evaluate_lengths
+from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.corrections import Form
+from cucumbervision.calibration.site_calibration import calibrate_depth, calibrate_lengths
 from cucumbervision.errors import CalibrationError
-from cucumbervision.evaluation.measured import read_measured
-from cucumbervision.evaluation.own_report import write_own_report
-from cucumbervision.evaluation.own_truth import evaluate_lengths
-from cucumbervision.evaluation.site_calibration import calibrate_depth, calibrate_lengths
-from cucumbervision.evaluation.truth import read_truth
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from cucumbervision.accuracy.own_truth import MethodScore
     from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
-    from cucumbervision.evaluation.own_truth import MethodScore
 
 __all__ = ["calibrate_and_show", "evaluate_and_show"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import decode_rle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,8 +9,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.evaluation.measured import REPORTED, Measured, Reading
-from cucumbervision.measurement.results import Length
+from cucumbervision.accuracy.measured import REPORTED, Measured, Reading
+from cucumbervision.measurement.result import Length
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

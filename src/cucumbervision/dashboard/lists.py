@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.agronomy.grade import Verdict as GradeVerdict
-from cucumbervision.rounds.outlook import grade_of
+from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision.agronomy.grade import Grade
-    from cucumbervision.agronomy.profile import CropProfile
+    from cucumbervision.agronomy.grades import Grade
+    from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.dashboard.units import Units
     from cucumbervision.store.records import MethodRecord
     from cucumbervision.store.repository import Store
@@ -74,8 +74,8 @@ def grade_name(grade: Grade) -> str:
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.grade import FruitTraits, grade
-    >>> from cucumbervision.agronomy.profile_files import load_profile
+    >>> from cucumbervision.agronomy.grades import FruitTraits, grade
+    >>> from cucumbervision.agronomy.profiles import load_profile
     >>> grade_name(grade(FruitTraits(thread_m=0.26), load_profile("long-cucumber")))
     'class I'
     """

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from cucumbervision.capture.burst import fuse_burst
-from cucumbervision.capture.camera import CameraConfig, RealSenseCamera
+from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
 from cucumbervision.dashboard.health import Health, health_of
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError

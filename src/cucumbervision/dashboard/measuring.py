@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.calibration import CameraModel
+from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.pipeline.finders import make_finder
+from cucumbervision.pipeline.results import Failure
+from cucumbervision.pipeline.run import capture_rows, measure_capture
 from cucumbervision.rounds.adding import placed_fruit, placed_stop
 from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
-from cucumbervision.session.finders import make_finder
-from cucumbervision.session.results import Failure
-from cucumbervision.session.run import capture_rows, measure_capture
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import new_key
 from cucumbervision.store.results import (
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.sam import Segmenter
-    from cucumbervision.session.finders import Finder
-    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.pipeline.finders import Finder
+    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
     from cucumbervision.store.records import CaptureRecord, StopRecord
     from cucumbervision.store.repository import Store
@@ -87,7 +87,7 @@ class Measurer:
         """Give what was measured, and what was refused as no fruit of this picture."""
         finder, site = self._tools(options)
         if site is not None:
-            from cucumbervision.session.calibrated import calibrated_capture
+            from cucumbervision.pipeline.calibrated import calibrated_capture
 
             capture = calibrated_capture(capture, site)
         fruit, refused = measure_capture(capture, finder, options)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.m1 import window_depths
-from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import decode_rle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

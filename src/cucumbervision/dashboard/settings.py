@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cucumbervision.agronomy.work import Rates
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.dashboard.units import Units
-from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.result import Length
 from cucumbervision.measurement.selector import Selector
-from cucumbervision.session.options import MeasureOptions
+from cucumbervision.pipeline.options import MeasureOptions
 
 if TYPE_CHECKING:
     from cucumbervision.perception.registry import Registry

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.profile_files import load_profile
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.lists import RoundLists, read_lists, round_version
@@ -29,15 +29,15 @@ from cucumbervision.dashboard.variables import (
 )
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
-from cucumbervision.rounds.outlook import forecast_for
+from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.service import merge_round
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
-    from cucumbervision.agronomy.profile import CropProfile
-    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.views import FruitDetail, RoundView
 
 __all__ = [
@@ -122,7 +122,7 @@ def replay_path() -> Path:
     """Give what is replayed where no camera is: as the command says, or the bundled captures."""
     if chosen := os.environ.get(REPLAY_VARIABLE):
         return Path(chosen)
-    from cucumbervision.synthesis.demo import bundled_captures
+    from cucumbervision.capture.bundled import bundled_captures
 
     return bundled_captures()
 
@@ -265,7 +265,7 @@ def prepare() -> Job | None:
 
 
 def _demonstrate(job: Job) -> None:
-    from cucumbervision.synthesis.demo import bundled_captures
+    from cucumbervision.capture.bundled import bundled_captures
 
     source = open_source(bundled_captures(), ReadOptions(burst=settings().burst))
     job.total = source.total or 0
@@ -276,7 +276,7 @@ def _demonstrate(job: Job) -> None:
 
 
 def _warm(_: Job) -> None:
-    from cucumbervision.synthesis.demo import bundled_captures
+    from cucumbervision.capture.bundled import bundled_captures
 
     first = next(iter(open_source(bundled_captures())))
     measurer().measure(first.load(), options())

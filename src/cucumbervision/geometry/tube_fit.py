@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.bspline import differences
-from cucumbervision.geometry.tube_shape import (
+from cucumbervision.geometry.tube import (
     BALLS,
     BEND_SEGMENTS,
     Gaps,
     TubeShape,
     bases,
     depth_gaps,
+    differences,
     gaps,
 )
 
@@ -169,7 +169,7 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     --------
     A straight body seen from the side: surface points of its front, and no outline.
 
-    >>> from cucumbervision.geometry.tube_shape import shape_from_curve
+    >>> from cucumbervision.geometry.tube import shape_from_curve
     >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 60), np.linspace(0.3, 2.8, 9)))
     >>> cloud = np.stack([x, 0.02 * np.cos(a), 0.5 - 0.02 * np.sin(a)], axis=1)
     >>> curve = np.stack([np.linspace(0.02, 0.18, 9), np.zeros(9), np.full(9, 0.505)], axis=1)

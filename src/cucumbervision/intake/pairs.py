@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from cucumbervision.capture.readers.pair import pair_role
 from cucumbervision.errors import CaptureError
 from cucumbervision.intake.accepted import AcceptedSource
-from cucumbervision.intake.desk import is_intrinsics, write_json
 from cucumbervision.intake.items import COLORS, DEPTHS
 from cucumbervision.intake.sniff import PICTURES, Kind
+from cucumbervision.intake.staging import is_intrinsics, write_json
 
 if TYPE_CHECKING:
-    from cucumbervision.intake.desk import Desk
     from cucumbervision.intake.items import Item
+    from cucumbervision.intake.staging import Desk
 
 __all__ = ["sort_arrays", "sort_pairs", "sort_rest", "sort_snapshots"]
 

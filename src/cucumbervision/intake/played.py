@@ -9,7 +9,7 @@ from cucumbervision.intake.recordings import play_apart
 from cucumbervision.intake.sniff import Kind
 
 if TYPE_CHECKING:
-    from cucumbervision.intake.desk import Desk
+    from cucumbervision.intake.staging import Desk
 
 __all__ = ["sort_recordings"]
 

@@ -10,13 +10,13 @@ from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.readers.native import FORMAT, MANIFEST, MASKS, Manifest
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError
 from cucumbervision.intake.accepted import AcceptedSource, shown_name
-from cucumbervision.intake.desk import write_json
 from cucumbervision.intake.items import COLORS, DEPTHS, Item
 from cucumbervision.intake.sniff import Kind
+from cucumbervision.intake.staging import write_json
 
 if TYPE_CHECKING:
-    from cucumbervision.intake.desk import Desk
     from cucumbervision.intake.limits import Limits
+    from cucumbervision.intake.staging import Desk
 
 __all__ = ["sort_native", "sort_scenes"]
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, BinaryIO
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.accepted import AcceptedUploads
 from cucumbervision.intake.archives import Budget, unpack, write_chunk
-from cucumbervision.intake.desk import Desk, Sorted
 from cucumbervision.intake.items import check_item
 from cucumbervision.intake.limits import Limits
 from cucumbervision.intake.names import clean_name
@@ -20,6 +19,7 @@ from cucumbervision.intake.pairs import sort_arrays, sort_pairs, sort_rest, sort
 from cucumbervision.intake.played import sort_recordings
 from cucumbervision.intake.scenes import sort_native, sort_scenes
 from cucumbervision.intake.sniff import HEAD_BYTES, Kind, sniff
+from cucumbervision.intake.staging import Desk, Sorted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -9,7 +9,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.medians import valid_median
 from cucumbervision.measurement.cloud import box_pixels
-from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

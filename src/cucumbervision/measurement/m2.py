@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near
-from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near
 from cucumbervision.measurement.m2 import GATE_M, principal_chord
-from cucumbervision.measurement.results import Measurement, Method, Reason
+from cucumbervision.measurement.result import Measurement, Method, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

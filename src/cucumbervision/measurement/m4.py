@@ -8,7 +8,7 @@ import numpy as np
 
 from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m1 import window_depths
-from cucumbervision.measurement.results import LengthKind, Measurement, Method, Reason
+from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

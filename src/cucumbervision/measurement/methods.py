@@ -14,7 +14,7 @@ from cucumbervision.measurement.m3 import measure_m3
 from cucumbervision.measurement.m4 import measure_m4
 from cucumbervision.measurement.m5 import measure_m5
 from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.results import Measurement, Method, Reason
+from cucumbervision.measurement.result import Measurement, Method, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -15,7 +15,7 @@ from cucumbervision.geometry.tube import (
     thread_length,
     volume_of_profile,
 )
-from cucumbervision.measurement.tube_types import TubeLengths, TubeTraits
+from cucumbervision.measurement.result import TubeLengths, TubeTraits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

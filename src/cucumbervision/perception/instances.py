@@ -11,7 +11,21 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Instance", "MaskSource", "box_iou", "box_of_mask", "mask_iou"]
+__all__ = [
+    "KEYPOINT_NAMES",
+    "SKELETON",
+    "Instance",
+    "MaskSource",
+    "box_iou",
+    "box_of_mask",
+    "mask_iou",
+]
+
+KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
+"""The five landmarks along a fruit, in the order in which they are stored."""
+
+SKELETON = ((0, 1), (1, 2), (2, 3), (3, 4))
+"""Pairs of landmarks that a line joins."""
 
 
 class MaskSource(StrEnum):

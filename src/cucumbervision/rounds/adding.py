@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture, Stop
-    from cucumbervision.session.finders import Finder
-    from cucumbervision.session.options import MeasureOptions
+    from cucumbervision.pipeline.finders import Finder
+    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.records import FruitRecord, StopRecord
     from cucumbervision.store.repository import Store
 
@@ -117,7 +117,7 @@ def add_captures(
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
-    from cucumbervision.session.finders import make_finder
+    from cucumbervision.pipeline.finders import make_finder
     from cucumbervision.store.records import key_of
 
     place = place or Place()
@@ -196,8 +196,8 @@ def _measured(
     means: tuple[Finder, MeasureOptions, SiteCalibration | None],
     store: Store,
 ) -> StopRecord:
-    from cucumbervision.session.results import Failure
-    from cucumbervision.session.run import capture_rows, measure_capture
+    from cucumbervision.pipeline.results import Failure
+    from cucumbervision.pipeline.run import capture_rows, measure_capture
     from cucumbervision.store.results import (
         MeasuredCapture,
         artifact_records,
@@ -208,7 +208,7 @@ def _measured(
     spot, sd_m, pose = _spot(capture, number, place)
     capture = replace(capture, stop=spot)
     if site is not None:
-        from cucumbervision.session.calibrated import calibrated_capture
+        from cucumbervision.pipeline.calibrated import calibrated_capture
 
         capture = calibrated_capture(capture, site)
     fruit, refused = measure_capture(capture, finder, options)

@@ -13,7 +13,7 @@ from cucumbervision.rounds.coordinates import is_partial, middle_offset, middle_
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged
 from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
 from cucumbervision.rounds.row_views import ALONG, UP, RowStops, RowViews
-from cucumbervision.rounds.shifts import FittedStops
+from cucumbervision.rounds.stop_alignment import FittedStops
 from cucumbervision.store.views import LinkKind, Verdict
 
 if TYPE_CHECKING:

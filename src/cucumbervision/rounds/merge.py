@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.rounds.clusters import HELD, cluster_pairs, join_clusters, sweep
-from cucumbervision.rounds.likeness import Crowd, position_ratio, shape_ratio
 from cucumbervision.rounds.row_views import ALONG, DEPTH, RowStops, RowViews, pairs_within
-from cucumbervision.rounds.shifts import FittedStops, fit_stops, prior_stops, vote_pairs
+from cucumbervision.rounds.similarity import Crowd, position_ratio, shape_ratio
+from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_stops, vote_pairs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -122,7 +122,7 @@ def merge_row(
 
     Examples
     --------
-    >>> from cucumbervision.rounds.simulate import SimulatedRow, simulate_row
+    >>> from cucumbervision_lab.simulation.rounds import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(fruit=40), seed=1)
     >>> merged = merge_row(row.stops, row.views)
     >>> int(merged.cluster.max()) + 1 >= 40  # every fruit, and what the detector invented
@@ -171,7 +171,7 @@ def views_per_m(stops: RowStops, views: RowViews) -> float:
 
     Examples
     --------
-    >>> from cucumbervision.rounds.simulate import SimulatedRow, simulate_row
+    >>> from cucumbervision_lab.simulation.rounds import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(per_m=10, fruit=200), seed=1)
     >>> 8 < views_per_m(row.stops, row.views) < 12
     True

@@ -10,7 +10,7 @@ import numpy as np
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.best import combined_length, row_fruit
 from cucumbervision.rounds.count import FruitCount, count_fruit
-from cucumbervision.rounds.days import LinkSettings, link_days
+from cucumbervision.rounds.day_linking import LinkSettings, link_days
 from cucumbervision.rounds.from_store import (
     RoundContent,
     by_hand_of,
@@ -195,7 +195,7 @@ def merge_round(
 def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[LinkRecord]) -> Merged:
     if not len(row.views):
         from cucumbervision.rounds.merge import NO_PAIRS
-        from cucumbervision.rounds.shifts import prior_stops
+        from cucumbervision.rounds.stop_alignment import prior_stops
 
         nothing = np.zeros(0)
         return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision._version import __version__
-from cucumbervision.capture.calibration import CameraModel
+from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Stop
 from cucumbervision.geometry.tube import arc_positions
-from cucumbervision.measurement.results import Length, Method
-from cucumbervision.perception.mask_codes import encode_rle
+from cucumbervision.measurement.result import Length, Method
+from cucumbervision.perception.masks import encode_rle
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.results import Fruit, Measurement
-    from cucumbervision.session.options import MeasureOptions
-    from cucumbervision.session.results import Failure
-    from cucumbervision.session.rows import Cell
+    from cucumbervision.measurement.result import Fruit, Measurement
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.pipeline.results import Failure
+    from cucumbervision.pipeline.rows import Cell
     from cucumbervision.store.images import ImageStore
 
 __all__ = [

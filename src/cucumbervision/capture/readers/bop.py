@@ -39,7 +39,7 @@ from cucumbervision.errors import CaptureError, IntrinsicsError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.capture.calibration import Calibration
+    from cucumbervision.capture.camera_file import Calibration
 
 __all__ = ["find_scenes", "open_bop"]
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.calibration import Calibration
+    from cucumbervision.capture.camera_file import Calibration
     from cucumbervision.capture.source import ReadOptions
 
 __all__ = [
@@ -29,7 +29,7 @@ def given_calibration(options: ReadOptions) -> Calibration | None:
     """Read the user's intrinsics file, if one is named."""
     if options.intrinsics is None:
         return None
-    from cucumbervision.capture.calibration import read_calibration
+    from cucumbervision.capture.camera_file import read_calibration
 
     return read_calibration(options.intrinsics)
 
@@ -114,7 +114,7 @@ def aligned_depth(
             source=source,
             remedy="give the depth camera's intrinsics at that size",
         )
-    from cucumbervision.geometry.align import align_depth_to_color
+    from cucumbervision.geometry.camera import align_depth_to_color
 
     return align_depth_to_color(
         depth_m,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.burst import fuse_burst
-from cucumbervision.capture.calibration import CameraModel
+from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import (
     parse_model,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.calibration import Calibration
+    from cucumbervision.capture.camera_file import Calibration
 
 __all__ = ["FORMAT", "MANIFEST", "MASKS", "Frame", "Manifest", "find_captures", "open_native"]
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.capture.calibration import Calibration
+    from cucumbervision.capture.camera_file import Calibration
 
 __all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs", "pair_role"]
 

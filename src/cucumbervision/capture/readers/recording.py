@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture._realsense import (
+from cucumbervision.capture.burst import fuse_burst
+from cucumbervision.capture.cameras.realsense_sdk import (
     AlignedFrame,
     AlignedStream,
     import_realsense,
     play_file,
 )
-from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.depth import require_readings
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.capture.calibration import Calibration
+    from cucumbervision.capture.camera_file import Calibration
 
 __all__ = ["Snapshot", "find_snapshots", "open_viewer", "read_metadata"]
 

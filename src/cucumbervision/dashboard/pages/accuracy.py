@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
+from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
+from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
+from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import parts, shared
 from cucumbervision.dashboard.hand_truth import (
     hand_file,
@@ -16,10 +19,7 @@ from cucumbervision.dashboard.hand_truth import (
     write_hand_lengths,
 )
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.evaluation.own_truth import OwnTruth, evaluate_lengths
-from cucumbervision.evaluation.site_calibration import calibrate_lengths
-from cucumbervision.evaluation.truth import read_truth
-from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.result import Length
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.lists import RoundLists

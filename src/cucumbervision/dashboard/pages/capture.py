@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import streamlit as st
 
-from cucumbervision.agronomy.grade import FruitTraits, grade
+from cucumbervision.agronomy.grades import FruitTraits, grade
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import parts, shared
 from cucumbervision.dashboard.components import picture
@@ -15,7 +15,7 @@ from cucumbervision.dashboard.lists import grade_name
 from cucumbervision.dashboard.measuring import TakenStop
 from cucumbervision.dashboard.picture import as_data_url, scale_bar
 from cucumbervision.measurement.selector import Selector
-from cucumbervision.session.overlay import draw_overlay
+from cucumbervision.pipeline.overlay import draw_overlay
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job

@@ -12,8 +12,8 @@ import streamlit as st
 from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import parts, shared
 from cucumbervision.dashboard.jobs import JobState
-from cucumbervision.rounds.exports.build import round_tables
-from cucumbervision.rounds.exports.writers import ExportFormat, write_exports
+from cucumbervision.exports.build import round_tables
+from cucumbervision.exports.writers import ExportFormat, write_exports
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import streamlit as st
 
-from cucumbervision.agronomy.profile_files import profiles
+from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.dashboard import shared
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.results import Length
+from cucumbervision.measurement.result import Length
 
 __all__ = ["page"]
 

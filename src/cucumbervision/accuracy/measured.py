@@ -1,0 +1,186 @@
+"""What a `measure` run gave, read back from its CSV, its JSON or its folder."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.accuracy.truth import parse_number, read_table
+from cucumbervision.errors import CucumberVisionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+__all__ = ["REPORTED", "TUBE_COLUMNS", "Measured", "Reading", "read_measured"]
+
+REPORTED = "reported"
+TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
+METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
+REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One measured fruit.
+
+    Parameters
+    ----------
+    capture : str
+        Name of the capture.
+    fruit : int
+        Number of the fruit in it, from 1.
+    lengths_m : dict of str to float or None
+        By 'M1' … 'M6' (centreline), 'M6 thread', 'M6 chord' as they were read, and 'reported' as
+        `length_cm` says; None where it gave none, no key where it did not run.
+    fell_back : frozenset of str
+        Methods whose length is another method's.
+    kind, method, mask_source : str
+        What the reported length is, by which method, on whose mask; empty where unknown.
+    distance_m, fill, tilt_deg : float
+        Of the fruit; NaN where unknown.
+    flags : str
+        As the row has them.
+    """
+
+    capture: str
+    fruit: int
+    lengths_m: dict[str, float | None]
+    fell_back: frozenset[str] = frozenset()
+    kind: str = ""
+    method: str = ""
+    mask_source: str = ""
+    distance_m: float = math.nan
+    fill: float = math.nan
+    tilt_deg: float = math.nan
+    flags: str = ""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A whole run.
+
+    Parameters
+    ----------
+    path : Path
+        The file that was read.
+    readings : tuple of Reading
+        In the file's order.
+    captures : tuple of str
+        Every capture, those without fruit too where the file says so.
+    report : mapping
+        `measurements.json` as it is, for camera and provenance; empty without one.
+    """
+
+    path: Path
+    readings: tuple[Reading, ...]
+    captures: tuple[str, ...]
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_measured(path: Path) -> Measured:
+    """Read the measurements of a run.
+
+    Parameters
+    ----------
+    path : Path
+        The folder of a `measure` run, its `measurements.json`, or its `measurements.csv`; the
+        CSV takes camera and provenance from the JSON beside it, where there is one.
+
+    Raises
+    ------
+    CucumberVisionError
+        If it is no run's output, or holds no fruit.
+    """
+    if path.is_dir():
+        found = [p for n in ("json", "csv") if (p := path / f"measurements.{n}").exists()]
+        if not found:
+            raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+        path = found[0]
+    beside = path.with_suffix(".json")
+    report = _read_report(beside) if beside.exists() else {}
+    if path.suffix.lower() == ".json":
+        if not report:
+            raise CucumberVisionError("is missing", source=path, remedy=REMEDY)
+        rows = [row for capture in report["captures"] for row in capture["fruit"]]
+        names = [str(capture["name"]) for capture in report["captures"]]
+    else:
+        table = read_table(path)
+        rows = [_typed(line.cells) for line in table.lines]
+        names = []
+        if not {"capture", "fruit", "length_cm"} <= set(table.columns):
+            raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+    ran = _keys_that_ran(rows, report)
+    try:
+        readings = tuple(_reading(row, ran) for row in rows)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CucumberVisionError(
+            f"holds a row that is none of ours ({error})", source=path, remedy=REMEDY
+        ) from None
+    if not readings:
+        raise CucumberVisionError("holds no fruit", source=path, remedy="measure captures first")
+    captures = tuple(dict.fromkeys([*names, *(r.capture for r in readings)]))
+    return Measured(path, readings, captures, report)
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CucumberVisionError(f"cannot be read ({error})", source=path, remedy=REMEDY) from None
+    captures = report.get("captures") if isinstance(report, dict) else None
+    known = isinstance(captures, list) and all(
+        isinstance(c, dict) and {"name", "fruit", "intrinsics"} <= set(c) for c in captures
+    )
+    if not known:
+        raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+    return dict(report)
+
+
+def _typed(cells: Mapping[str, str]) -> dict[str, Any]:
+    numbers = {"fruit", "fill"} | {name for name in cells if name.endswith("_cm")}
+    return {k: parse_number(v) if k in numbers else v for k, v in cells.items()}
+
+
+def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> list[str]:
+    """Name the methods to score: those that ran, by the report or by having a length at all."""
+    columns = {**METHOD_COLUMNS, **TUBE_COLUMNS}
+    asked = report.get("config", {}).get("methods", [])
+    return [
+        key
+        for key, column in columns.items()
+        if key in asked or any(row.get(column) is not None for row in rows)
+    ]
+
+
+def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
+    columns = {**METHOD_COLUMNS, **TUBE_COLUMNS}
+    lengths = {key: _metres(row.get(columns[key])) for key in ran}
+    methods = row.get("methods", {})
+    distance = _metres(row.get("distance_cm"))
+    return Reading(
+        capture=str(row["capture"]),
+        fruit=int(row["fruit"]),
+        lengths_m={**lengths, REPORTED: _metres(row.get("length_cm"))},
+        fell_back=frozenset(m for m, said in methods.items() if said.get("fallback")),
+        kind=row.get("length_kind") or "",
+        method=row.get("method") or "",
+        mask_source=row.get("mask_source") or "",
+        distance_m=math.nan if distance is None else distance,
+        fill=math.nan if row.get("fill") is None else float(row["fill"]),
+        tilt_deg=_tilt_deg(methods.get(row.get("method"), {}).get("tips_m")),
+        flags=row.get("flags") or "",
+    )
+
+
+def _metres(length_cm: float | None) -> float | None:
+    return None if length_cm is None else length_cm / 100
+
+
+def _tilt_deg(tips_m: Sequence[Sequence[float]] | None) -> float:
+    if not tips_m:
+        return math.nan
+    x, y, z = (abs(b - a) for a, b in zip(*tips_m, strict=True))
+    return math.degrees(math.atan2(z, math.hypot(x, y)))

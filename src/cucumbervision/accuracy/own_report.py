@@ -1,0 +1,98 @@
+"""The report of an evaluation on one's own fruit."""
+
+from __future__ import annotations
+
+import math
+import platform
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_lab.benchmark.records import append_record
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cucumbervision.accuracy.measured import Measured
+    from cucumbervision.accuracy.own_truth import OwnTruth
+    from cucumbervision.accuracy.truth import Truth
+
+__all__ = ["RECORDS", "SCORES", "write_own_report"]
+
+RECORDS = "records.jsonl"
+SCORES = "scores.json"
+
+
+def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
+    """Write the benchmark's report over one's own fruit, its records and its scores.
+
+    `out` gets `scores.json` (what the command prints), `records.jsonl`, and the report.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the folder cannot be written.
+    MissingExtraError
+        If what draws the page is not installed; scores and records are written before it.
+    """
+    from cucumbervision.pipeline.exports import write_json
+    from cucumbervision_lab.benchmark.report import SUMMARY, write_report
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / RECORDS).unlink(missing_ok=True)
+        for record in found.records:
+            append_record(out / RECORDS, record)
+        provenance = _provenance(measured, truth)
+        floor = found.floor and asdict(found.floor)
+        scores = [_plain(asdict(one)) for one in found.scores]
+        write_json(
+            out / SCORES,
+            {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores},
+        )
+        write_report(
+            found.records,
+            out,
+            title="Lengths against one's own ground truth",
+            notes={SUMMARY: "\n\n".join(found.notes)},
+            provenance=provenance,
+        )
+    except OSError as error:
+        raise CucumberVisionError(
+            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
+        ) from error
+
+
+def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
+    report = measured.report
+    return {
+        "measurements": str(measured.path),
+        "measured_with": report.get("software"),
+        "config_sha256": report.get("config_sha256"),
+        "models": report.get("models", []),
+        "calibration": (report.get("calibration") or {}).get("tag"),
+        "truth": str(truth.path),
+        "truth_sha256": truth.sha256,
+    }
+
+
+def _software() -> dict[str, Any]:
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
+        "versions": {"python": platform.python_version(), **installed_versions()},
+    }
+
+
+def _plain(score: dict[str, Any]) -> dict[str, Any]:
+    """Give a score with None in place of NaN, which JSON does not know."""
+    flat = {**score, "kind": str(score["kind"])}
+    metrics = flat.pop("metrics")
+    return {**_without_nan(flat), "metrics": _without_nan(metrics)}
+
+
+def _without_nan(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}

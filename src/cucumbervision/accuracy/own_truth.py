@@ -1,0 +1,308 @@
+"""One's own ground truth: match it with a run, refuse what cannot be, and score every method."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.accuracy.measured import REPORTED, Reading
+from cucumbervision.accuracy.statistics import Metrics, bootstrap_mean, percent_errors, score
+from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
+from cucumbervision.errors import TruthError
+from cucumbervision.measurement.result import Length
+from cucumbervision_lab.benchmark.records import Masks, Record, Suite
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from cucumbervision.accuracy.measured import Measured
+
+__all__ = [
+    "MethodScore",
+    "OwnTruth",
+    "comparable",
+    "evaluate_lengths",
+    "match_truth",
+    "own_records",
+    "score_methods",
+]
+
+KIND_OF = {"M6": Length.CENTRELINE, "M6 thread": Length.THREAD, "M6 chord": Length.CHORD}
+LONGEST_M, SHORTEST_M = 1.0, 0.01
+LEAST_FRUIT = 3
+# Ratio of the written to the measured length, how far around it, what was written, what to do.
+UNITS = (
+    (10.0, 1.8, "10 times that: millimetres", "divide by 10"),
+    (0.1, 1.8, "a tenth of that: decimetres", "multiply by 10"),
+    (0.01, 2.5, "a hundredth of that: metres", "multiply by 100"),
+    (1 / 2.54, 1.1, "0.39 of that: inches", "multiply by 2.54"),
+)
+
+
+@dataclass(frozen=True)
+class MethodScore:
+    """One method against one kind of hand-measured length.
+
+    Parameters
+    ----------
+    method : str
+        As `Record.lengths_m` names it.
+    kind : Length
+        What was measured by hand.
+    metrics : Metrics
+        Over all captures; what was not measured counts as 100 % wrong.
+    low_percent, high_percent : float
+        95 % bootstrap interval of the mean error, whole fruit drawn; NaN below three fruit, of
+        which it would say nothing.
+    fruit : int
+        Physical fruit.
+    """
+
+    method: str
+    kind: Length
+    metrics: Metrics
+    low_percent: float
+    high_percent: float
+    fruit: int
+
+
+@dataclass(frozen=True)
+class OwnTruth:
+    """A whole evaluation.
+
+    Parameters
+    ----------
+    records : list of Record
+        One a fruit of a capture.
+    scores : list of MethodScore
+        By kind and method.
+    floor : Floor or None
+        The hand's own spread.
+    notes : list of str
+        What to know when reading the numbers.
+    """
+
+    records: list[Record]
+    scores: list[MethodScore]
+    floor: Floor | None
+    notes: list[str]
+
+
+def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
+    """Score every method of a run against hand-measured lengths.
+
+    Raises
+    ------
+    TruthError
+        If the truth names what the run does not hold, or is not in centimetres.
+    """
+    pairs = match_truth(measured, truth)
+    records = own_records(pairs, measured)
+    floor = floor_of(truth.lengths)
+    notes = _notes(truth, floor, pairs)
+    if any(record.details["simulated"] for record in records):
+        notes.append("Simulated captures are among them: drawn, not taken.")
+    return OwnTruth(records, score_methods(records), floor, notes)
+
+
+def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
+    """Find the reading of each hand-measured fruit.
+
+    A fruit that the run missed gets a reading without any length.
+
+    Raises
+    ------
+    TruthError
+        Naming the line, if a capture or a fruit is not among the measurements; if the lengths are
+        not in centimetres, judged by the median ratio to what was measured; or if a length is no
+        cucumber's.
+    """
+    readings = {(r.capture, r.fruit): r for r in measured.readings}
+    ran = sorted({key for r in measured.readings for key in r.lengths_m})
+    counts = Counter(r.capture for r in measured.readings)
+    pairs = []
+    for one in truth.lengths:
+        if one.capture not in measured.captures:
+            raise TruthError(
+                f"line {one.line}: capture '{one.capture}' is not among the measurements of "
+                f"{measured.path} ({_some(measured.captures)})",
+                source=truth.path,
+                remedy="measure it, correct its name, or drop the line",
+            )
+        if one.fruit is None:
+            missed = Reading(one.capture, 0, dict.fromkeys(ran), flags=MISSED)
+            pairs.append((one, missed))
+        elif (one.capture, one.fruit) in readings:
+            pairs.append((one, readings[one.capture, one.fruit]))
+        else:
+            raise TruthError(
+                f"line {one.line}: capture '{one.capture}' has {counts[one.capture]} measured "
+                f"fruit, no number {one.fruit}",
+                source=truth.path,
+                remedy=f"see the numbers in the overlay; write '{MISSED}' for a fruit that the "
+                "run did not find",
+            )
+    _require_centimetres(pairs, truth.path)
+    return pairs
+
+
+def comparable(method: str, kind: Length, reading: Reading) -> bool:
+    """Say whether a method's length is to be held against this kind of truth.
+
+    M6's three lengths go with their own kind, M1 to M5 with any: theirs is none of the three. The
+    reported length goes with any kind unless it names another one.
+
+    Examples
+    --------
+    >>> reading = Reading("a", 1, {}, kind="thread")
+    >>> comparable("M5", Length.CHORD, reading), comparable("M6", Length.CHORD, reading)
+    (True, False)
+    >>> comparable("reported", Length.CHORD, reading)
+    False
+    """
+    if method == REPORTED:
+        return reading.kind not in {str(k) for k in Length} or reading.kind == str(kind)
+    return KIND_OF.get(method, kind) is kind
+
+
+def own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured) -> list[Record]:
+    """Give the benchmark's records, one a fruit of a capture.
+
+    What a hand cannot know (bend, hidden share) is None or NaN; the tilt is that of the measured
+    line, where the run's JSON has it.
+    """
+    simulated = {c["name"]: bool(c.get("simulated")) for c in measured.report.get("captures", [])}
+    grouped: dict[tuple[str, int, str], list[tuple[TrueLength, Reading]]] = {}
+    for one, reading in pairs:
+        number = reading.fruit
+        grouped.setdefault((one.capture, number, "" if number else one.specimen), []).append(
+            (one, reading)
+        )
+    return [_record(same, simulated) for same in grouped.values()]
+
+
+def score_methods(records: Sequence[Record]) -> list[MethodScore]:
+    """Score each method against each kind of truth that it can be held against."""
+    methods = list(dict.fromkeys(key for r in records for key in r.lengths_m))
+    scores = []
+    for kind in Length:
+        for method in methods:
+            chosen = [
+                (r.lengths_m[method], true, r.fruit)
+                for r in records
+                if (true := _truth_m(r, kind)) is not None
+                and method in r.lengths_m
+                and comparable(method, kind, _as_reading(r))
+            ]
+            if chosen:
+                scores.append(_score(method, kind, chosen))
+    return scores
+
+
+def _score(
+    method: str, kind: Length, chosen: Sequence[tuple[float | None, float, str]]
+) -> MethodScore:
+    lengths = np.array([np.nan if x is None else x for x, _, _ in chosen])
+    truth = np.array([true for _, true, _ in chosen])
+    fruit = [name for _, _, name in chosen]
+    low, high = math.nan, math.nan
+    if len(set(fruit)) >= LEAST_FRUIT:
+        low, high = bootstrap_mean(percent_errors(lengths, truth), fruit)
+    return MethodScore(method, kind, score(lengths, truth), low, high, len(set(fruit)))
+
+
+def _record(same: Sequence[tuple[TrueLength, Reading]], simulated: dict[str, bool]) -> Record:
+    one, reading = same[0]
+    by_kind = {t.kind: t.length_m for t, _ in same}
+    details: dict[str, Any] = {
+        "selected": reading.method,
+        "reported_kind": reading.kind,
+        "flags": reading.flags.split(),
+        "simulated": simulated.get(one.capture, False),
+    }
+    return Record(
+        case=f"{one.capture}#{reading.fruit or one.specimen}",
+        suite=Suite.OWN,
+        masks=Masks.PERCEIVED,
+        fruit=one.specimen,
+        centreline_m=by_kind.get(Length.CENTRELINE),
+        thread_m=by_kind.get(Length.THREAD),
+        chord_m=by_kind.get(Length.CHORD),
+        distance_m=reading.distance_m,
+        tilt_deg=reading.tilt_deg,
+        bend_radius_m=None,
+        hidden_share=math.nan,
+        fill=reading.fill,
+        lengths_m=dict(reading.lengths_m),
+        details=details,
+    )
+
+
+def _as_reading(record: Record) -> Reading:
+    return Reading(record.case, 0, {}, kind=record.details["reported_kind"])
+
+
+def _truth_m(record: Record, kind: Length) -> float | None:
+    value: float | None = getattr(record, f"{kind}_m")
+    return value
+
+
+def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:
+    ratios = [one.length_m / typical for one, reading in pairs if (typical := _typical_m(reading))]
+    ratio = float(np.median(ratios)) if ratios else 1.0
+    for about, factor, words, remedy in UNITS:
+        if about / factor < ratio < about * factor:
+            raise TruthError(
+                f"the lengths are not in centimetres: their median is {ratio:.3g} times what was "
+                f"measured, about {words}",
+                source=path,
+                remedy=f"{remedy}; the columns hold centimetres",
+            )
+    for one, _ in pairs:
+        for length_m in one.lengths_m:
+            if not SHORTEST_M <= length_m <= LONGEST_M:
+                raise TruthError(
+                    f"line {one.line}: {100 * length_m:g} cm is no cucumber's length",
+                    source=path,
+                    remedy="give centimetres, between 1 and 100",
+                )
+
+
+def _typical_m(reading: Reading) -> float | None:
+    known = [x for x in reading.lengths_m.values() if x]
+    return float(np.median(known)) if known else None
+
+
+def _notes(
+    truth: Truth, floor: Floor | None, pairs: Sequence[tuple[TrueLength, Reading]]
+) -> list[str]:
+    missed = sum(reading.flags == MISSED for _, reading in pairs)
+    notes = [f"Hand-measured lengths: {truth.path.name}, {len(pairs)} of them."]
+    if floor is None:
+        notes.append("No fruit was measured twice by hand, so the floor is not known.")
+    else:
+        notes.append(
+            f"Floor: one measurement by hand has a standard deviation of {floor.sd_mm:.2f} mm "
+            f"({floor.sd_percent:.2f} %), from {floor.measurements} measurements of "
+            f"{floor.specimens} fruit."
+        )
+    if not truth.specimens_named:
+        notes.append(
+            "No column 'specimen': each fruit of each capture is taken for a fruit of its own. If "
+            "some were captured several times, name them, or the intervals are too narrow."
+        )
+    if missed:
+        notes.append(f"{missed} fruit were not found at all and count as 100 % error.")
+    if truth.unused:
+        notes.append(f"Columns not used: {', '.join(truth.unused)}.")
+    return notes
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more

@@ -1,0 +1,233 @@
+"""Errors of lengths, and how sure they are: means, comparisons, intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "Comparison",
+    "Metrics",
+    "binomial_interval",
+    "bootstrap_mean",
+    "compare",
+    "percent_errors",
+    "score",
+]
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """One method's errors over a set of captures.
+
+    Parameters
+    ----------
+    count : int
+        Captures, unmeasured ones included.
+    measured : float
+        Share measured, 0 to 1.
+    mae_cm, rmse_cm : float
+        Mean absolute and root mean square error; an unmeasured fruit counts as a length of 0.
+    mape_percent, median_percent, worst_percent : float
+        Mean, median and largest absolute relative error; an unmeasured fruit counts as 100 %.
+    bias_percent : float
+        Mean signed relative error of the measured ones; NaN if there are none.
+    r2 : float
+        Coefficient of determination; NaN if all true lengths are the same.
+    pearson_r : float
+        Correlation with the truth over the measured ones; NaN below three.
+    """
+
+    count: int
+    measured: float
+    mae_cm: float
+    mape_percent: float
+    rmse_cm: float
+    r2: float
+    pearson_r: float
+    median_percent: float
+    worst_percent: float
+    bias_percent: float
+
+
+def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> NDArray[np.float64]:
+    """Give each absolute relative error in percent; 100 where a length is NaN.
+
+    Parameters
+    ----------
+    lengths_m, truth_m : array_like of float, shape (N,)
+        Measured (NaN where not measured) and true lengths in metres.
+
+    Examples
+    --------
+    >>> percent_errors([0.22, np.nan], [0.20, 0.20]).round(6).tolist()
+    [10.0, 100.0]
+    """
+    lengths, truth = np.asarray(lengths_m, float), np.asarray(truth_m, float)
+    return np.asarray(100 * np.abs(np.nan_to_num(lengths) - truth) / truth)
+
+
+def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
+    """Give the paper's metrics (Eqs. 7 to 10), refusing being no way out.
+
+    Parameters
+    ----------
+    lengths_m, truth_m : array_like of float, shape (N,)
+        Measured (NaN where not measured) and true lengths in metres, N >= 1.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to score or a true length is not positive.
+
+    Examples
+    --------
+    >>> m = score([0.11, 0.19], [0.10, 0.20])
+    >>> round(m.mae_cm, 6), round(m.mape_percent, 6), round(m.r2, 6)
+    (1.0, 7.5, 0.96)
+    """
+    lengths, truth = np.asarray(lengths_m, float), np.asarray(truth_m, float)
+    if not truth.size or not (truth > 0).all():
+        raise ValueError("true lengths must be positive, and at least one")
+    known = np.isfinite(lengths)
+    error_cm = 100 * (np.nan_to_num(lengths) - truth)
+    percent = percent_errors(lengths, truth)
+    spread = float(((truth - truth.mean()) ** 2).sum())
+    r2 = 1 - float((error_cm**2).sum()) / (1e4 * spread) if spread > 0 else np.nan
+    enough = known.sum() >= 3 and np.ptp(truth[known]) > 0 and np.ptp(lengths[known]) > 0
+    return Metrics(
+        count=int(truth.size),
+        measured=float(known.mean()),
+        mae_cm=float(np.abs(error_cm).mean()),
+        mape_percent=float(percent.mean()),
+        rmse_cm=float(np.sqrt((error_cm**2).mean())),
+        r2=float(r2),
+        pearson_r=float(np.corrcoef(lengths[known], truth[known])[0, 1]) if enough else np.nan,
+        median_percent=float(np.median(percent)),
+        worst_percent=float(percent.max()),
+        bias_percent=(
+            float((100 * (lengths[known] / truth[known] - 1)).mean()) if known.any() else np.nan
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A paired comparison of two methods' absolute errors.
+
+    Parameters
+    ----------
+    p_value : float
+        Two-sided Wilcoxon signed-rank test.
+    alpha : float
+        The level after Bonferroni's correction.
+    median_difference : float
+        Median of the first's error less the second's, in the errors' unit.
+    """
+
+    p_value: float
+    alpha: float
+    median_difference: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the errors differ at the corrected level."""
+        return self.p_value < self.alpha
+
+
+def compare(
+    first: ArrayLike, second: ArrayLike, comparisons: int = 1, alpha: float = 0.05
+) -> Comparison:
+    """Compare two methods on the same captures.
+
+    Parameters
+    ----------
+    first, second : array_like of float, shape (N,)
+        Absolute errors, paired.
+    comparisons : int
+        How many comparisons are made in all, for Bonferroni's correction.
+    alpha : float
+        The level of the whole family.
+
+    Examples
+    --------
+    >>> result = compare([1.0, 2, 3, 4, 5, 6], [2.0, 3, 4, 5, 6, 7.5], comparisons=4)
+    >>> round(result.p_value, 4), result.alpha, result.significant
+    (0.0312, 0.0125, False)
+    """
+    from scipy.stats import wilcoxon
+
+    a, b = np.asarray(first, float), np.asarray(second, float)
+    difference = a - b
+    if not difference.any():
+        return Comparison(1.0, alpha / comparisons, 0.0)
+    p_value = float(wilcoxon(a, b).pvalue)
+    return Comparison(p_value, alpha / comparisons, float(np.median(difference)))
+
+
+def bootstrap_mean(
+    values: ArrayLike,
+    groups: Sequence[Hashable] | None = None,
+    level: float = 0.95,
+    resamples: int = 10_000,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Give the percentile bootstrap interval of a mean.
+
+    Parameters
+    ----------
+    values : array_like of float, shape (N,)
+        One value a capture.
+    groups : sequence of hashable, optional
+        The fruit of each capture: whole fruit are then drawn with replacement, as captures of
+        one fruit are no independent samples.
+    level : float
+        Level of the interval.
+    resamples : int
+        Number of resamples.
+    seed : int
+        Seed of chance.
+
+    Returns
+    -------
+    low, high : float
+
+    Examples
+    --------
+    >>> low, high = bootstrap_mean([1.0, 1.0, 9.0, 9.0], groups=["a", "a", "b", "b"])
+    >>> low, high
+    (1.0, 9.0)
+    """
+    data = np.asarray(values, float)
+    names = list(range(len(data))) if groups is None else list(groups)
+    index = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    member = np.array([index[name] for name in names])
+    total = np.bincount(member, data, len(index))
+    size = np.bincount(member, minlength=len(index)).astype(float)
+    drawn = np.random.default_rng(seed).integers(len(index), size=(resamples, len(index)))
+    means = total[drawn].sum(axis=1) / size[drawn].sum(axis=1)
+    tail = 100 * (1 - level) / 2
+    low, high = np.percentile(means, [tail, 100 - tail])
+    return float(low), float(high)
+
+
+def binomial_interval(hits: int, count: int, level: float = 0.95) -> tuple[float, float]:
+    """Give the exact (Clopper–Pearson) interval of a share.
+
+    Examples
+    --------
+    >>> low, high = binomial_interval(90, 100)
+    >>> round(low, 3), round(high, 3)
+    (0.824, 0.951)
+    """
+    from scipy.stats import binomtest
+
+    found = binomtest(hits, count).proportion_ci(level, method="exact")
+    return float(found.low), float(found.high)

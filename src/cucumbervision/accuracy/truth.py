@@ -1,0 +1,424 @@
+"""Hand-measured lengths: the table, its repeats, and the floor that they set."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import CucumberVisionError, TruthError
+from cucumbervision.measurement.result import Length
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = [
+    "MISSED",
+    "Floor",
+    "Line",
+    "Table",
+    "TrueLength",
+    "Truth",
+    "floor_of",
+    "parse_number",
+    "read_bar_rows",
+    "read_table",
+    "read_truth",
+]
+
+SEPARATORS = (",", ";", "\t")
+
+FORMULA_STARTS = ("=", "+", "-", "@")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a table: its number in the file, and its cells by column."""
+
+    number: int
+    cells: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: names of columns, in lower case, and the lines that are not blank."""
+
+    columns: tuple[str, ...]
+    lines: tuple[Line, ...]
+
+
+def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionError) -> Table:
+    r"""Read a CSV as any spreadsheet writes it.
+
+    UTF-8 with or without byte order mark, UTF-16 with one, otherwise Windows-1252; separated by
+    comma, semicolon or tab, whichever splits the head most; Excel's `sep=;` line is understood.
+    An apostrophe that guards a text against being run as a formula is taken off.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    error : type of CucumberVisionError
+        What to raise.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the file cannot be read, is empty, or a line has more cells than the head.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
+    >>> _ = path.write_bytes(b"\xef\xbb\xbfCapture;length_cm\r\nrow-3;23,5\r\n")
+    >>> table = read_table(path)
+    >>> table.columns, table.lines[0]
+    (('capture', 'length_cm'), Line(number=2, cells={'capture': 'row-3', 'length_cm': '23,5'}))
+    """
+    text = _text(path, error)
+    first, _, rest = text.partition("\n")
+    skipped = 0
+    if first.strip().strip('"').lower().startswith("sep="):
+        text, skipped = rest, 1
+        first = rest.partition("\n")[0]
+    if not text.strip():
+        raise error("the file is empty", source=path, remedy="write a head and a line a length")
+    separator = max(SEPARATORS, key=first.count)
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    head = tuple(name.strip().lower() for name in next(reader))
+    double = {name for name in head if name and head.count(name) > 1}
+    if double:
+        raise error(
+            f"line {1 + skipped}: column '{min(double)}' is there twice",
+            source=path,
+            remedy="leave one of them out",
+        )
+    lines = []
+    for cells in reader:
+        if not any(cell.strip() for cell in cells):
+            continue
+        number = reader.line_num + skipped
+        if any(cell.strip() for cell in cells[len(head) :]):
+            raise error(
+                f"line {number} has {len(cells)} cells, the head {len(head)}",
+                source=path,
+                remedy="put texts that hold the separator in quotes; decimal commas need "
+                "semicolons between cells",
+            )
+        padded = [*cells, *[""] * len(head)]
+        lines.append(Line(number, {n: _cell(c) for n, c in zip(head, padded, strict=False)}))
+    return Table(head, tuple(lines))
+
+
+def parse_number(text: str) -> float | None:
+    """Read a number with a decimal point or comma; None if it is none or not finite.
+
+    Examples
+    --------
+    >>> parse_number("23,5"), parse_number(" 23.5"), parse_number("1.234,5"), parse_number("inf")
+    (23.5, 23.5, None, None)
+    """
+    plain = text.strip().replace("\u00a0", "")
+    if plain.count(",") == 1 and "." not in plain:
+        plain = plain.replace(",", ".")
+    try:
+        value = float(plain)
+    except ValueError:
+        return None
+    return value if abs(value) < float("inf") else None
+
+
+def _cell(text: str) -> str:
+    plain = text.strip()
+    return plain[1:] if plain[:1] == "'" and plain[1:2] in FORMULA_STARTS else plain
+
+
+def _text(path: Path, error: type[CucumberVisionError]) -> str:
+    try:
+        data = path.read_bytes()
+    except OSError as fault:
+        raise error(
+            f"cannot be read ({fault.strerror})", source=path, remedy="check the path"
+        ) from None
+    for code in ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "cp1252"):
+        try:
+            return data.decode(code)
+        except UnicodeDecodeError:
+            continue
+    raise error("is no text", source=path, remedy="save the table as CSV UTF-8")
+
+
+MISSED = "missed"
+
+LENGTH_COLUMN = re.compile(r"length(_\d+)?_cm")
+
+KNOWN = {"capture", "fruit", "kind", "specimen", "repeat"}
+
+
+@dataclass(frozen=True)
+class TrueLength:
+    """One fruit of one capture, measured by hand one or more times.
+
+    Parameters
+    ----------
+    line : int
+        Line of the file where it first stands.
+    capture : str
+        Name of the capture.
+    fruit : int or None
+        Number of the fruit in it; None if the run did not find it.
+    kind : Length
+        What was measured.
+    lengths_m : tuple of float
+        Every measurement, metres.
+    specimen : str
+        The physical fruit.
+    """
+
+    line: int
+    capture: str
+    fruit: int | None
+    kind: Length
+    lengths_m: tuple[float, ...]
+    specimen: str
+
+    @property
+    def length_m(self) -> float:
+        """Mean of the measurements, metres."""
+        return float(np.mean(self.lengths_m))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A whole table.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    lengths : tuple of TrueLength
+        In the file's order.
+    specimens_named : bool
+        Whether a column says which physical fruit each is.
+    sha256 : str
+        Of the file.
+    unused : tuple of str
+        Columns that mean nothing here.
+    """
+
+    path: Path
+    lengths: tuple[TrueLength, ...]
+    specimens_named: bool
+    sha256: str
+    unused: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Floor:
+    """How well the same fruit was measured twice by hand: no method can be shown to be better.
+
+    Parameters
+    ----------
+    sd_mm, sd_percent : float
+        Pooled standard deviation of one measurement, also relative to the length.
+    specimens, measurements : int
+        Fruit measured more than once, and how often in all.
+    """
+
+    sd_mm: float
+    sd_percent: float
+    specimens: int
+    measurements: int
+
+
+def read_truth(path: Path) -> Truth:
+    """Read a table of hand-measured lengths.
+
+    Columns: `capture`, `fruit` (the number in the run, or 'missed' for one that it did not
+    find), `length_cm` and/or `length_1_cm`, `length_2_cm` …, `kind` (thread, centreline or
+    chord), optionally `specimen` (the physical fruit) and `repeat` (1, 2 … for repeated lines).
+
+    Raises
+    ------
+    TruthError
+        Naming file and line, for an empty file, a missing column, a length that is no positive
+        number, an unknown kind, or lines that contradict each other.
+    """
+    table = read_table(path, TruthError)
+    columns = [name for name in table.columns if LENGTH_COLUMN.fullmatch(name)]
+    missing = [name for name in ("capture", "fruit", "kind") if name not in table.columns]
+    if not columns:
+        missing.append("length_cm")
+    if missing:
+        raise TruthError(
+            f"has no column {', '.join(missing)}",
+            source=path,
+            remedy="name the columns capture, fruit, length_cm (in centimetres), kind",
+        )
+    _require_lines(table, path)
+    unused = [n for n in table.columns if n and n not in {*KNOWN, *columns}]
+    read = [(line, _true_length(line, columns, path)) for line in table.lines]
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    lengths = _merged(read, path)
+    _require_whole_specimens(lengths, path)
+    return Truth(path, lengths, "specimen" in table.columns, digest, tuple(unused))
+
+
+def read_bar_rows(path: Path) -> list[tuple[int, str, int]]:
+    """Read which rows of a run are the bar: line, capture and fruit; other columns do not count.
+
+    Raises
+    ------
+    TruthError
+        If a column is missing, or a fruit is no number.
+    """
+    table = read_table(path, TruthError)
+    if not {"capture", "fruit"} <= set(table.columns):
+        raise TruthError(
+            "has no columns capture and fruit", source=path, remedy="name the rows of the bar"
+        )
+    _require_lines(table, path)
+    rows = []
+    for line in table.lines:
+        fruit = _fruit(line, path)
+        if fruit is not None:
+            rows.append((line.number, line.cells["capture"], fruit))
+    return rows
+
+
+def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
+    """Pool the spread of repeated measurements; None where nothing was measured twice.
+
+    A fruit's measurements count once, though they stand at every capture of it.
+
+    Examples
+    --------
+    >>> twice = TrueLength(2, "a", 1, Length.THREAD, (0.200, 0.202), "s1")
+    >>> floor = floor_of([twice])
+    >>> round(floor.sd_mm, 3), round(floor.sd_percent, 3)
+    (1.414, 0.704)
+    """
+    repeated = {(t.specimen, t.kind, t.lengths_m) for t in lengths if len(t.lengths_m) > 1}
+    if not repeated:
+        return None
+    series = [np.array(values) for _, _, values in sorted(repeated)]
+    freedom = sum(len(x) - 1 for x in series)
+    absolute = sum(float(((x - x.mean()) ** 2).sum()) for x in series)
+    relative = sum(float(((x / x.mean() - 1) ** 2).sum()) for x in series)
+    return Floor(
+        sd_mm=1000 * float(np.sqrt(absolute / freedom)),
+        sd_percent=100 * float(np.sqrt(relative / freedom)),
+        specimens=len({name for name, _, _ in repeated}),
+        measurements=sum(len(x) for x in series),
+    )
+
+
+def _require_lines(table: Table, path: Path) -> None:
+    if not table.lines:
+        raise TruthError("has a head but no lines", source=path, remedy="write a line a length")
+
+
+def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
+    cells = line.cells
+    if not cells["capture"]:
+        raise TruthError(
+            f"line {line.number}: names no capture", source=path, remedy="fill the column capture"
+        )
+    kinds = [str(kind) for kind in Length]
+    kind = cells["kind"].lower()
+    if kind not in kinds:
+        raise TruthError(
+            f"line {line.number}: '{cells['kind']}' is no kind of length",
+            source=path,
+            remedy=f"write {', '.join(kinds)}",
+        )
+    fruit = _fruit(line, path)
+    lengths = tuple(_length_m(line, name, path) for name in columns if cells[name])
+    if not lengths:
+        raise TruthError(
+            f"line {line.number}: has no length", source=path, remedy="fill it or drop the line"
+        )
+    own = f"{cells['capture']} {MISSED if fruit is None else fruit}"
+    specimen = cells.get("specimen") or (f"{own} line {line.number}" if fruit is None else own)
+    return TrueLength(line.number, cells["capture"], fruit, Length(kind), lengths, specimen)
+
+
+def _fruit(line: Line, path: Path) -> int | None:
+    text = line.cells["fruit"]
+    if text.lower() == MISSED:
+        return None
+    value = parse_number(text)
+    if value is None or value < 1 or value != int(value):
+        raise TruthError(
+            f"line {line.number}: '{text}' is no number of a fruit",
+            source=path,
+            remedy=f"give its number in the overlay, or '{MISSED}' if the run did not find it",
+        )
+    return int(value)
+
+
+def _length_m(line: Line, name: str, path: Path) -> float:
+    value = parse_number(line.cells[name])
+    if value is None or value <= 0:
+        raise TruthError(
+            f"line {line.number}: {name} '{line.cells[name]}' is no positive number",
+            source=path,
+            remedy="give centimetres, such as 23.5 or 23,5",
+        )
+    return value / 100
+
+
+def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLength, ...]:
+    seen: dict[tuple[object, ...], TrueLength] = {}
+    merged: dict[tuple[object, ...], TrueLength] = {}
+    for line, one in read:
+        # Fruit that were not found have no number; their specimen tells them apart.
+        fruit = (one.capture, one.specimen if one.fruit is None else one.fruit, one.kind)
+        repeat = (*fruit, line.cells.get("repeat", ""))
+        before = seen.setdefault(repeat, one)
+        if before is not one and before.lengths_m != one.lengths_m:
+            raise TruthError(
+                f"lines {before.line} and {one.line} contradict each other: "
+                f"{_cm(before)} and {_cm(one)} for fruit {one.fruit or MISSED} of '{one.capture}'",
+                source=path,
+                remedy="drop one, or number repeated measurements in a column 'repeat'",
+            )
+        if before is not one:
+            continue
+        first = merged.setdefault(fruit, one)
+        if first.specimen != one.specimen:
+            raise TruthError(
+                f"lines {first.line} and {one.line} call one fruit '{first.specimen}' and "
+                f"'{one.specimen}'",
+                source=path,
+                remedy="correct the column specimen",
+            )
+        if first is not one:
+            lengths = (*first.lengths_m, *one.lengths_m)
+            merged[fruit] = TrueLength(
+                first.line, one.capture, one.fruit, one.kind, lengths, one.specimen
+            )
+    return tuple(merged.values())
+
+
+def _require_whole_specimens(lengths: Sequence[TrueLength], path: Path) -> None:
+    seen: dict[tuple[str, str], TrueLength] = {}
+    for one in lengths:
+        other = seen.setdefault((one.capture, one.specimen), one)
+        if other.fruit != one.fruit:
+            raise TruthError(
+                f"lines {other.line} and {one.line}: specimen '{one.specimen}' is fruit "
+                f"{other.fruit or MISSED} and {one.fruit or MISSED} of '{one.capture}'",
+                source=path,
+                remedy="a fruit is in a picture once; correct the column specimen",
+            )
+
+
+def _cm(one: TrueLength) -> str:
+    return " / ".join(f"{100 * x:g} cm" for x in one.lengths_m)

@@ -1,0 +1,413 @@
+"""The grade of one fruit, and the rules that led to it, in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import ForecastError
+from cucumbervision.measurement.result import Length
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from cucumbervision.agronomy.profiles import CropProfile
+
+__all__ = [
+    "BORDERLINE",
+    "INTERVAL_LEVEL",
+    "OUT_OF_GRADE",
+    "FruitTraits",
+    "Grade",
+    "LengthBelief",
+    "Verdict",
+    "grade",
+]
+
+INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_high_cm`
+
+
+@dataclass(frozen=True)
+class LengthBelief:
+    """What is believed of one fruit's length: two half normals of its logarithm.
+
+    The intervals are conformal, with half of 1 - level missed on either side, and may be longer
+    on one side. Their ends are taken as quantiles, the measured length as the median (the
+    interval's geometric middle where it lies outside), and either side as half a normal
+    distribution of the logarithm. Ends and median are then exact, the shape between them is an
+    assumption.
+
+    Parameters
+    ----------
+    median_m : float
+        Median, metres.
+    low_sd, high_sd : float
+        Relative standard deviations below and above it, of the logarithm.
+
+    Examples
+    --------
+    >>> belief = LengthBelief.from_interval(0.252, 0.246, 0.258)
+    >>> round(belief.probability(0.25, 0.35), 2)
+    0.71
+    """
+
+    median_m: float
+    low_sd: float
+    high_sd: float
+
+    @classmethod
+    def from_interval(
+        cls, length_m: float, low_m: float, high_m: float, level: float = INTERVAL_LEVEL
+    ) -> LengthBelief:
+        """Read an interval as a distribution.
+
+        Parameters
+        ----------
+        length_m : float
+            The measured length, metres.
+        low_m, high_m : float
+            Its interval.
+        level : float
+            The share of true lengths that such intervals hold.
+
+        Raises
+        ------
+        ForecastError
+            If the interval is none.
+        """
+        from scipy.special import ndtri
+
+        if not (0 < low_m <= high_m < np.inf and 0 < level < 1 and length_m > 0):
+            raise ForecastError(
+                f"length {length_m} m with interval {low_m} to {high_m} m at level {level}",
+                remedy="give positive metres, the lower end first, and a level between 0 and 1",
+            )
+        median = length_m if low_m <= length_m <= high_m else float(np.sqrt(low_m * high_m))
+        z = float(ndtri(0.5 + level / 2))
+        return cls(median, float(np.log(median / low_m)) / z, float(np.log(high_m / median)) / z)
+
+    @property
+    def sd_m(self) -> float:
+        """Standard deviation, metres: the root mean square of both sides, as the forecast uses."""
+        return self.median_m * float(np.sqrt((self.low_sd**2 + self.high_sd**2) / 2))
+
+    def below(self, limit_m: ArrayLike) -> NDArray[np.float64]:
+        """Give the probability to be shorter than each limit in metres, float64."""
+        from scipy.special import ndtr
+
+        limit = np.asarray(limit_m, np.float64)
+        gap = np.log(np.maximum(limit, 1e-12) / self.median_m)
+        sd = np.where(gap < 0, self.low_sd, self.high_sd)
+        # A side without spread ends at the median: a limit on it has nothing below.
+        z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
+        return np.asarray(ndtr(z), np.float64)
+
+    def probability(self, low_m: float, high_m: float) -> float:
+        """Give the probability to be from `low_m`, inclusive, to `high_m`, exclusive."""
+        below = self.below([low_m, high_m])
+        return float(below[1] - below[0])
+
+
+OUT_OF_GRADE = "out of grade"
+
+BORDERLINE = 0.80  # a class less probable than this is no more than the likeliest
+
+
+class Verdict(StrEnum):
+    """What a grade amounts to; stable codes for tables."""
+
+    IN_CLASS = "in-class"
+    OUT = "out-of-grade"
+    BORDERLINE = "borderline"
+    REFUSED = "refused"
+    MISSING = "missing"
+
+
+@dataclass(frozen=True)
+class FruitTraits:
+    """What is known of a fruit; None where it is not.
+
+    Parameters
+    ----------
+    thread_m, centreline_m, chord_m : float, optional
+        The three lengths of a fitted tube, metres.
+    belief : LengthBelief, optional
+        How sure the length is that `belief_of` names.
+    belief_of : Length, optional
+        The length that `belief` is about.
+    inner_arc_mm_per_10cm : float, optional
+        Inner arc height in mm for each 10 cm of chord.
+    diameter_max_m : float, optional
+        Largest diameter, metres.
+    volume_m3 : float, optional
+        Volume, cubic metres.
+    """
+
+    thread_m: float | None = None
+    centreline_m: float | None = None
+    chord_m: float | None = None
+    belief: LengthBelief | None = None
+    belief_of: Length | None = None
+    inner_arc_mm_per_10cm: float | None = None
+    diameter_max_m: float | None = None
+    volume_m3: float | None = None
+
+    def length_m(self, kind: Length) -> float | None:
+        """Give one of the three lengths, metres."""
+        lengths = {
+            Length.THREAD: self.thread_m,
+            Length.CENTRELINE: self.centreline_m,
+            Length.CHORD: self.chord_m,
+        }
+        return lengths[kind]
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, object]) -> FruitTraits:
+        """Read a row of `measurements.csv` (or JSON), whose cells may be text or empty.
+
+        Examples
+        --------
+        >>> traits = FruitTraits.from_row({"thread_cm": "23.5", "chord_cm": 22.1, "volume_ml": ""})
+        >>> traits.thread_m, traits.volume_m3
+        (0.235, None)
+        """
+        lengths = {kind: _number(row, f"{kind}_cm", 100) for kind in Length}
+        if (stands := str(row.get("length_kind") or "")) in list(Length):
+            # A site's calibration corrects `length_cm` alone.
+            lengths[Length(stands)] = _number(row, "length_cm", 100)
+        low, high = _number(row, "interval_low_cm", 100), _number(row, "interval_high_cm", 100)
+        about = str(row.get("interval_of") or "")
+        kind = Length(about) if about in list(Length) else None
+        measured = lengths[kind] if kind else None
+        belief = None
+        if low is not None and high is not None and measured is not None:
+            belief = LengthBelief.from_interval(measured, low, high)
+        return cls(
+            lengths[Length.THREAD],
+            lengths[Length.CENTRELINE],
+            lengths[Length.CHORD],
+            belief,
+            kind if belief else None,
+            _number(row, "inner_arc_mm_per_10cm"),
+            _number(row, "diameter_max_mm", 1000),
+            _number(row, "volume_ml", 1e6),
+        )
+
+
+@dataclass(frozen=True)
+class Grade:
+    """A fruit's grade.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        What it amounts to.
+    name : str
+        The likeliest class or 'out of grade'; empty where refused or missing.
+    rules : tuple of str
+        The rules that led there, in plain words, the deciding one first.
+    probabilities : dict of str to float
+        Of each class and of 'out of grade'; empty where the length has no interval.
+    missing : tuple of str
+        What would have to be known and is not.
+    best_class : str
+        The best class that the fruit's shape allows; what a forecast needs to know.
+    shape, weight_class, diameter_class : str
+        Further classes; empty where the profile has none or a trait is missing.
+    mass_g : float, optional
+        Volume times the profile's density.
+    """
+
+    verdict: Verdict
+    name: str
+    rules: tuple[str, ...]
+    probabilities: dict[str, float]
+    missing: tuple[str, ...] = ()
+    best_class: str = ""
+    shape: str = ""
+    weight_class: str = ""
+    diameter_class: str = ""
+    mass_g: float | None = None
+
+
+@dataclass(frozen=True)
+class _Check:
+    """One rule beside the length: what it finds, and the classes that it forbids."""
+
+    name: str = ""
+    forbidden: frozenset[str] = frozenset()
+    rule: str = ""
+    missing: str = ""
+
+    def as_remark(self) -> _Check:
+        said = f"remark: {self.rule}" if self.rule else ""
+        return replace(self, forbidden=frozenset(), rule=said)
+
+
+def grade(fruit: FruitTraits, profile: CropProfile) -> Grade:
+    """Grade a fruit by its length, and lower the class where shape, weight or width ask for it.
+
+    Parameters
+    ----------
+    fruit : FruitTraits
+        What is known.
+    profile : CropProfile
+        The crop.
+
+    Returns
+    -------
+    Grade
+        Where a rule forbids the class that the length gives, the next worse one that is allowed,
+        or none. Only the length's error is in the probabilities: shape, mass and diameter count
+        as exact. Borderline where no class and not 'out of grade' is above 80 % probable.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.profiles import load_profile
+    >>> found = grade(FruitTraits(thread_m=0.234), load_profile("long-cucumber"))
+    >>> found.name, found.rules[0]
+    ('II', 'class II: thread length 23.4 cm is in [20, 25) (greenhouse classes of the ... paper)')
+    """
+    length = fruit.length_m(profile.length)
+    mass = None if fruit.volume_m3 is None else 1000 * fruit.volume_m3 * profile.density.kg_m3
+    if length is None:
+        no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
+        return Grade(Verdict.MISSING, "", (), {}, (no_length,), mass_g=mass)
+    limits = profile.acceptance
+    length_cm = round(100 * length, 6)
+    if not limits.min_cm <= length_cm <= limits.max_cm:
+        rule = (
+            f"refused: {profile.length} length {length_cm:.1f} cm cannot be, {profile.title} is "
+            f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
+        )
+        return Grade(Verdict.REFUSED, "", (rule,), {}, mass_g=mass)
+    shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
+    weight = _weight(mass, fruit.chord_m, profile)
+    width = _width(fruit.diameter_max_m, profile)
+    if profile.size_rules == "remark":
+        weight, width = weight.as_remark(), width.as_remark()
+    checks = (shape, weight, width)
+    by_bin = _classes_of_bins(profile, checks)
+    at = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-9, side="right"))
+    chances = _chances(fruit, profile, by_bin)
+    name = max(chances, key=lambda k: chances[k]) if chances else by_bin[at]
+    lowering = tuple(c.rule for c in checks if c.rule)
+    by_length = _length_rule(profile, length_cm, at)
+    lowered = by_bin[at] != _classes_of_bins(profile, ())[at]
+    rules = (*lowering, by_length) if lowered else (by_length, *lowering)
+    verdict = Verdict.OUT if name == OUT_OF_GRADE else Verdict.IN_CLASS
+    if chances and chances[name] <= BORDERLINE:
+        verdict = Verdict.BORDERLINE
+        likeliest = sorted(chances.items(), key=lambda item: -item[1])[:2]
+        said = ", ".join(f"{what} {100 * share:.0f} %" for what, share in likeliest)
+        rules = (f"borderline: {said}", *rules)
+    missing = tuple(c.missing for c in checks if c.missing)
+    if not chances:
+        missing += (f"interval of the {profile.length} length: no probabilities",)
+    best = next((c.name for c in profile.classes if c.name not in shape.forbidden), "")
+    return Grade(
+        verdict, name, rules, chances, missing, best, shape.name, weight.name, width.name, mass
+    )
+
+
+def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[str]:
+    names = [c.name for c in profile.classes]
+    forbidden = frozenset().union(*(c.forbidden for c in checks))
+    found = []
+    for outcome in profile.outcome_of_bin:
+        allowed = [name for name in names[outcome:] if name not in forbidden]
+        found.append(allowed[0] if allowed else OUT_OF_GRADE)
+    return found
+
+
+def _chances(fruit: FruitTraits, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
+    if fruit.belief is None or fruit.belief_of is not profile.length:
+        return {}
+    below = np.concatenate([[0.0], fruit.belief.below(profile.edges_m), [1.0]])
+    chances = dict.fromkeys((*(c.name for c in profile.classes), OUT_OF_GRADE), 0.0)
+    for name, share in zip(by_bin, np.diff(below), strict=True):
+        chances[name] += float(share)
+    return chances
+
+
+def _length_rule(profile: CropProfile, length_cm: float, at: int) -> str:
+    edges = profile.edges_m * 100
+    said = f"{profile.length} length {length_cm:.1f} cm is"
+    why = _why(profile, "classes")
+    if at == 0:
+        return f"{OUT_OF_GRADE}: {said} under {edges[0]:g}{why}"
+    if at == len(edges):
+        return f"{OUT_OF_GRADE}: {said} {edges[-1]:g} or more{why}"
+    name = profile.classes[profile.outcome_of_bin[at]].name
+    return f"class {name}: {said} in [{edges[at - 1]:g}, {edges[at]:g}){why}"
+
+
+def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
+    if not profile.shape:
+        return _Check()
+    if arc_mm is None:
+        return _Check(missing="inner arc height: taken as straight")
+    names = [c.name for c in profile.classes]
+    band = next(
+        (b for b in profile.shape if b.max_mm_per_10cm is None or arc_mm <= b.max_mm_per_10cm),
+        profile.shape[-1],
+    )
+    better = frozenset(names[: names.index(band.best_class)])
+    said = f"{band.name}: inner arc {arc_mm:.1f} mm for each 10 cm of chord"
+    rule = f"at best class {band.best_class}, {said}{_why(profile, 'shape')}" if better else ""
+    return _Check(band.name, better, rule)
+
+
+def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -> _Check:
+    if profile.minimum_g is None and not profile.weights:
+        return _Check()
+    if mass_g is None:
+        return _Check(missing="volume: no weight class")
+    everything = frozenset(c.name for c in profile.classes)
+    if profile.minimum_g is not None and mass_g < profile.minimum_g:
+        said = f"too light: about {mass_g:.0f} g, at least {profile.minimum_g:g} g are asked for"
+        return _Check("", everything, f"{said}{_why(profile, 'minimum_g')}")
+    band = next(
+        (b for b in profile.weights if b.min_g <= mass_g and (b.max_g or np.inf) > mass_g), None
+    )
+    if band is None or band.shortest_cm is None:
+        return _Check(band.name if band else "")
+    if chord_m is None:
+        return _Check(band.name, missing="chord: not held against the weight")
+    if round(100 * chord_m, 6) >= band.shortest_cm:
+        return _Check(band.name)
+    said = f"chord {100 * chord_m:.1f} cm, {band.name} must be {band.shortest_cm:g} cm long"
+    rule = f"not class {' or '.join(band.shortest_for)}: {said}{_why(profile, 'weights')}"
+    return _Check(band.name, frozenset(band.shortest_for), rule)
+
+
+def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
+    least = profile.minimum_diameter_mm
+    if least is None and not profile.diameters:
+        return _Check()
+    if diameter_m is None:
+        return _Check(missing="largest diameter: no width class")
+    width_mm = round(1000 * diameter_m, 6)
+    if least is not None and width_mm < least:
+        said = f"too thin: {width_mm:.1f} mm, at least {least:g} mm are asked for"
+        everything = frozenset(c.name for c in profile.classes)
+        return _Check("", everything, f"{said}{_why(profile, 'minimum_diameter_mm')}")
+    bands = (b.name for b in profile.diameters if b.max_mm is None or width_mm <= b.max_mm)
+    return _Check(next(bands, ""))
+
+
+def _why(profile: CropProfile, key: str) -> str:
+    return f" ({profile.rules[key]})" if key in profile.rules else ""
+
+
+def _number(row: Mapping[str, object], key: str, per_unit: float = 1.0) -> float | None:
+    cell = row.get(key)
+    if cell is None or cell == "":
+        return None
+    value = float(str(cell)) / per_unit
+    return value if np.isfinite(value) else None

@@ -1,0 +1,366 @@
+"""Crop profiles on disk: the shipped ones, and the user's own beside them."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from cucumbervision.capture.files import parse_model
+from cucumbervision.errors import ProfileError
+from cucumbervision.measurement.result import Length
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "TOO_LONG",
+    "TOO_SHORT",
+    "CropProfile",
+    "Density",
+    "DiameterBand",
+    "GrowthFigures",
+    "LengthClass",
+    "LengthLimits",
+    "ProfileEntry",
+    "ShapeBand",
+    "WeightBand",
+    "load_profile",
+    "profiles",
+    "profiles_folder",
+]
+
+TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
+
+Positive = Annotated[float, Field(gt=0)]
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class LengthLimits(_Strict):
+    """Lengths in cm that this crop can have; anything else is a measuring error."""
+
+    min_cm: Positive
+    max_cm: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        return _min_before_max(self, self.min_cm, self.max_cm)
+
+
+class LengthClass(_Strict):
+    """A class by length: from `min_cm`, inclusive, to `max_cm`, exclusive."""
+
+    name: Annotated[str, Field(min_length=1)]
+    min_cm: Positive
+    max_cm: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        return _min_before_max(self, self.min_cm, self.max_cm)
+
+
+class ShapeBand(_Strict):
+    """How crooked, by the inner arc's height in mm for each 10 cm of chord.
+
+    Up to `max_mm_per_10cm`, inclusive (the last band has none), and the best class that such a
+    fruit may still have.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    max_mm_per_10cm: Positive | None = None
+    best_class: str
+
+
+class WeightBand(_Strict):
+    """A weight class in grams: from `min_g`, inclusive, to `max_g`, exclusive.
+
+    `shortest_cm` is the chord that a fruit of this weight must have for any class that
+    `shortest_for` names.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    min_g: Positive
+    max_g: Positive | None = None
+    shortest_cm: Positive | None = None
+    shortest_for: tuple[str, ...] = ()
+
+
+class DiameterBand(_Strict):
+    """A class by largest diameter in mm: above the band before, up to `max_mm`, inclusive."""
+
+    name: Annotated[str, Field(min_length=1)]
+    max_mm: Positive | None = None
+
+
+class Density(_Strict):
+    """Mass for each volume of fruit, and where the figure is from."""
+
+    kg_m3: Annotated[float, Field(ge=200, le=1400)]
+    source: Annotated[str, Field(min_length=1)]
+
+
+class GrowthFigures(_Strict):
+    """What is believed of growth before this house was seen, in cm a day.
+
+    Parameters
+    ----------
+    mean, house_sd : float
+        Mean growth, and how far the mean of one house may lie from it.
+    row_sd, fruit_sd : float
+        Between the rows of a house, and between the fruit of a row.
+    day_sd, fruit_day_sd : float
+        Between days, for all fruit of a house together (weather) and for each by itself.
+    full_cm : float, optional
+        The length at which growth stops, where it is known; left out, links decide (`curve`).
+    source : str
+        Where the figures are from.
+    """
+
+    mean: Positive
+    house_sd: Positive
+    row_sd: Positive
+    fruit_sd: Positive
+    day_sd: Positive
+    fruit_day_sd: Positive
+    full_cm: Positive | None = None
+    source: Annotated[str, Field(min_length=1)]
+
+
+class CropProfile(_Strict):
+    """One crop, as its TOML file says it.
+
+    Parameters
+    ----------
+    title : str
+        The crop, as people call it.
+    length : {'thread', 'centreline', 'chord'}
+        Which length the classes are about.
+    acceptance : LengthLimits
+        Lengths that can be.
+    classes : tuple of LengthClass
+        Best first; together without gap or overlap.
+    pick : tuple of str
+        The classes that are ready to be picked.
+    shape : tuple of ShapeBand
+        Straightest first; empty where the crop has no such rule.
+    size_rules : {'remark', 'decide'}
+        Whether the rules on weight and diameter are only said beside a class, or decide on it.
+    minimum_g, minimum_diameter_mm : float, optional
+        Lightest and thinnest fruit that may be sold.
+    weights, diameters : tuple
+        Further classes; empty where the crop has none.
+    density : Density
+        For the mass from the fitted volume.
+    growth : GrowthFigures
+        What is believed of growth beforehand.
+    rules : dict of str to str
+        The rule or assumption behind 'classes', 'shape', 'minimum_g', 'minimum_diameter_mm',
+        'weights' and 'diameters': a grade quotes it.
+    """
+
+    title: Annotated[str, Field(min_length=1)]
+    length: Length = Length.THREAD
+    acceptance: LengthLimits
+    classes: Annotated[tuple[LengthClass, ...], Field(min_length=1)]
+    pick: Annotated[tuple[str, ...], Field(min_length=1)]
+    shape: tuple[ShapeBand, ...] = ()
+    size_rules: Literal["remark", "decide"] = "remark"
+    minimum_g: Positive | None = None
+    minimum_diameter_mm: Positive | None = None
+    weights: tuple[WeightBand, ...] = ()
+    diameters: tuple[DiameterBand, ...] = ()
+    density: Density
+    growth: GrowthFigures
+    rules: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _agrees(self) -> Self:
+        names = [c.name for c in self.classes]
+        taken = {*names} & {TOO_SHORT, TOO_LONG}
+        if len({*names}) < len(names) or taken:
+            raise ValueError(f"classes: each needs a name of its own, none may be {TOO_SHORT!r}")
+        for lower, upper in pairwise(sorted(self.classes, key=lambda c: c.min_cm)):
+            if upper.min_cm != lower.max_cm:
+                raise ValueError(
+                    f"classes: {lower.name!r} ends at {lower.max_cm:g} cm but {upper.name!r} "
+                    f"begins at {upper.min_cm:g} cm; give both the same figure"
+                )
+        ends = self.edges_m[[0, -1]] * 100
+        if ends[0] < self.acceptance.min_cm - 1e-9 or ends[1] > self.acceptance.max_cm + 1e-9:
+            raise ValueError("acceptance: it must span every class")
+        named = {*self.pick, *(b.best_class for b in self.shape)}
+        named |= {name for b in self.weights for name in b.shortest_for}
+        if unknown := sorted(named - {*names}):
+            raise ValueError(f"no class is called {unknown[0]!r}; there are {', '.join(names)}")
+        full = self.growth.full_cm
+        if full is not None and full <= ends[1]:
+            raise ValueError(f"growth.full_cm {full:g} must be beyond every class")
+        _check_order("shape", [b.max_mm_per_10cm for b in self.shape])
+        _check_order("weights", [b.max_g for b in self.weights])
+        _check_order("diameters", [b.max_mm for b in self.diameters])
+        return self
+
+    @property
+    def edges_m(self) -> NDArray[np.float64]:
+        """Where one class ends and the next begins, metres, ascending, float64."""
+        cuts = {c.min_cm for c in self.classes} | {c.max_cm for c in self.classes}
+        return np.array(sorted(cuts)) / 100
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """The classes, best first, then the two ways to be out of grade."""
+        return (*(c.name for c in self.classes), TOO_SHORT, TOO_LONG)
+
+    @property
+    def outcome_of_bin(self) -> tuple[int, ...]:
+        """Index into `outcomes` of the bins between `edges_m`, the outer two included."""
+        by_length = sorted(range(len(self.classes)), key=lambda k: self.classes[k].min_cm)
+        return (len(self.classes), *by_length, len(self.classes) + 1)
+
+
+def _min_before_max(entry: ModelT, lowest: float, highest: float) -> ModelT:
+    if lowest >= highest:
+        raise ValueError(f"min_cm {lowest:g} must be less than max_cm {highest:g}")
+    return entry
+
+
+def _check_order(key: str, limits: list[float | None]) -> None:
+    known = [limit for limit in limits if limit is not None]
+    if None in limits[:-1] or known != sorted(set(known)):
+        raise ValueError(f"{key}: the limits must rise, and only the last may be left out")
+
+
+_SHIPPED = Path(__file__).parent / "crops"
+
+
+@dataclass(frozen=True)
+class ProfileEntry:
+    """One profile that can be named.
+
+    Parameters
+    ----------
+    name : str
+        The file's name without `.toml`.
+    path : Path
+        The file.
+    shipped : bool
+        Whether it came with the package.
+    profile : CropProfile, optional
+        What it says; None where it cannot be read.
+    fault : str
+        Why not.
+    """
+
+    name: str
+    path: Path
+    shipped: bool
+    profile: CropProfile | None
+    fault: str = ""
+
+
+def profiles_folder() -> Path:
+    """Give the folder of the user's own: `CUCUMBERVISION_PROFILES`, or the user's settings."""
+    if chosen := os.environ.get("CUCUMBERVISION_PROFILES"):
+        return Path(chosen)
+    import platformdirs
+
+    return Path(platformdirs.user_config_dir("cucumbervision", appauthor=False)) / "profiles"
+
+
+def profiles(folder: Path | None = None) -> tuple[ProfileEntry, ...]:
+    """Give every profile, the user's own first; one of a shipped name takes its place.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Another folder of the user's own than `profiles_folder`.
+
+    Returns
+    -------
+    tuple of ProfileEntry
+        A file that cannot be read is listed with its fault, and hides no other.
+
+    Examples
+    --------
+    >>> [entry.name for entry in profiles() if entry.shipped]
+    ['aubergine', 'courgette', 'green-bean', 'long-cucumber', 'mini-cucumber']
+    """
+    own = [_entry(path, shipped=False) for path in sorted(_folder(folder).glob("*.toml"))]
+    names = {entry.name for entry in own}
+    shipped = [_entry(path, shipped=True) for path in sorted(_SHIPPED.glob("*.toml"))]
+    return (*own, *(entry for entry in shipped if entry.name not in names))
+
+
+def load_profile(name_or_path: str | Path, folder: Path | None = None) -> CropProfile:
+    """Read a crop profile.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A profile's name, or a TOML file.
+    folder : Path, optional
+        Another folder of the user's own than `profiles_folder`.
+
+    Raises
+    ------
+    ProfileError
+        If no profile has that name, or the file's fault and remedy.
+
+    Examples
+    --------
+    >>> profile = load_profile("long-cucumber")
+    >>> [(c.name, c.min_cm, c.max_cm) for c in profile.classes]
+    [('I', 25.0, 35.0), ('II', 20.0, 25.0)]
+    >>> load_profile("gherkin")
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.ProfileError: no crop profile is called 'gherkin'; take one of ...
+    """
+    text = str(name_or_path)
+    if isinstance(name_or_path, Path) or text.endswith(".toml") or Path(text).name != text:
+        return _read(Path(name_or_path))
+    for place in (_folder(folder), _SHIPPED):
+        path = place / f"{text}.toml"
+        if path.is_file():
+            return _read(path)
+    known = ", ".join(entry.name for entry in profiles(folder))
+    raise ProfileError(
+        f"no crop profile is called {text!r}",
+        remedy=f"take one of {known}, or put your own {text}.toml into {_folder(folder)}",
+    )
+
+
+def _folder(folder: Path | None) -> Path:
+    return profiles_folder() if folder is None else folder
+
+
+def _entry(path: Path, *, shipped: bool) -> ProfileEntry:
+    try:
+        return ProfileEntry(path.stem, path, shipped, _read(path))
+    except ProfileError as error:
+        return ProfileEntry(path.stem, path, shipped, None, str(error))
+
+
+def _read(path: Path) -> CropProfile:
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProfileError(
+            f"cannot be read ({error.strerror})", source=path, remedy="give a profile's file"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ProfileError(
+            f"is no TOML ({error})", source=path, remedy="correct that line"
+        ) from None
+    return parse_model(CropProfile, data, source=path, error=ProfileError)

@@ -1,0 +1,1 @@
+"""Live RGB-D cameras."""

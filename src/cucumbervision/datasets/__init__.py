@@ -1,1 +1,0 @@
-"""Labelled pictures on disk: types, readers, writers, checks, splits and the set's card."""

@@ -1,1 +1,0 @@
-"""How good a length is: metrics, statistics, the protocol and the report."""

@@ -1,0 +1,1 @@
+"""Tables, workbook and printed page of a round."""

@@ -1,0 +1,457 @@
+"""Intervals of a length: what they depend on, how they are learnt, and their file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from cucumbervision.measurement.result import Measurement
+
+__all__ = [
+    "BASIS",
+    "RAW_FEATURES",
+    "SCALE_SD",
+    "TUBE_EDGES",
+    "TUBE_FEATURES",
+    "Band",
+    "IntervalBook",
+    "IntervalModel",
+    "conformal_quantile",
+    "fit_interval_model",
+    "raw_features",
+    "read_book",
+    "shipped_book",
+    "tube_features",
+    "write_book",
+]
+
+SMALLEST_GROUP = 100  # readings in either half: fewer go with all the others
+
+FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
+
+
+@dataclass(frozen=True)
+class Band:
+    """What calibration fruit of one group showed.
+
+    Parameters
+    ----------
+    bias : float
+        Median log error.
+    low_quantile, high_quantile : float
+        Conformal quantiles of (log error - bias) / sigma to either side, each missed by half
+        of 1 - level; a method that reads short has a long lower side. Scale known.
+    count : int
+        Calibration readings behind the quantiles.
+    """
+
+    bias: float
+    low_quantile: float
+    high_quantile: float
+    count: int
+
+
+@dataclass(frozen=True)
+class IntervalModel:
+    """Uncertainty of one method's length, relative to it.
+
+    Parameters
+    ----------
+    method : str
+        The method.
+    level : float
+        The level at which the quantiles were taken.
+    features : tuple of str
+        Names of the features.
+    weights : tuple of float
+        c0 and one weight a feature, of log(relative sigma).
+    bands : dict of str to Band
+        By group: '' for all, and '0-1' and so on for groups by `edges`.
+    edges : tuple of (str, tuple of float)
+        Features by which fruit are grouped, and where one group ends (Mondrian conformal
+        prediction; Vovk et al. 2005): within each group the interval covers by itself.
+    """
+
+    method: str
+    level: float
+    features: tuple[str, ...]
+    weights: tuple[float, ...]
+    bands: dict[str, Band]
+    edges: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+    def sigma(self, values: Mapping[str, float]) -> float:
+        """Give the relative sigma for one measurement's features; missing ones count as 0."""
+        row = np.array([1.0, *(values.get(name, 0.0) for name in self.features)])
+        return float(np.exp(np.clip(row @ np.array(self.weights), np.log(FLOOR), 0.0)))
+
+    def band(self, values: Mapping[str, float]) -> Band:
+        """Give the group's band, or that of all where the group was too small to have one."""
+        return self.bands.get(_group(self.edges, values), self.bands[""])
+
+    def interval(
+        self, length_m: float, values: Mapping[str, float], scale_sd: float = 0.0
+    ) -> tuple[float, float]:
+        """Give the interval of a length.
+
+        Parameters
+        ----------
+        length_m : float
+            The length in metres.
+        values : mapping of str to float
+            The measurement's features.
+        scale_sd : float
+            Relative standard deviation of the camera's depth scale; 0 once a bar of known length
+            was measured.
+
+        Returns
+        -------
+        low_m, high_m : float
+
+        Examples
+        --------
+        >>> bands = {"": Band(0.0, 2.0, 2.0, 500)}
+        >>> model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands)
+        >>> [round(x, 4) for x in model.interval(0.2, {})]
+        [0.196, 0.204]
+        """
+        sigma, band = self.sigma(values), self.band(values)
+        scale = _normal_quantile(self.level) * scale_sd
+        low = float(np.hypot(band.low_quantile * sigma, scale))
+        high = float(np.hypot(band.high_quantile * sigma, scale))
+        # error = log(measured / true) lies in [bias - low, bias + high].
+        return (
+            length_m * float(np.exp(-band.bias - high)),
+            length_m * float(np.exp(-band.bias + low)),
+        )
+
+
+def _group(edges: Sequence[tuple[str, Sequence[float]]], values: Mapping[str, float]) -> str:
+    return "-".join(
+        str(int(np.searchsorted(limits, values.get(name, 0.0)))) for name, limits in edges
+    )
+
+
+def _normal_quantile(level: float) -> float:
+    from scipy.stats import norm
+
+    return float(norm.ppf(0.5 + level / 2))
+
+
+def conformal_quantile(scores: ArrayLike, level: float) -> float:
+    """Give the finite-sample conformal quantile: the ceil((n + 1) level)-th smallest score.
+
+    Parameters
+    ----------
+    scores : array_like of float, shape (N,)
+        Nonconformity scores of calibration fruit.
+    level : float
+        Wanted coverage.
+
+    Raises
+    ------
+    ValueError
+        If N is too small for the level: N < level / (1 - level).
+
+    Examples
+    --------
+    >>> conformal_quantile(range(1, 11), 0.8)
+    9.0
+    """
+    ordered = np.sort(np.asarray(scores, float))
+    rank = int(np.ceil((len(ordered) + 1) * level - 1e-9))
+    if rank > len(ordered):
+        need = int(np.ceil(level / (1 - level) - 1e-9))
+        raise ValueError(f"{len(ordered)} fruit cannot carry a level of {level}: {need} are needed")
+    return float(ordered[rank - 1])
+
+
+def fit_interval_model(
+    method: str,
+    errors: ArrayLike,
+    features: Mapping[str, ArrayLike],
+    fruit: ArrayLike,
+    level: float = 0.90,
+    edges: tuple[tuple[str, tuple[float, ...]], ...] = (),
+    seed: int = 0,
+) -> IntervalModel:
+    """Fit sigma on one half of the fruit and take the quantile on the other.
+
+    Parameters
+    ----------
+    method : str
+        The method's name.
+    errors : array_like of float, shape (N,)
+        log(measured / true), depth scale known: small ones are the relative error, large ones
+        never reach past nothing.
+    features : mapping of str to array_like of float, shape (N,)
+        What is known of each measurement at run time.
+    fruit : array_like of str, shape (N,)
+        The fruit of each; a fruit's captures stay in one half.
+    level : float
+        Wanted coverage.
+    edges : tuple of (str, tuple of float), optional
+        Features by which fruit are grouped, and where one group ends.
+    seed : int
+        Seed of the split.
+
+    Returns
+    -------
+    IntervalModel
+
+    Raises
+    ------
+    ValueError
+        If a half is too small.
+    """
+    error, names = np.asarray(errors, float), tuple(features)
+    columns = np.stack(
+        [np.ones_like(error), *(np.asarray(features[n], float) for n in names)], axis=1
+    )
+    first = _halves(np.asarray(fruit), seed)
+    weights = _log_linear(np.abs(error[first] - np.median(error[first])), columns[first])
+    sigma = np.exp(np.clip(columns @ weights, np.log(FLOOR), 0.0))
+    bands = {"": _band(error, sigma, first, level)}
+    rows = [dict(zip(names, row[1:], strict=True)) for row in columns]
+    groups = np.array([_group(edges, row) for row in rows])
+    for group in np.unique(groups) if edges else ():
+        inside = groups == group
+        if min((inside & first).sum(), (inside & ~first).sum()) >= SMALLEST_GROUP:
+            bands[str(group)] = _band(error[inside], sigma[inside], first[inside], level)
+    kept = tuple(float(w) for w in weights)
+    return IntervalModel(method, level, names, kept, bands, edges)
+
+
+def _band(
+    error: NDArray[np.float64], sigma: NDArray[np.float64], first: NDArray[np.bool_], level: float
+) -> Band:
+    bias = float(np.median(error[first]))
+    scores = ((error - bias) / sigma)[~first]
+    side = (1 + level) / 2
+    return Band(
+        bias,
+        max(conformal_quantile(-scores, side), 0.0),
+        max(conformal_quantile(scores, side), 0.0),
+        len(scores),
+    )
+
+
+def _halves(fruit: NDArray[np.str_], seed: int) -> NDArray[np.bool_]:
+    names = np.unique(fruit)
+    chosen = np.random.default_rng(seed).permutation(len(names)) < len(names) / 2
+    return np.asarray(chosen[np.searchsorted(names, fruit)])
+
+
+def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit log |error| by the features, robustly (Huber), with a slight ridge."""
+    from scipy.optimize import least_squares
+
+    target = np.log(np.maximum(size, FLOOR))
+    ridge = 1e-3 * np.sqrt(len(target))
+
+    def residuals(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.concatenate([columns @ weights - target, ridge * weights[1:]])
+
+    start = np.zeros(columns.shape[1])
+    start[0] = np.median(target)
+    found: NDArray[np.float64] = least_squares(residuals, start, loss="huber", f_scale=1.0).x
+    return found
+
+
+TUBE_FEATURES = (
+    "log_sd",
+    "log_outline",
+    "tilt",
+    "tilt_steep",
+    "hidden",
+    "distance_m",
+    "holes",
+    "unexplained",
+    "log_pixels",
+    "end_hidden",
+    "end_on",
+    "poor_fit",
+)
+
+RAW_FEATURES = ("distance_m", "holes", "log_pixels")
+
+STEEP_DEG = 35.0
+
+# Flat, tilted and steep fruit, of smooth and of rough outline: what errs is another thing in each.
+TUBE_EDGES = (("tilt", (15 / 60, 40 / 60)), ("log_outline", (float(np.log(0.5)),)))
+
+
+def tube_features(measurement: Measurement) -> dict[str, float]:
+    """Give the features of `uncertainty.IntervalModel` for an M6 measurement.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        By M6, with its fit.
+
+    Returns
+    -------
+    dict of str to float
+        One value for each of `TUBE_FEATURES`.
+
+    Raises
+    ------
+    ValueError
+        If nothing was fitted.
+    """
+    fit, tube = measurement.fit, measurement.tube
+    if fit is None or tube is None:
+        raise ValueError("there is no tube to tell features of")
+    distance = float(np.median(fit.traits.axis_m[:, 2]))
+    tilt = fit.traits.tilt_deg
+    return {
+        "log_sd": float(np.log(max(fit.centreline_sd_m / tube.centreline_m, 1e-5))),
+        "log_outline": float(np.log(max(fit.outline_rms_px, 0.05))),
+        "tilt": tilt / 60.0,
+        "tilt_steep": max(0.0, tilt - STEEP_DEG) / 25.0,
+        "hidden": fit.hidden_share,
+        "unexplained": 1.0 - fit.explained,
+        "end_hidden": float("end-hidden" in fit.flags),
+        "end_on": float("end-on" in fit.flags),
+        "poor_fit": float("poor-fit" in fit.flags),
+        **raw_features(tube.centreline_m, distance, fit.fill),
+    }
+
+
+def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, float]:
+    """Give the features of a raw length, by M1 to M5.
+
+    Parameters
+    ----------
+    length_m, distance_m : float
+        The length as measured, and the fruit's median depth, metres.
+    fill : float
+        Share of the mask's (or box's) pixels with a reading, 0 to 1.
+
+    Examples
+    --------
+    >>> raw_features(0.25, 0.5, 0.98)["distance_m"]
+    0.5
+    """
+    return {
+        "distance_m": distance_m,
+        "holes": 1.0 - fill,
+        "log_pixels": float(np.log(max(length_m, 1e-3) / distance_m)),
+    }
+
+
+BASIS = "simulated"
+
+SCALE_SD = 0.01  # of a D4xx that nobody calibrated: the data sheet allows 2 % at 2 m
+
+_SHIPPED = Path(__file__).with_name("interval_models.json")
+
+
+@dataclass(frozen=True)
+class IntervalBook:
+    """Interval models by what they are the interval of.
+
+    Parameters
+    ----------
+    level : float
+        The level of every interval.
+    models : dict of str to IntervalModel
+        Keys 'M1' … 'M6' (all about the centreline), 'M6 thread', 'M6 chord'.
+    fruit : int
+        Simulated fruit behind them.
+    """
+
+    level: float
+    models: dict[str, IntervalModel]
+    fruit: int
+
+    def interval(
+        self, key: str, length_m: float, features: Mapping[str, float], *, scale_known: bool
+    ) -> tuple[float, float] | None:
+        """Give the interval of a length; None where there is no model of that key.
+
+        Parameters
+        ----------
+        key : str
+            A key of `models`.
+        length_m : float
+            The length in metres.
+        features : mapping of str to float
+            From `measurement.interval_features`.
+        scale_known : bool
+            Whether the camera's depth scale was measured with a bar of known length.
+        """
+        model = self.models.get(key)
+        if model is None:
+            return None
+        return model.interval(length_m, features, 0.0 if scale_known else SCALE_SD)
+
+
+def write_book(path: Path, book: IntervalBook) -> None:
+    """Write a book as JSON, numbers to nine digits."""
+    models = [_rounded(asdict(model)) for model in book.models.values()]
+    content = {"basis": BASIS, "level": book.level, "fruit": book.fruit, "models": models}
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.9g}")
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def read_book(path: Path) -> IntervalBook:
+    """Read a book.
+
+    Raises
+    ------
+    ModelError
+        If the file is none.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "book.json"
+    >>> bands = {"": Band(0.001, 1.5, 1.7, 700)}
+    >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
+    >>> book = IntervalBook(0.9, {"M6": model}, 700)
+    >>> write_book(path, book)
+    >>> read_book(path) == book
+    True
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        models = {}
+        for item in content["models"]:
+            models[item["method"]] = IntervalModel(
+                item["method"],
+                item["level"],
+                tuple(item["features"]),
+                tuple(item["weights"]),
+                {group: Band(**band) for group, band in item["bands"].items()},
+                tuple((name, tuple(limits)) for name, limits in item["edges"]),
+            )
+        return IntervalBook(float(content["level"]), models, int(content["fruit"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ModelError(
+            f"is no book of intervals ({error})", source=path, remedy="install the package anew"
+        ) from None
+
+
+@lru_cache(maxsize=1)
+def shipped_book() -> IntervalBook:
+    """Give the book that comes with the package."""
+    return read_book(_SHIPPED)

@@ -1,0 +1,188 @@
+"""Masks as run lengths and polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["Rle", "decode_rle", "encode_rle", "fill_polygon"]
+
+
+def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> NDArray[np.bool_]:
+    """Decode COCO run lengths, compressed (a string) or not (numbers).
+
+    Runs go down the columns and begin with background. The string holds six bits a character,
+    lowest first, each run from the third on as the difference to the last but one
+    (`rleFrString` in pycocotools' `maskApi.c`).
+
+    Parameters
+    ----------
+    counts : str, bytes or sequence of int
+        The run lengths.
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+
+    Raises
+    ------
+    ValueError
+        If the runs do not fill the picture exactly.
+
+    Examples
+    --------
+    >>> decode_rle([1, 2, 3], 2, 3).astype(int).tolist()
+    [[0, 1, 0], [1, 0, 0]]
+    >>> bool((decode_rle("123", 2, 3) == decode_rle([1, 2, 3], 2, 3)).all())
+    True
+    """
+    if isinstance(counts, bytes):
+        counts = counts.decode("ascii")
+    runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
+    if runs.ndim != 1 or (runs < 0).any() or runs.sum() != height * width:
+        raise ValueError(f"the run lengths do not fill {width}x{height} pixels")
+    values = np.arange(len(runs)) % 2 == 1
+    return np.repeat(values, runs).reshape(width, height).T.copy()
+
+
+def encode_rle(mask: NDArray[np.bool_]) -> str:
+    """Write a mask as COCO's compressed run lengths, the inverse of `decode_rle`.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (height, width)
+
+    Returns
+    -------
+    str
+        As `rleToString` in pycocotools' `maskApi.c` writes them.
+
+    Examples
+    --------
+    >>> encode_rle(np.array([[0, 1, 0], [1, 0, 0]], bool))
+    '123'
+    """
+    pixels = np.asarray(mask, bool).T.ravel()
+    changes = np.flatnonzero(pixels[1:] != pixels[:-1]) + 1
+    # Runs begin with background: a first run of nothing where the first pixel is set.
+    starts = [0, 0] if pixels[:1].any() else [0]
+    runs = np.diff(np.concatenate([starts, changes, [pixels.size]])).tolist()
+    return "".join(_pack(n - runs[k - 2] if k > 2 else n) for k, n in enumerate(runs))
+
+
+def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
+    """Set the pixels whose centres lie inside a polygon (even-odd rule).
+
+    Parameters
+    ----------
+    points : ndarray, shape (K, 2)
+        x, y in pixels from the picture's corner: the first pixel's centre is (0.5, 0.5).
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+
+    Examples
+    --------
+    >>> square = np.array([[1.0, 0], [3, 0], [3, 1], [1, 1]])
+    >>> fill_polygon(square, 2, 4).astype(int).tolist()
+    [[0, 1, 1, 0], [0, 0, 0, 0]]
+    """
+    x1, y1 = np.asarray(points, np.float64).T
+    x2, y2 = np.roll(x1, -1), np.roll(y1, -1)
+    centres = np.arange(height)[:, None] + 0.5
+    crossed = (y1 <= centres) != (y2 <= centres)
+    rows, edges = np.nonzero(crossed)
+    slopes = (x2 - x1)[edges] / (y2 - y1)[edges]
+    at = x1[edges] + (centres[rows, 0] - y1[edges]) * slopes
+    # Everything from the first pixel centre at or right of a crossing changes sides.
+    first = np.clip(np.ceil(at - 0.5), 0, width).astype(int)
+    changes = np.zeros((height, width + 1), np.int32)
+    np.add.at(changes, (rows, first), 1)
+    return np.asarray(changes[:, :width].cumsum(axis=1) % 2 == 1)
+
+
+def _pack(value: int) -> str:
+    text = ""
+    while True:
+        low, value = value & 0x1F, value >> 5
+        # The last character's sign bit must say the sign of the whole.
+        more = value != (-1 if low & 0x10 else 0)
+        text += chr((low | (0x20 if more else 0)) + 48)
+        if not more:
+            return text
+
+
+def _unpack(text: str) -> list[int]:
+    runs: list[int] = []
+    at = 0
+    while at < len(text):
+        value, shift, more = 0, 0, True
+        while more:
+            if at == len(text):
+                raise ValueError("the run lengths end within a number")
+            code = ord(text[at]) - 48
+            if not 0 <= code < 64:
+                raise ValueError(f"{text[at]!r} is no run length")
+            value |= (code & 0x1F) << shift
+            more = bool(code & 0x20)
+            at, shift = at + 1, shift + 5
+            if not more and code & 0x10:
+                value |= -1 << shift
+        runs.append(value + runs[-2] if len(runs) > 2 else value)
+    return runs
+
+
+@dataclass(frozen=True)
+class Rle:
+    """One mask in run lengths.
+
+    Parameters
+    ----------
+    height, width : int
+        The picture's size in pixels.
+    counts : str
+        COCO's compressed run lengths, as `encode_rle` gives them.
+
+    Examples
+    --------
+    >>> mask = np.array([[0, 1, 0], [1, 0, 0]], bool)
+    >>> code = Rle.of(mask)
+    >>> code.counts, code.area_px, bool((code.decode() == mask).all())
+    ('123', 2, True)
+    """
+
+    height: int
+    width: int
+    counts: str
+
+    @classmethod
+    def of(cls, mask: NDArray[np.bool_]) -> Rle:
+        """Code a mask of shape (H, W)."""
+        return cls(mask.shape[0], mask.shape[1], encode_rle(mask))
+
+    def decode(self) -> NDArray[np.bool_]:
+        """Give the mask, bool, shape (height, width).
+
+        Raises
+        ------
+        ValueError
+            If the runs do not fill the picture exactly.
+        """
+        return decode_rle(self.counts, self.height, self.width)
+
+    @property
+    def area_px(self) -> int:
+        """Number of pixels set."""
+        return int(np.count_nonzero(self.decode()))

@@ -1,0 +1,244 @@
+"""Where the fruit of a capture come from: the data set, a file, or the networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.pipeline.networks import Detectors, Segmenters, load_pose
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.perception.registry import Registry
+    from cucumbervision.perception.yolo import YoloDetector
+    from cucumbervision.pipeline.options import MeasureOptions
+
+__all__ = ["Finder", "Found", "dataset_instances", "demo_options", "make_finder"]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The fruit of one capture.
+
+    Parameters
+    ----------
+    instances : tuple of Instance
+        Each with the mask to measure, where one could be had.
+    clipped : frozenset of int
+        Which of them reached beyond the picture and were cut to it.
+    refused : tuple of CucumberVisionError
+        What a file gave that is no fruit in this picture.
+    """
+
+    instances: tuple[Instance, ...]
+    clipped: frozenset[int] = frozenset()
+    refused: tuple[CucumberVisionError, ...] = ()
+
+
+Find: TypeAlias = Callable[["Capture"], Found]
+
+
+@dataclass(frozen=True)
+class Finder:
+    """What finds the fruit, and which networks take part.
+
+    Parameters
+    ----------
+    find : callable
+        Gives the fruit of a capture.
+    models : list of dict
+        Name, SHA-256 and runtime of each network, for the provenance.
+    """
+
+    find: Find
+    models: list[dict[str, Any]]
+
+
+def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Finder:
+    """Load what a run needs to find fruit.
+
+    Parameters
+    ----------
+    options : MeasureOptions
+        The run's choices.
+    registry : Registry, optional
+        Where networks with a name lie; the package's own if not given.
+
+    Returns
+    -------
+    Finder
+        Networks are loaded once; SAM, and the package's own networks where 'auto' was chosen,
+        only when the first capture needs them.
+
+    Raises
+    ------
+    ModelError
+        If a network is missing or cannot be loaded.
+    InstancesError
+        If the file of instances cannot be read.
+    """
+    if registry is None:
+        from cucumbervision.perception.registry import load_registry
+
+        registry = load_registry()
+    models: list[dict[str, Any]] = []
+    boxes = _box_finder(options, registry, models)
+    segmenter = Segmenters(registry, options, models)
+    if options.segmenter not in (None, "none"):
+        segmenter.check(options.segmenter)
+
+    def find(capture: Capture) -> Found:
+        found = boxes(capture)
+        name = options.segmenter or "mobile-sam"
+        # Masks that were given are used as they are unless a segmenter was asked for.
+        drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
+        if name == "none" or not drawn:
+            return found
+        prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
+        masked = dict(zip(drawn, segmenter.get(name).segment(capture.color, prompts), strict=True))
+        instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
+        return replace(found, instances=instances)
+
+    return Finder(find, models)
+
+
+def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
+    """Give a data set's own masks as instances.
+
+    An empty mask is left out: there is no fruit to measure.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> mask = np.zeros((48, 64), bool)
+    >>> mask[10:20, 5:9] = True
+    >>> capture = Capture(
+    ...     np.zeros((48, 64, 3), np.uint8),
+    ...     np.zeros((48, 64), np.float32),
+    ...     Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0),
+    ...     name="a",
+    ...     masks=(mask,),
+    ... )
+    >>> dataset_instances(capture)[0].box.tolist()
+    [4.5, 9.5, 8.5, 19.5]
+    """
+    return tuple(
+        Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
+        for mask in capture.masks
+        if mask.any()
+    )
+
+
+def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
+    """Choose how the bundled captures are measured, and say in a line who finds the fruit.
+
+    Parameters
+    ----------
+    registry : Registry
+        With a detector of its own, that one finds them; else their masks' boxes are given.
+
+    Returns
+    -------
+    options : MeasureOptions
+    line : str
+        For people.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.registry import load_registry
+    >>> options, line = demo_options(load_registry())
+    >>> line.endswith("masks by mobile-sam.")
+    True
+    """
+    from cucumbervision.pipeline.options import MeasureOptions
+
+    detector, pose = registry.default("segment"), registry.default("pose")
+    if detector is None:
+        options = MeasureOptions(instances="dataset", segmenter="mobile-sam")
+        return options, "Fruit by the boxes of the captures' own masks, masks by mobile-sam."
+    keypoints = f", keypoints by {pose.name}" if pose else ""
+    options = MeasureOptions(instances="models", segmenter="mobile-sam")
+    return options, f"Fruit by {detector.name}{keypoints}, masks by mobile-sam."
+
+
+def _box_finder(options: MeasureOptions, registry: Registry, models: list[dict[str, Any]]) -> Find:
+    choice, path = options.instances, Path(options.instances)
+    if choice == "models":
+        return _network_finder(Detectors.from_registry(registry, options, models))
+    if choice not in ("auto", "dataset") and not path.exists():
+        raise InstancesError(
+            "no such file", source=path, remedy="give auto, models, dataset or a file"
+        )
+    if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
+        return _network_finder(Detectors.from_file(path, options, models))
+    if choice == "auto":
+        return _auto_finder(options, registry, models)
+    given = _dataset_or_error if choice == "dataset" else _file_finder(path)
+    return _with_pose(given, load_pose(options, models))
+
+
+def _auto_finder(options: MeasureOptions, registry: Registry, models: list[dict[str, Any]]) -> Find:
+    """Take a data set's masks where there are some, and load the networks where there are none."""
+    pose = load_pose(options, models)
+    given = _with_pose(lambda capture: Found(dataset_instances(capture)), pose)
+    loaded: list[Find] = []
+
+    def find(capture: Capture) -> Found:
+        if capture.masks:
+            return given(capture)
+        if not loaded:
+            loaded.append(_network_finder(Detectors.from_registry(registry, options, models, pose)))
+        return loaded[0](capture)
+
+    return find
+
+
+def _network_finder(detectors: Detectors) -> Find:
+    return lambda capture: Found(detectors.find(capture.color))
+
+
+def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
+    """Give a pose network's keypoints to fruit that come from elsewhere."""
+    if pose is None:
+        return find
+
+    def find_with_keypoints(capture: Capture) -> Found:
+        from cucumbervision.perception.yolo import with_keypoints
+
+        found = find(capture)
+        if not found.instances:
+            return found
+        poses = pose.detect(capture.color)
+        return replace(found, instances=with_keypoints(found.instances, poses))
+
+    return find_with_keypoints
+
+
+def _file_finder(path: Path) -> Find:
+    from cucumbervision.perception.instance_files import read_instances
+
+    file = read_instances(path)
+
+    def find(capture: Capture) -> Found:
+        names = (capture.name, capture.source)
+        given = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
+        cut = frozenset(k for k, clipped in enumerate(given.clipped) if clipped)
+        return Found(given.instances, cut, given.refused)
+
+    return find
+
+
+def _dataset_or_error(capture: Capture) -> Found:
+    if not capture.masks:
+        raise InstancesError(
+            "the data set has no masks for this capture",
+            source=capture.source or capture.name,
+            remedy="put them into mask_visib/, or choose other --instances",
+        )
+    return Found(dataset_instances(capture))

@@ -1,0 +1,117 @@
+"""What a user asks of one run, as one value that goes into the provenance."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.measurement.result import Length, Method
+from cucumbervision.measurement.selector import Selector
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["MeasureOptions", "parse_methods"]
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """One run's choices.
+
+    Parameters
+    ----------
+    instances : str
+        'auto' (the data set's own masks where a capture has them, the models otherwise),
+        'models', 'dataset', or the path of a file: COCO JSON, YOLO txt (or a folder of them),
+        or a YOLO ONNX export.
+    pose : Path, optional
+        A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
+        package's own gives them to fruit of the package's own detector only.
+    segmenter : str, optional
+        'mobile-sam', 'sam-vit-b' or 'none'; None draws with MobileSAM wherever the masks are not
+        the data set's own.
+    prompt : str
+        SAM's prompt: 'box+point', 'box' or 'point'.
+    methods : tuple of Method
+        Which methods run.
+    selector : Selector
+        How one is chosen.
+    length : Length
+        Which length `length_cm` holds where a tube was fitted.
+    confidence : float
+        Detections below it are left out.
+    runtime : str
+        What runs the networks.
+    full_precision : bool
+        Networks in float32: the same lengths on every machine. Half precision is faster where
+        the processor has it, and moves outlines by a pixel or so.
+    reading : ReadOptions
+        What is said of the sources.
+    calibration : Path, optional
+        A site's calibration file, applied to depth and rows.
+    """
+
+    instances: str = "auto"
+    pose: Path | None = None
+    segmenter: str | None = None
+    prompt: str = "box+point"
+    methods: tuple[Method, ...] = AVAILABLE
+    selector: Selector = Selector.BEST
+    length: Length = Length.THREAD
+    confidence: float = 0.30
+    runtime: str = "auto"
+    full_precision: bool = True
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    calibration: Path | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Give the choices as JSON values."""
+        values: dict[str, Any] = json.loads(json.dumps(asdict(self), default=str))
+        return values
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the choices, the same for the same choices.
+
+        Examples
+        --------
+        >>> MeasureOptions().sha256 == MeasureOptions(confidence=0.31).sha256
+        False
+        """
+        return _hash(self.as_json())
+
+
+def _hash(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def parse_methods(text: str) -> tuple[Method, ...]:
+    """Read 'all' or a list such as 'm1,m5'.
+
+    Raises
+    ------
+    CucumberVisionError
+        For a name that is no method.
+
+    Examples
+    --------
+    >>> [str(m) for m in parse_methods("m5,M1")]
+    ['M1', 'M5']
+    """
+    if text.strip().lower() == "all":
+        return AVAILABLE
+    names = {part.strip().upper() for part in text.split(",") if part.strip()}
+    unknown = names - {str(m) for m in AVAILABLE}
+    if unknown or not names:
+        raise CucumberVisionError(
+            f"no method is called {', '.join(sorted(unknown)) or repr(text)}",
+            source="--methods",
+            remedy=f"give all, or some of {', '.join(m.lower() for m in AVAILABLE)}",
+        )
+    return tuple(m for m in AVAILABLE if str(m) in names)

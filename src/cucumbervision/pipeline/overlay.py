@@ -1,0 +1,165 @@
+"""Draw what was measured onto the picture; nothing here is ever measured again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.measurement.result import Fruit, Measurement
+    from cucumbervision.pipeline.rows import Cell
+
+__all__ = ["COLORS", "draw_label", "draw_overlay", "tint_mask"]
+
+# Okabe and Ito's palette, told apart by colour-blind people too (RGB).
+COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+TINT = 0.30
+BAR_M = 0.10
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def draw_overlay(
+    capture: Capture, fruit: Sequence[Fruit], rows: Sequence[Mapping[str, Cell]] | None = None
+) -> NDArray[np.uint8]:
+    """Draw each fruit's mask, measured line, tips and length, and a scale bar.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame; its colour picture is not changed.
+    fruit : sequence of Fruit
+        The fruit in it, measured, numbered from 1.
+    rows : sequence of mapping, optional
+        The fruit's rows, in the same order: their `length_cm` and `length_kind` are written, which
+        may be a tube's thread or a calibrated length; without them the method's own length is.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB, the size of the capture.
+    """
+    picture = capture.color.copy()
+    size = max(capture.height / 720, 0.5)
+    for number, one in enumerate(fruit, start=1):
+        color = COLORS[(number - 1) % len(COLORS)]
+        _draw_region(picture, one, color, size)
+        if one.selected is not None and one.selected.path_m is not None:
+            _draw_path(picture, one.selected, capture.intrinsics, color, size)
+    for number, one in enumerate(fruit, start=1):
+        row = _own_length(one) if rows is None else rows[number - 1]
+        draw_label(picture, _label(number, one, row), one.instance.box, size)
+    _draw_scale(picture, capture, fruit, size)
+    if capture.simulated:
+        _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
+    return picture
+
+
+def _draw_region(
+    picture: NDArray[np.uint8], fruit: Fruit, color: tuple[int, int, int], size: float
+) -> None:
+    if fruit.mask is None:
+        x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
+        cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
+        return
+    tint_mask(picture, fruit.mask, color, size)
+
+
+def tint_mask(
+    picture: NDArray[np.uint8],
+    inside: NDArray[np.bool_],
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    """Tint a mask's pixels and draw its outline, in place; `size` scales the lines."""
+    picture[inside] = ((1 - TINT) * picture[inside] + TINT * np.array(color)).astype(np.uint8)
+    outline = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, outline[0], -1, color, max(1, round(1.5 * size)), cv2.LINE_AA)
+
+
+def _draw_path(
+    picture: NDArray[np.uint8],
+    chosen: Measurement,
+    camera: Intrinsics,
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    if chosen.path_m is None or (chosen.path_m[:, 2] <= 0).any():
+        return
+    pixels = np.rint(camera.project(chosen.path_m)).astype(np.int32)
+    cv2.polylines(picture, [pixels], False, BLACK, max(2, round(4 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [pixels], False, WHITE, max(1, round(2 * size)), cv2.LINE_AA)
+    for tip in (pixels[0], pixels[-1]):
+        at = (int(tip[0]), int(tip[1]))
+        cv2.circle(picture, at, max(3, round(6 * size)), BLACK, -1, cv2.LINE_AA)
+        cv2.circle(picture, at, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
+
+
+def _own_length(fruit: Fruit) -> dict[str, Cell]:
+    chosen = fruit.selected
+    if chosen is None or chosen.length_m is None:
+        return {"length_cm": None, "length_kind": None}
+    return {"length_cm": 100 * chosen.length_m, "length_kind": str(chosen.kind)}
+
+
+def _label(number: int, fruit: Fruit, row: Mapping[str, Cell]) -> str:
+    chosen, length_cm = fruit.selected, row["length_cm"]
+    if chosen is None or not isinstance(length_cm, int | float):
+        return f"{number}: not measured ({fruit.reason})"
+    # What runs on out of sight is longer than what was seen of it.
+    least = "at least " if {"cut-by-frame", "end-hidden"} & set(fruit.flags) else ""
+    method = chosen.measured_by or chosen.method
+    return f"{number}: {least}{length_cm:.1f} cm {row['length_kind']}, {method}"
+
+
+def draw_label(
+    picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
+) -> None:
+    """Write a label above a box, or below where there is no room, in place."""
+    (width, height), _ = cv2.getTextSize(label, FONT, 0.65 * size, max(1, round(2 * size)))
+    x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
+    above = box[1] - 10 * size
+    y = above if above > height + 6 else min(box[3] + height + 12 * size, picture.shape[0] - 8)
+    _text(picture, label, (int(x), int(y)), size)
+
+
+def _text(picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: float) -> None:
+    scale, thin = 0.65 * size, max(1, round(1.6 * size))
+    (width, height), below = cv2.getTextSize(text, FONT, scale, thin)
+    pad = max(3, round(5 * size))
+    top, left = max(at[1] - height - pad, 0), max(at[0] - pad, 0)
+    plate = picture[top : at[1] + below + pad, left : at[0] + width + pad]
+    plate[:] = (0.35 * plate).astype(np.uint8)
+    cv2.putText(picture, text, at, FONT, scale, WHITE, thin, cv2.LINE_AA)
+
+
+def _draw_scale(
+    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[Fruit], size: float
+) -> None:
+    depths = [np.median(d) for f in fruit if len(d := _fruit_depths(capture, f))]
+    if not depths:
+        return
+    depth = float(np.median(depths))
+    length = round(BAR_M * capture.intrinsics.fx_px / depth)
+    left, y = round(16 * size), capture.height - round(20 * size)
+    for color, thick in ((BLACK, round(8 * size)), (WHITE, round(4 * size))):
+        cv2.line(picture, (left, y), (left + length, y), color, max(2, thick), cv2.LINE_AA)
+    text = f"{100 * BAR_M:.0f} cm at {100 * depth:.0f} cm distance"
+    _text(picture, text, (left, y - round(14 * size)), size)
+
+
+def _fruit_depths(capture: Capture, fruit: Fruit) -> NDArray[np.float32]:
+    if fruit.mask is None:
+        return np.empty(0, np.float32)
+    depths = capture.depth_m[fruit.mask]
+    return depths[valid_depth(depths)]

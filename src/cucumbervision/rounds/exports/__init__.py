@@ -1,1 +1,0 @@
-"""A round as files: one set of typed tables, and what writes them."""

@@ -1,1 +1,0 @@
-"""Many captures in one go: rows, overlays and exports."""

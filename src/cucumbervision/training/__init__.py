@@ -1,1 +1,0 @@
-"""What needs torch and Ultralytics: exports of networks (extra `train`)."""

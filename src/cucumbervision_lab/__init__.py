@@ -1,0 +1,1 @@
+"""What CucumberVision's makers need: drawn scenes, data sets, training, benchmarks."""

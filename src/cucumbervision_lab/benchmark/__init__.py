@@ -1,0 +1,1 @@
+"""The methods measured on simulated captures of known length."""

@@ -1,0 +1,191 @@
+"""Side questions that the benchmark answers: wrong intrinsics, burst size, prompts, conventions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.accuracy.statistics import score
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.geometry.camera import scale_error_tilted
+from cucumbervision.geometry.curve import polyline_length
+from cucumbervision.measurement.m6 import measure_m6
+from cucumbervision_lab.benchmark.protocol import CAMERA
+from cucumbervision_lab.benchmark.records import Masks, Record, Suite
+from cucumbervision_lab.benchmark.table import Cell, Table
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.synthesis.tube import Tube
+
+__all__ = [
+    "burst_sizes",
+    "carrot_intrinsics",
+    "length_conventions",
+    "sam_prompts",
+    "selectors",
+    "wrong_intrinsics",
+]
+
+# Focal lengths in pixels at 1280x720 that are mistaken for the colour stream's in practice.
+WRONG_FOCALS_PX = {
+    "depth stream of a D435 (640)": 640.0,
+    "depth stream of a D415 (895)": 895.0,
+    "colour stream at 640x480 (617)": 617.0,
+    "colour stream at 1920x1080 (1365)": 1365.0,
+}
+TILTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
+SIZES_M = ((0.0, 0.10), (0.10, 0.18), (0.18, 0.45))
+
+
+def wrong_intrinsics() -> Table:
+    """Measure one exact fruit with wrong focal lengths at several tilts, against the formula.
+
+    Notes
+    -----
+    With k = f_right / f_wrong, a length at tilt t reads L' / L = sqrt(k² cos² t + sin² t).
+    """
+    rows = []
+    for name, focal in WRONG_FOCALS_PX.items():
+        for tilt in TILTS_DEG:
+            tube = arc_tube(0.20, 0.015).moved(rotation(90, tilt), (0, 0, 0.6))
+            scene = render([tube], CAMERA)
+            wrong = replace(CAMERA, fx_px=focal, fy_px=focal)
+            found = measure_m6(scene.depth_m.astype(np.float32), scene.mask(0), wrong)
+            formula = 100 * scale_error_tilted(CAMERA.fx_px, focal, tilt)
+            read = np.nan if found.length_m is None else 100 * (found.length_m / 0.20 - 1)
+            rows.append((name, tilt, round(formula, 1), _line_error(tube, wrong), round(read, 1)))
+    return _table(
+        "Wrong intrinsics",
+        "A straight fruit of 20 cm, exact depth, deprojected with another stream's or another "
+        "size's focal length. The sign and the size follow from the two focal lengths, so no "
+        "constant can correct it; the reader refuses such intrinsics. The formula is a thin "
+        "line's; M6 errs more, because the fruit grows thicker too, before the same depth.",
+        ("taken for the colour stream's", "tilt [deg]", "formula [%]", "axis [%]", "M6 [%]"),
+        tuple(rows),
+    )
+
+
+def _line_error(tube: Tube, wrong: Intrinsics) -> float:
+    """Give the error of the axis itself, seen by the right camera and deprojected by the wrong."""
+    axis = tube.axis_m
+    u, v = CAMERA.project(axis).T
+    x, y = wrong.rays(u, v)
+    lifted = np.stack([x, y, np.ones_like(x)], axis=1) * axis[:, 2:]
+    return round(100 * (polyline_length(lifted) / polyline_length(axis) - 1), 1)
+
+
+def carrot_intrinsics(folder: Path) -> Table:
+    """Measure the real carrot frames with a depth stream's focal length instead of their own."""
+    from cucumbervision.capture.readers import open_source
+    from cucumbervision.measurement.cloud import masked_points
+    from cucumbervision.measurement.m3 import measure_m3
+
+    errors = []
+    for ref in open_source(folder, ReadOptions()):
+        capture = ref.load()
+        own = capture.intrinsics
+        wrong = replace(own, fx_px=640.0, fy_px=640.0, cx_px=own.cx_px, cy_px=own.cy_px)
+        right, scaled = (
+            measure_m3(masked_points(capture.depth_m, capture.masks[0], camera)).length_m
+            for camera in (own, wrong)
+        )
+        if right and scaled:
+            errors.append(100 * (scaled / right - 1))
+    formula = 100 * (own.fx_px / 640.0 - 1)
+    row = (len(errors), round(float(np.mean(errors)), 1), round(float(np.std(errors)), 2))
+    return _table(
+        "Wrong intrinsics on real frames",
+        "Ten RealSense frames of one carrot lying across the view, by M3, with f = 640 px in "
+        "place of the colour stream's.",
+        ("frames", "error, mean [%]", "sd [%]", "formula for no tilt [%]"),
+        ((*row, round(formula, 1)),),
+    )
+
+
+def burst_sizes(
+    measure: Callable[[int], Sequence[Record]], sizes: Sequence[int] = (1, 3, 5, 9)
+) -> Table:
+    """Compare bursts; `measure` gives the records of the same cases for a burst size."""
+    rows: list[tuple[Cell, ...]] = []
+    for size in sizes:
+        records = measure(size)
+        rows.append((size, len(records), *(_mape(records, name) for name in ("M3", "M5", "M6"))))
+    return _table(
+        "Burst size",
+        "The same captures with exact masks. Most of the sensor's noise is fixed in space, so "
+        "more frames help little beyond filling holes.",
+        ("frames", "captures", "M3 MAPE [%]", "M5 MAPE [%]", "M6 MAPE [%]"),
+        tuple(rows),
+    )
+
+
+def sam_prompts(measure: Callable[[str], Sequence[Record]]) -> Table:
+    """Compare SAM's prompts; `measure` gives perceived records of the same cases for a prompt."""
+    rows: list[tuple[Cell, ...]] = []
+    for prompt in ("box+point", "box", "point"):
+        records = measure(prompt)
+        failed = sum(bool(r.details.get("mask_failure")) for r in records)
+        overlap = np.mean([float(r.details.get("mask_iou", 0.0)) for r in records])
+        rows.append((prompt, len(records), failed, round(float(overlap), 3), _mape(records, "M6")))
+    return _table(
+        "SAM's prompt",
+        "MobileSAM, prompted by the exact box of the visible fruit.",
+        ("prompt", "captures", "masks refused", "mask IoU, mean", "M6 MAPE [%]"),
+        tuple(rows),
+    )
+
+
+def selectors(records: Sequence[Record]) -> Table:
+    """Compare the selectors on the paper's captures, by kind of mask."""
+    rows: list[tuple[Cell, ...]] = []
+    for masks in Masks:
+        some = [r for r in records if r.masks is masks and r.suite is not Suite.STRESS]
+        if some:
+            for name in ("selector paper", "selector best"):
+                rows.append((name.split()[1], str(masks), len(some), _mape(some, name)))
+    return _table(
+        "Selector",
+        "Raw length of the chosen method against the centreline.",
+        ("selector", "masks", "captures", "MAPE [%]"),
+        tuple(rows),
+    )
+
+
+def length_conventions(records: Sequence[Record]) -> Table:
+    """Say by how much thread and chord differ from the centreline, by size."""
+    rows: list[tuple[Cell, ...]] = []
+    fruit = {r.fruit: r for r in records if r.thread_m and r.centreline_m and r.chord_m}
+    for low, high in SIZES_M:
+        some = [r for r in fruit.values() if low <= (r.centreline_m or 0) < high]
+        if not some:
+            continue
+        thread = [100 * ((r.thread_m or 0) / (r.centreline_m or 1) - 1) for r in some]
+        chord = [100 * ((r.chord_m or 0) / (r.centreline_m or 1) - 1) for r in some]
+        name = f"{100 * low:.0f} to {100 * high:.0f} cm"
+        rows.append(
+            (name, len(some), round(float(np.mean(thread)), 1), round(float(np.mean(chord)), 1))
+        )
+    return _table(
+        "Thread, centreline, chord",
+        "What people lay along a fruit differs by more than any good method errs: say which.",
+        ("centreline", "fruit", "thread, mean [%]", "chord, mean [%]"),
+        tuple(rows),
+    )
+
+
+def _mape(records: Sequence[Record], name: str) -> float:
+    lengths = [np.nan if (x := r.lengths_m.get(name)) is None else x for r in records]
+    truth = [r.centreline_m or np.nan for r in records]
+    return round(score(lengths, truth).mape_percent, 2) if records else float("nan")
+
+
+def _table(title: str, comment: str, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Table:
+    return Table.of(title, heads, rows, comment)

@@ -1,0 +1,32 @@
+"""The laboratory's commands, which join the program's own through an entry point."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import typer
+
+__all__ = ["register"]
+
+
+def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
+    """Add the laboratory's commands to the program's.
+
+    Parameters
+    ----------
+    program : typer.Typer
+        The command `cucumbervision`.
+    groups : mapping of str to typer.Typer
+        Its groups of commands, of which `evaluate` and `models` get one more each.
+    """
+    from cucumbervision_lab.cli import benchmark, data, evaluate, models, synth, train
+
+    program.command("benchmark")(benchmark.benchmark)
+    program.command("synth")(synth.synth)
+    program.add_typer(data.app, name="data")
+    program.add_typer(train.app, name="train")
+    groups["evaluate"].command("models")(evaluate.evaluate_models)
+    groups["models"].command("pull")(models.pull)

@@ -1,0 +1,69 @@
+"""`cucumbervision evaluate models`: the networks against labelled pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cucumbervision.cli.choices import RuntimeChoice, SegmenterChoice
+
+__all__ = ["evaluate_models"]
+
+
+def evaluate_models(
+    data: Annotated[
+        Path,
+        typer.Argument(help="Labelled pictures: a folder with annotations.json, or COCO JSON."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the report.")],
+    seg: Annotated[
+        Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
+    ] = None,
+    pose: Annotated[
+        Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")
+    ] = None,
+    segmenter: Annotated[
+        SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
+    ] = SegmenterChoice.mobile_sam,
+    runtime: Annotated[
+        RuntimeChoice, typer.Option(help="What runs the networks.")
+    ] = RuntimeChoice.auto,
+    confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
+    ] = 0.30,
+    split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
+    photos: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the audited real photos: recall and precision on them too."),
+    ] = None,
+    captures: Annotated[
+        list[Path] | None,
+        typer.Option(help="Real captures with true masks, to compare SAM's prompts; repeatable."),
+    ] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Pictures at most, evenly spread.")
+    ] = None,
+    sam_limit: Annotated[
+        int, typer.Option(min=1, help="Pictures at most for SAM and lengths, evenly spread.")
+    ] = 40,
+) -> None:
+    """Hold the networks against labelled pictures: precision, recall, keypoints, masks, lengths."""
+    from cucumbervision_lab.cli.eyes_console import evaluate_models_and_show
+    from cucumbervision_lab.detection.run import EyesPlan
+
+    plan = EyesPlan(
+        data,
+        seg,
+        pose,
+        None if segmenter is SegmenterChoice.none else segmenter.value,
+        runtime.value,
+        confidence,
+        split,
+        limit,
+        sam_limit,
+        tuple(captures or ()),
+        photos,
+    )
+    evaluate_models_and_show(plan, out)

@@ -1,0 +1,28 @@
+"""`cucumbervision models pull`: fetch a network and export it, which takes torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["pull"]
+
+
+def pull(
+    name: Annotated[str, typer.Argument(help="A name that `models list` shows.")],
+    given: Annotated[
+        Path | None,
+        typer.Option("--from", help="The publisher's file, downloaded by hand.", metavar="FILE"),
+    ] = None,
+) -> None:
+    """Fetch a network from its publisher, check its hash and export it to ONNX."""
+    from rich.console import Console
+
+    from cucumbervision.cli.download_bar import DownloadBar
+    from cucumbervision_lab.training.pull import pull_model
+
+    files = pull_model(name, given=given, progress=DownloadBar(name))
+    for path in files.values():
+        Console(highlight=False).print(str(path), soft_wrap=True)

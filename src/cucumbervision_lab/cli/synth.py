@@ -1,0 +1,65 @@
+"""`cucumbervision synth`: draw labelled pictures with exact truth."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["synth"]
+
+
+def synth(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set; resumed if begun.")],
+    frames: Annotated[int, typer.Option(min=1, help="How many pictures.")] = 1500,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same set.")] = 1,
+    size: Annotated[str, typer.Option(help="Width x height, pixels.", metavar="WxH")] = "1280x720",
+    assets: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder with textures/, backgrounds/ and hdri/ to draw from.",
+            exists=True,
+            file_okay=False,
+        ),
+    ] = None,
+    paste: Annotated[
+        Path | None,
+        typer.Option(
+            help="A labelled set whose fruit are cut out and pasted into the training pictures.",
+            exists=True,
+            file_okay=False,
+        ),
+    ] = None,
+    depth: Annotated[
+        bool, typer.Option("--depth/--no-depth", help="Draw what a D435 reads, and exact depth.")
+    ] = True,
+    scale_sd: Annotated[
+        float, typer.Option(min=0, max=0.1, help="Depth-scale error of the cameras, as a share.")
+    ] = 0.0,
+    shares: Annotated[
+        str, typer.Option(help="How often hanging, bench, crate.", metavar="A,B,C")
+    ] = "0.6,0.22,0.18",
+    split: Annotated[
+        str, typer.Option(help="Put all frames into train, val or test instead of 70:15:15.")
+    ] = "",
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Draw cucumbers on plants, benches and in crates: colour, depth, masks, keypoints, lengths."""
+    from cucumbervision_lab.cli.synth_console import run_and_show
+    from cucumbervision_lab.synthesis.options import parse_options
+
+    options = parse_options(
+        frames=frames,
+        seed=seed,
+        size=size,
+        assets=assets,
+        paste=paste,
+        depth=depth,
+        scale_sd=scale_sd,
+        shares=shares,
+        split=split,
+    )
+    run_and_show(options, out, workers, quiet=quiet)

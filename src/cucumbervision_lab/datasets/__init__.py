@@ -1,0 +1,1 @@
+"""Labelled pictures on disk: types, readers, writers, checks, splits."""

@@ -1,0 +1,373 @@
+"""What is wrong with a data set, all of it, before an hour of training is spent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import CucumberVisionError, DataSetError
+from cucumbervision_lab.datasets.coco_read import ANNOTATIONS, ROBOFLOW, coco_files, read_coco
+from cucumbervision_lab.datasets.fingerprints import (
+    Fingerprint,
+    copies,
+    take_fingerprints,
+    views_of_one_scene,
+)
+from cucumbervision_lab.datasets.labels import SPLITS
+from cucumbervision_lab.datasets.pictures import picture_size
+from cucumbervision_lab.datasets.polygons import crosses_itself
+from cucumbervision_lab.datasets.yolo_read import find_yolo, label_file, read_label_line, read_yolo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+
+__all__ = [
+    "FaultyDataSetError",
+    "Finding",
+    "check_dataset",
+    "check_folder",
+    "open_dataset",
+    "require_clean",
+]
+
+_SURE_CORNERS = 25  # two photos of different scenes shared at most 31, then of the same place
+_SURE_COLOR = 0.2
+_SLACK_PX = 0.51
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault of a data set.
+
+    Parameters
+    ----------
+    kind : str
+        'label', 'picture', 'class', 'polygon', 'split' or 'leak'.
+    where : str
+        File, with the line or annotation.
+    fault : str
+        What is wrong.
+    remedy : str
+        What to do.
+
+    Examples
+    --------
+    >>> print(Finding("class", "data.yaml", "'leaf' has no label", "leave it out"))
+    data.yaml: 'leaf' has no label; leave it out
+    """
+
+    kind: str
+    where: str
+    fault: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.fault}; {self.remedy}"
+
+
+class FaultyDataSetError(DataSetError):
+    """A data set with faults; `findings` has them all.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        At least one.
+    source : object
+        The data set.
+    """
+
+    def __init__(self, findings: Sequence[Finding], source: object) -> None:
+        self.findings = tuple(findings)
+        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+        super().__init__(
+            f"{findings[0]}{more}", source=source, remedy="list all: cucumbervision data check"
+        )
+
+
+def require_clean(findings: Sequence[Finding], source: object) -> None:
+    """Refuse a data set that has faults.
+
+    Raises
+    ------
+    FaultyDataSetError
+        With all of them.
+    """
+    if findings:
+        raise FaultyDataSetError(findings, source)
+
+
+def open_dataset(path: Path, names: Sequence[str] = ()) -> DataSet:
+    """Read a data set of either kind: the hub form or COCO, else YOLO.
+
+    Raises
+    ------
+    DataSetError
+        If it is neither.
+    """
+    return read_coco(path) if _is_coco(path) else read_yolo(path, names)
+
+
+def _is_coco(path: Path) -> bool:
+    if path.is_file():
+        return path.suffix.lower() == ".json"
+    if not path.is_dir():
+        raise DataSetError("there is no such folder", source=path, remedy="check the path")
+    return (
+        (path / ANNOTATIONS).is_file()
+        or any(path.glob(ROBOFLOW))
+        or any(path.glob(f"*/{ROBOFLOW}"))
+    )
+
+
+def check_folder(
+    path: Path,
+    names: Sequence[str] = (),
+    *,
+    duplicates: bool = True,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[DataSet, list[Finding]]:
+    """Read a data set and find all its faults.
+
+    Parameters
+    ----------
+    path : Path
+        Hub form, COCO or YOLO.
+    names : sequence of str
+        Classes, where the set does not name them.
+    duplicates : bool
+        Also look at every picture for copies across splits, which takes a hundredth of a second
+        a picture.
+    progress : callable, optional
+        Called with 1 after each picture looked at.
+
+    Returns
+    -------
+    dataset : DataSet
+    findings : list of Finding
+
+    Raises
+    ------
+    DataSetError
+        If it is no data set at all.
+    """
+    dataset = open_dataset(path, names)
+    crossing = _coco_crossings(path) if _is_coco(path) else _yolo_crossings(path, names)
+    rest = check_dataset(dataset, duplicates=duplicates, progress=progress)
+    return dataset, [*rest, *crossing]
+
+
+def check_dataset(
+    dataset: DataSet,
+    *,
+    duplicates: bool = True,
+    progress: Callable[[int], None] | None = None,
+) -> list[Finding]:
+    """Find all faults of a data set that a reader gave or a program made.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    duplicates, progress
+        As in `check_folder`.
+
+    Returns
+    -------
+    list of Finding
+        What the reader refused first.
+    """
+    findings = [_refusal(error) for error in dataset.refused]
+    bad: set[str] = set()
+    for picture in dataset.pictures:
+        found = list(_picture_faults(dataset, picture))
+        if any(f.kind == "picture" for f in found):
+            bad.add(picture.file)
+        findings += found
+    findings += [*_class_faults(dataset), *_split_faults(dataset), *_scene_leaks(dataset)]
+    if duplicates:
+        whole = [p for p in dataset.pictures if p.file not in bad]
+        findings += _duplicate_leaks(dataset, whole, progress)
+    return findings
+
+
+def _refusal(error: CucumberVisionError) -> Finding:
+    label = Path(error.source).suffix.lower() in {".txt", ".json"}
+    return Finding("label" if label else "picture", error.source, error.message, error.remedy)
+
+
+def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[Finding]:
+    try:
+        size = picture_size(dataset.path(picture))
+    except CucumberVisionError as error:
+        yield Finding("picture", picture.file, error.message, error.remedy)
+    else:
+        if size != (picture.width, picture.height):
+            fault = f"is {size[0]}x{size[1]}, its labels are for {picture.width}x{picture.height}"
+            yield Finding("picture", picture.file, fault, "label this very picture")
+    for k, label in enumerate(picture.labels):
+        for fault in _label_faults(label, picture, len(dataset.categories)):
+            yield Finding("label", f"{picture.file}, label {k + 1}", fault, "correct it")
+        if label.pseudo and picture.split == "test":
+            yield Finding(
+                "split",
+                f"{picture.file}, label {k + 1}",
+                "a mask that a network drew is in test, where only people's or drawn truth counts",
+                "move its scene to train",
+            )
+
+
+def _label_faults(label: Label, picture: LabelledPicture, categories: int) -> Iterator[str]:
+    x1, y1, x2, y2 = label.box
+    if not np.isfinite(label.box).all() or x2 <= x1 or y2 <= y1:
+        yield "its box has no area"
+    elif min(x1, y1) < -_SLACK_PX or x2 > picture.width or y2 > picture.height:
+        yield f"its box reaches beyond the picture of {picture.width}x{picture.height}"
+    if not 0 <= label.category < categories:
+        yield f"its category {label.category} has no name"
+    for code in (label.mask_code, label.amodal_code):
+        if code is not None and (code.width, code.height) != (picture.width, picture.height):
+            yield f"has a mask of {code.width}x{code.height}"
+    points = label.keypoints
+    if points is None:
+        return
+    if points.shape != (5, 3) or not np.isfinite(points).all():
+        yield "its keypoints are not 5 x 3 finite numbers"
+    else:
+        seen = points[points[:, 2] > 0, :2]
+        limit = np.array([picture.width, picture.height]) - 1 + _SLACK_PX
+        if (seen < -_SLACK_PX).any() or (seen > limit).any():
+            yield "a keypoint marked as visible lies outside the picture"
+
+
+def _class_faults(dataset: DataSet) -> Iterator[Finding]:
+    used = {label.category for p in dataset.pictures for label in p.labels if not label.ignore}
+    for k, name in enumerate(dataset.categories):
+        if k not in used:
+            fault = f"the class '{name}' has no label"
+            yield Finding("class", str(dataset.folder), fault, "leave it out or label some")
+
+
+def _split_faults(dataset: DataSet) -> Iterator[Finding]:
+    used = {p.split for p in dataset.pictures}
+    for split in ("train", "val"):
+        if used - {""} and split not in used:
+            yield Finding(
+                "split", str(dataset.folder), f"no picture is in {split}", "split the set anew"
+            )
+    for split in sorted(used - {"", *SPLITS}):
+        fault = f"there is no split called '{split}'"
+        yield Finding("split", str(dataset.folder), fault, "use train, val and test")
+
+
+def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
+    first: dict[str, LabelledPicture] = {}
+    told: set[tuple[str, str]] = set()
+    for picture in dataset.pictures:
+        if not picture.scene or not picture.split:
+            continue
+        other = first.setdefault(picture.scene, picture)
+        if other.split != picture.split and (picture.scene, picture.split) not in told:
+            told.add((picture.scene, picture.split))
+            fault = (
+                f"scene '{picture.scene}' is in {picture.split}, and with {other.file} in "
+                f"{other.split}"
+            )
+            yield Finding("leak", picture.file, fault, "split by scene: cucumbervision data split")
+
+
+def _duplicate_leaks(
+    dataset: DataSet,
+    pictures: Sequence[LabelledPicture],
+    progress: Callable[[int], None] | None,
+) -> list[Finding]:
+    parted = [p for p in pictures if p.split]
+    if len({p.split for p in parted}) < 2:
+        return []
+    prints: list[Fingerprint] = []
+    readable: list[LabelledPicture] = []
+    findings: list[Finding] = []
+    for picture in parted:
+        try:
+            prints += take_fingerprints([dataset.path(picture)], progress)
+        except CucumberVisionError as error:
+            findings.append(Finding("picture", picture.file, error.message, error.remedy))
+        else:
+            readable.append(picture)
+    pairs = dict.fromkeys(_copies_across(readable, prints), "is the same picture as")
+    for pair in _views_across(readable, prints):
+        pairs.setdefault(pair, "shows the same scene as")
+    for (i, j), what in sorted(pairs.items()):
+        one, other = readable[j], readable[i]
+        fault = f"in {one.split} {what} {other.file} in {other.split}"
+        findings.append(
+            Finding("leak", one.file, fault, "split by scene: cucumbervision data split")
+        )
+    return findings
+
+
+def _copies_across(
+    pictures: Sequence[LabelledPicture], prints: Sequence[Fingerprint]
+) -> Iterator[tuple[int, int]]:
+    index = {split: [k for k, p in enumerate(pictures) if p.split == split] for split in SPLITS}
+    for a, b in (("train", "val"), ("train", "test"), ("val", "test")):
+        pairs = copies([prints[k] for k in index[a]], [prints[k] for k in index[b]])
+        for i, j in pairs:
+            one, other = sorted((index[a][i], index[b][j]))
+            yield one, other
+
+
+def _views_across(
+    pictures: Sequence[LabelledPicture], prints: Sequence[Fingerprint]
+) -> list[tuple[int, int]]:
+    """Find near-duplicates among pictures whose scenes nobody has named."""
+    loose = [k for k, p in enumerate(pictures) if not p.scene]
+    pairs = views_of_one_scene(
+        [prints[k] for k in loose],
+        color=_SURE_COLOR,
+        corners=_SURE_CORNERS,
+        wanted=lambda i, j: pictures[loose[i]].split != pictures[loose[j]].split,
+    )
+    return [(loose[i], loose[j]) for i, j in pairs]
+
+
+def _yolo_crossings(path: Path, names: Sequence[str]) -> Iterator[Finding]:
+    found = find_yolo(path, names)
+    for file, _ in found.pictures:
+        labels = label_file(file)
+        if not labels.is_file():
+            continue
+        try:
+            width, height = picture_size(file)
+            lines = labels.read_text(encoding="utf-8").splitlines()
+        except (CucumberVisionError, ValueError, OSError):
+            continue  # the reader has refused it
+        for i, line in enumerate(lines, 1):
+            try:
+                _, polygon = read_label_line(line, found, width, height)
+            except ValueError:
+                continue
+            if polygon is not None and crosses_itself(polygon):
+                yield _crossing(f"{labels.relative_to(found.folder)}, line {i}")
+
+
+def _coco_crossings(path: Path) -> Iterator[Finding]:
+    for file in coco_files(path):
+        data: Any = read_json(file)
+        for i, item in enumerate(data.get("annotations", [])):
+            shape = item.get("segmentation") if isinstance(item, dict) else None
+            for part in shape if isinstance(shape, list) else []:
+                try:
+                    points = np.array(part, np.float64).reshape(-1, 2)
+                except ValueError:
+                    continue
+                if len(points) > 2 and np.isfinite(points).all() and crosses_itself(points):
+                    yield _crossing(f"{file.name}, annotation {item.get('id', i)}")
+
+
+def _crossing(where: str) -> Finding:
+    return Finding("polygon", where, "its outline crosses itself", "draw it again")

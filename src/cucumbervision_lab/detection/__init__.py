@@ -1,0 +1,1 @@
+"""How well fruit are detected, outlined and measured from pictures."""

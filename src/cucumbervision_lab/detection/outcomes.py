@@ -1,0 +1,281 @@
+"""Fruit by fruit and detection by detection: what became of each at one confidence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision_lab.detection.matching import Matches, box_overlaps, match_boxes
+from cucumbervision_lab.detection.pictures import Stage, code_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision_lab.detection.pictures import Frame, SeenFruit
+
+__all__ = ["EndRow", "FoundRow", "FruitRow", "end_rows", "found_rows", "fruit_rows", "matches_of"]
+
+BLOSSOM, STEM = 0, 4
+EDGE_PX = 1.5  # a box that comes as near to the border is cut by it
+
+
+@dataclass(frozen=True)
+class FruitRow:
+    """What became of one true fruit.
+
+    Parameters
+    ----------
+    picture, scene : str
+        Where it is.
+    fruit : int
+        Its number among the picture's labels, from 0.
+    long_px : float
+        Longer side of its box, pixels.
+    distance_m, hidden_share : float
+        Of the fruit; NaN where unknown.
+    cut_off : bool, optional
+        Whether the border cuts it.
+    found : bool
+        Whether a detection hit it.
+    score, box_iou, mask_iou : float
+        Of that detection; NaN where it was missed (`mask_iou` also without masks).
+    """
+
+    picture: str
+    scene: str
+    fruit: int
+    long_px: float
+    distance_m: float
+    hidden_share: float
+    cut_off: bool | None
+    found: bool
+    score: float = math.nan
+    box_iou: float = math.nan
+    mask_iou: float = math.nan
+
+
+@dataclass(frozen=True)
+class FoundRow:
+    """What became of one detection.
+
+    Parameters
+    ----------
+    picture, scene : str
+        Where it is.
+    detection : int
+        Its place among the picture's detections, best first, from 0.
+    score : float
+        Its confidence.
+    long_px : float
+        Longer side of its box, pixels.
+    distance_m : float
+        Of what is in the middle of its box; NaN where unknown.
+    cut_off : bool
+        Whether its box reaches the picture's border.
+    outcome : str
+        'hit', 'false' or 'neutral'.
+    x1, y1, x2, y2 : float
+        Its box, pixels.
+    """
+
+    picture: str
+    scene: str
+    detection: int
+    score: float
+    long_px: float
+    distance_m: float
+    cut_off: bool
+    outcome: str
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+
+
+@dataclass(frozen=True)
+class EndRow:
+    """How far both ends of one fruit were set off.
+
+    Parameters
+    ----------
+    picture, scene : str
+        Where it is.
+    fruit : int
+        Its number among the picture's labels, from 0.
+    length_px : float
+        Length of the line through its five true keypoints, pixels.
+    blossom_percent, stem_percent : float
+        Distance between the true and the found end, percent of that length; NaN for an end
+        outside the picture.
+    blossom_seen, stem_seen : bool
+        Whether the end is in sight.
+    swapped : bool, optional
+        Whether the ends fit better the other way round; None where one lies outside the picture.
+    blossom_score, stem_score : float
+        The visibility that the network gives them, 0 to 1.
+    """
+
+    picture: str
+    scene: str
+    fruit: int
+    length_px: float
+    blossom_percent: float
+    stem_percent: float
+    blossom_seen: bool
+    stem_seen: bool
+    swapped: bool | None
+    blossom_score: float
+    stem_score: float
+
+
+def matches_of(
+    frame: Frame, confidence: float, stage: Stage
+) -> tuple[Matches, tuple[SeenFruit, ...], tuple[int, ...]]:
+    """Match a frame's detections above a confidence with its fruit.
+
+    Returns
+    -------
+    matches : Matches
+        Its first numbers count the fruit that are to be found.
+    seen : tuple of SeenFruit
+        The detections that its second numbers count.
+    required : tuple of int
+        The fruit that are to be found, as places in `frame.true`.
+    """
+    seen = tuple(s for s in frame.seen(stage) if s.score > confidence)
+    required = tuple(k for k, fruit in enumerate(frame.true) if fruit.required)
+    matches = match_boxes(
+        [s.box for s in seen],
+        [frame.true[k].box for k in required],
+        optional=[fruit.box for fruit in frame.true if fruit.optional],
+        ignored=[fruit.box for fruit in frame.true if fruit.ignore],
+    )
+    return matches, seen, required
+
+
+def fruit_rows(
+    frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
+) -> list[FruitRow]:
+    """Say of every fruit that is to be found whether it was."""
+    rows = []
+    for frame in frames:
+        matches, seen, required = matches_of(frame, confidence, stage)
+        hit = {required[t]: seen[s] for t, s in matches.pairs}
+        for k in required:
+            fruit, by = frame.true[k], hit.get(k)
+            rows.append(
+                FruitRow(
+                    frame.name,
+                    frame.scene,
+                    k,
+                    fruit.long_px,
+                    fruit.distance_m,
+                    fruit.hidden_share,
+                    fruit.cut_off,
+                    by is not None,
+                    *(() if by is None else _overlaps(frame, k, by)),
+                )
+            )
+    return rows
+
+
+def _overlaps(frame: Frame, number: int, by: SeenFruit) -> tuple[float, float, float]:
+    fruit = frame.true[number]
+    box_iou = float(box_overlaps(fruit.box[None], by.box[None])[0, 0])
+    masks = frame.has_masks and fruit.code is not None
+    return by.score, box_iou, code_overlap(fruit.code, by.code) if masks else math.nan
+
+
+def found_rows(
+    frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
+) -> list[FoundRow]:
+    """Say of every detection above a confidence what it hit."""
+    rows = []
+    for frame in frames:
+        matches, seen, _ = matches_of(frame, confidence, stage)
+        said = dict.fromkeys(range(len(seen)), "hit")
+        said |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
+        for k, one in enumerate(seen):
+            edges = [float(x) for x in one.box]
+            rows.append(
+                FoundRow(
+                    frame.name,
+                    frame.scene,
+                    k,
+                    one.score,
+                    one.long_px,
+                    one.distance_m,
+                    _at_border(one.box, frame),
+                    said[k],
+                    *edges,
+                )
+            )
+    return rows
+
+
+def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
+    """Hold the ends that the pose network sets against the true ones.
+
+    Every fruit that it found and whose five keypoints have a known place counts; swapped ends are
+    judged as they are, and ends outside the picture are not.
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
+    >>> true = np.array([[10.0, 10, 2], [35, 10, 2], [60, 10, 2], [85, 10, 2], [110, 10, 1]])
+    >>> seen = true[::-1] + (0, 1.0, 0)
+    >>> box = np.array([10.0, 5, 110, 15])
+    >>> one = SeenFruit(box, 0.9, None, seen)
+    >>> frame = Frame("a", "a", 200, 50, (TrueFruit(box, keypoints=true),), posed=(one,))
+    >>> row, = end_rows([frame], 0.3)
+    >>> row.length_px, round(row.blossom_percent, 3), row.swapped, row.stem_seen
+    (100.0, 100.005, True, False)
+    """
+    rows = []
+    for frame in frames:
+        matches, seen, required = matches_of(frame, confidence, Stage.POSED)
+        for t, s in matches.pairs:
+            true, points = frame.true[required[t]].keypoints, seen[s].keypoints
+            if true is None or points is None or not _placed(true):
+                continue
+            rows.append(_ends(frame, required[t], true, points))
+    return rows
+
+
+def _placed(keypoints: NDArray[np.float64]) -> bool:
+    """Say whether it is known where all five lie, in the picture or outside."""
+    return bool(((keypoints[:, 2] > 0) | keypoints[:, :2].any(axis=1)).all())
+
+
+def _ends(
+    frame: Frame, number: int, true: NDArray[np.float64], points: NDArray[np.float64]
+) -> EndRow:
+    length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
+    ends, found = true[[BLOSSOM, STEM], :2], points[[BLOSSOM, STEM], :2]
+    straight = np.linalg.norm(found - ends, axis=1)
+    crossed = np.linalg.norm(found[::-1] - ends, axis=1)
+    labelled = true[[BLOSSOM, STEM], 2] > 0
+    percent = np.where(labelled, 100 * straight / max(length, 1e-9), math.nan)
+    return EndRow(
+        frame.name,
+        frame.scene,
+        number,
+        length,
+        float(percent[0]),
+        float(percent[1]),
+        bool(true[BLOSSOM, 2] == 2),
+        bool(true[STEM, 2] == 2),
+        bool(crossed.sum() < straight.sum()) if labelled.all() else None,
+        float(points[BLOSSOM, 2]),
+        float(points[STEM, 2]),
+    )
+
+
+def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
+    inside = np.concatenate([box[:2] + 0.5, (frame.width - 0.5, frame.height - 0.5) - box[2:]])
+    return bool(inside.min() < EDGE_PX)

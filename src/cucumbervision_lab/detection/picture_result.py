@@ -1,0 +1,202 @@
+"""Let the networks look at the test's pictures, as `detect` and `measure` would."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.perception.merge import each_once, merge_instances
+from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision_lab.detection.outcomes import matches_of
+from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+    from cucumbervision.perception.sam import Segmenter
+
+__all__ = ["FLOOR", "MOST", "Eyes", "Looked", "found_of", "look_at", "open_eyes", "shipped"]
+
+FLOOR = 0.001
+"""Least confidence for average precision, which judges the ranking of all detections."""
+
+MOST = 100
+"""Detections a picture that are judged, best first, as COCO does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Eyes:
+    """The networks, loaded.
+
+    Parameters
+    ----------
+    segment, pose : YoloDetector, optional
+        The detectors.
+    segmenter : Segmenter, optional
+        SAM.
+    confidence : float
+        At which recall and precision are judged and fruit are measured.
+    models : list of dict
+        File, SHA-256 and runtime of each, for the provenance.
+    """
+
+    segment: YoloDetector | None
+    pose: YoloDetector | None
+    segmenter: Segmenter | None
+    confidence: float
+    models: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What was seen in one picture.
+
+    Parameters
+    ----------
+    frame : Frame
+        Truth and detections.
+    kept : tuple of Instance
+        What is reported at the confidence, best first, with keypoints and the detector's masks.
+    seconds : dict of str to float
+        How long each network took.
+    """
+
+    frame: Frame
+    kept: tuple[Instance, ...]
+    seconds: dict[str, float]
+
+
+def open_eyes(
+    segment: Path | None,
+    pose: Path | None,
+    segmenter: str | None,
+    *,
+    runtime: str = "auto",
+    confidence: float = 0.30,
+    floor: float = FLOOR,
+) -> Eyes:
+    """Load the networks.
+
+    Parameters
+    ----------
+    segment, pose : Path, optional
+        ONNX files.
+    segmenter : str, optional
+        A SAM of the registry.
+    runtime : str
+        As in `open_network`.
+    confidence : float
+        At which detections count.
+    floor : float
+        Below it there are no detections at all; average precision needs it low.
+
+    Raises
+    ------
+    ModelError
+        If a file cannot be loaded.
+    """
+    from cucumbervision.perception.registry import file_sha256, load_registry
+    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.pipeline.networks import load_ends
+
+    models: list[dict[str, Any]] = []
+
+    def load(path: Path | None) -> YoloDetector | None:
+        if path is None:
+            return None
+        network = YoloDetector(path, runtime, floor, full_precision=True, most=MOST)
+        models.append(
+            {"file": path.name, "sha256": file_sha256(path), "task": network.task}
+            | {"runtime": network.runtime}
+        )
+        if network.by_place:
+            network.ends = load_ends(models)
+        return network
+
+    loaded = load(segment), load(pose)
+    sam = None
+    if segmenter is not None:
+        sam = Segmenter(segmenter, runtime, full_precision=True)
+        hashes = load_registry().hashes(segmenter)
+        models.append({"file": segmenter, "sha256": hashes, "runtime": sam.runtime})
+    return Eyes(*loaded, sam, confidence, models)
+
+
+def look_at(
+    frame: Frame,
+    color: NDArray[np.uint8],
+    eyes: Eyes,
+    depth_m: NDArray[np.float32] | None = None,
+) -> Looked:
+    """Let the detectors look at one picture.
+
+    Parameters
+    ----------
+    frame : Frame
+        Its truth.
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    eyes : Eyes
+        The networks.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Tells how far away each detection is.
+    """
+    seconds: dict[str, float] = {}
+
+    def detect(name: str, network: YoloDetector | None) -> tuple[Instance, ...]:
+        if network is None:
+            return ()
+        start = time.perf_counter()
+        found = network.detect(color)
+        seconds[name] = time.perf_counter() - start
+        return found
+
+    segmented, posed = detect("segment", eyes.segment), detect("pose", eyes.pose)
+    kept = shipped(segmented if eyes.segment else None, posed, eyes.confidence)
+
+    def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
+        return tuple(seen_fruit(one, depth_m) for one in found)
+
+    frame = replace(
+        frame,
+        segmented=coded(segmented),
+        posed=coded(posed),
+        kept=coded(kept),
+        has_masks=eyes.segment is not None and eyes.segment.task == "segment",
+    )
+    return Looked(frame, kept, seconds)
+
+
+def shipped(
+    segmented: Sequence[Instance] | None, posed: Sequence[Instance], confidence: float
+) -> tuple[Instance, ...]:
+    """Give what a user gets of two networks' detections: each fruit once, with keypoints.
+
+    As `session.networks.Detectors.find`, which runs the networks for itself.
+
+    Parameters
+    ----------
+    segmented : sequence of Instance, optional
+        Of the detector; without one the pose network's own are taken.
+    posed : sequence of Instance
+        Of the pose network.
+    confidence : float
+        A score must exceed it.
+    """
+    first = posed if segmented is None else segmented
+    found = merge_instances([one for one in first if one.score > confidence])
+    if segmented is None or not posed or not found:
+        return found
+    return each_once(found, [one for one in posed if one.score > confidence])
+
+
+def found_of(looked: Looked, confidence: float) -> dict[int, Instance]:
+    """Give what was reported of each true fruit, by its place in `Frame.true`."""
+    matches, _, required = matches_of(looked.frame, confidence, Stage.KEPT)
+    return {required[t]: looked.kept[s] for t, s in matches.pairs}

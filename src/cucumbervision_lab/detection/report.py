@@ -1,0 +1,379 @@
+"""Everything an evaluation leaves behind: figures as JSON, rows as CSV, one page of HTML."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, installed_versions
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.pipeline.exports import write_json
+from cucumbervision.pipeline.rows import defused
+from cucumbervision_lab.benchmark.report import HTML_NAME, render_page
+from cucumbervision_lab.benchmark.sections import Picture, Section
+from cucumbervision_lab.detection import plots
+from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
+from cucumbervision_lab.detection.overlaps import OverlapRow
+from cucumbervision_lab.detection.tables import (
+    end_table,
+    false_table,
+    group_table,
+    length_table,
+    overall_table,
+    overlap_table,
+    photo_table,
+    precision_table,
+)
+from cucumbervision_lab.detection.worst_cases import KINDS, draw_sheet, worst_cases
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from cucumbervision_lab.benchmark.records import Record
+    from cucumbervision_lab.benchmark.table import Table
+    from cucumbervision_lab.detection.groups import GroupScore
+    from cucumbervision_lab.detection.lengths import LengthScore
+    from cucumbervision_lab.detection.photos import PhotoResult
+    from cucumbervision_lab.detection.run import EyesResult
+    from cucumbervision_lab.detection.summary import Summary
+
+__all__ = ["JSON_NAME", "card_numbers", "main_tables", "write_eyes_report"]
+
+JSON_NAME = "results.json"
+CARD_NAME = "card.json"
+# What fits a model's card: what was judged on what, and the figures over all fruit.
+_CARD_KEYS = (
+    "software",
+    "data set",
+    "split",
+    "pictures",
+    "confidence",
+    "networks",
+    "average_precision",
+    "overall",
+    "ends",
+    "ends_swapped",
+    "masks",
+)
+_LENGTH_COLUMNS = (
+    *("fruit", "scene", "masks", "method", "length_m", "centreline_m", "thread_m", "chord_m"),
+    *("missed", "hidden_share", "cut_off", "distance_m", "selected"),
+)
+_GLOSSARY = (
+    ("recall", "Share of the fruit that should be found which were."),
+    ("precision", "Share of the detections that are fruit."),
+    (
+        "mAP50, mAP50-95",
+        "Average precision: the area under precision against recall over all confidences, where a "
+        "hit must overlap by 0.50, and the mean over 0.50, 0.55 … 0.95 (COCO).",
+    ),
+    ("IoU", "Intersection over union: 1 where two boxes or masks are the same, 0 where apart."),
+    (
+        "object keypoint similarity",
+        "COCO's likeness of keypoints: 1 where all agree, falling with their distance over the "
+        "fruit's size.",
+    ),
+    (
+        "95 % by scene",
+        "Interval of the figure if whole scenes are drawn again at random (bootstrap); pictures of "
+        "one scene resemble each other. Where all or none of the fruit are hits, the exact "
+        "interval of as many trials as there are scenes.",
+    ),
+    ("hidden share", "How much of the fruit's outline something else hides."),
+)
+
+
+def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None) -> list[Table]:
+    """Give the tables that say most, for the screen and for the page's top.
+
+    Parameters
+    ----------
+    summary : Summary
+        The figures.
+    confidence : float
+        At which recall and precision were judged.
+    photos : PhotoResult, optional
+        On real photos.
+    """
+    tables = [precision_table(summary), overall_table(summary, confidence)]
+    tables += [end_table(summary)] if summary.ends else []
+    tables += [overlap_table(summary)] if summary.overlaps else []
+    tables += [length_table(summary, "centreline", "whole")] if summary.lengths else []
+    tables += [photo_table(photos)] if photos else []
+    return tables
+
+
+def card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the figures of `results.json` that a model's card holds.
+
+    Examples
+    --------
+    >>> card_numbers({"pictures": 3, "groups": [1, 2], "photos": {"photos": 2, "false": [1]}})
+    {'pictures': 3, 'photos': {'photos': 2}}
+    """
+    card = {key: numbers[key] for key in _CARD_KEYS if numbers.get(key)}
+    photos = numbers.get("photos")
+    if photos:
+        card["photos"] = {key: value for key, value in photos.items() if key != "false"}
+    return card
+
+
+def write_eyes_report(result: EyesResult, summary: Summary, out: Path) -> Path:
+    """Write `results.json`, `card.json`, the CSV files and `report.html`.
+
+    Of real photos only figures, file names and boxes are written.
+
+    Parameters
+    ----------
+    result : EyesResult
+        What was seen.
+    summary : Summary
+        Its figures.
+    out : Path
+        The folder, made if it is missing.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the folder cannot be written.
+    MissingExtraError
+        If matplotlib or Jinja2 is not installed; JSON and CSV are written before.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        numbers = _numbers(result, summary)
+        write_json(out / JSON_NAME, numbers)
+        write_json(out / CARD_NAME, card_numbers(numbers))
+        _write_rows(out / "fruit.csv", FruitRow, summary.fruit)
+        _write_rows(out / "detections.csv", FoundRow, summary.found)
+        _write_rows(out / "ends.csv", EndRow, summary.end_rows)
+        _write_rows(out / "masks.csv", OverlapRow, result.overlaps)
+        _write_lengths(out / "lengths.csv", result.records)
+        if photos := result.photos:
+            _write_rows(out / "photo_fruit.csv", FruitRow, photos.fruit)
+            _write_rows(out / "photo_detections.csv", FoundRow, photos.found)
+        page = _page(result, summary)
+        (out / HTML_NAME).write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise CucumberVisionError(
+            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
+        ) from error
+    return out / HTML_NAME
+
+
+def _page(result: EyesResult, summary: Summary) -> str:
+    confidence, photos = result.plan.confidence, result.photos
+    first, *rest = main_tables(summary, confidence, None)
+    sections = [Section("Main figures", (), tuple(rest)), _group_section(summary)]
+    if summary.end_rows:
+        caption = "How many ends are set off by at most so much; lines at 2 % and 6 %."
+        plot = Picture(caption, plots.end_error_plot(summary.end_rows))
+        sections.append(Section("Keypoints", (), (plot,)))
+    sections += _overlap_sections(result)
+    sections += _length_sections(summary)
+    if photos is not None:
+        sections.append(Section("Real photos", (), (photo_table(photos), false_table(photos))))
+    sections += _worst_sections(result, summary)
+    notes = [("", _intro(result))]
+    return render_page(
+        "What the networks see",
+        notes,
+        first,
+        sections,
+        _provenance(result),
+        glossary=_GLOSSARY,
+        numbers=JSON_NAME,
+    )
+
+
+def _intro(result: EyesResult) -> str:
+    plan = result.plan
+    fruit = sum(one.required for frame in result.frames for one in frame.true)
+    scenes = len({frame.scene for frame in result.frames})
+    return (
+        f"{len(result.frames)} pictures of {scenes} scenes with {fruit} fruit to be found "
+        f"(split '{plan.split}' of {plan.data.name}). SAM and lengths: at most {plan.sam_limit} "
+        "of these pictures, evenly spread."
+    )
+
+
+def _group_section(summary: Summary) -> Section:
+    factors = list(dict.fromkeys(one.factor for one in summary.groups))
+    caption = "Recall (blue) and precision (orange) of what is reported; bars: 95 % by scene."
+    entries: list[Table | Picture] = [Picture(caption, plots.recall_plot(summary.groups))]
+    entries += [group_table(summary, factor) for factor in factors]
+    intro = (
+        "Recall goes by the fruit's own properties, precision by the detection's: its box's size, "
+        "whether it reaches the border, and the depth in its middle. How much of a false "
+        "detection is hidden nobody can say.",
+    )
+    return Section("By distance, size, occlusion and edge", intro, tuple(entries))
+
+
+def _overlap_sections(result: EyesResult) -> list[Section]:
+    entries = []
+    for name, simulated in (("Drawn", True), ("Real", False)):
+        rows = [r for r in result.overlaps if r.simulated is simulated]
+        if rows:
+            caption = f"{name} pictures: how many masks overlap by at least so much."
+            entries.append(Picture(caption, plots.overlap_plot(rows)))
+    return [Section("Masks, one by one", (), tuple(entries))] if entries else []
+
+
+def _length_sections(summary: Summary) -> list[Section]:
+    asked = list(dict.fromkeys((one.truth, one.group) for one in summary.lengths))
+    tables = [length_table(summary, truth, group) for truth, group in asked]
+    intro = (
+        "Every fruit measured twice: on its true mask and keypoints, and on what the networks "
+        "made of it (SAM, where it took part, prompted by box and centre).",
+    )
+    return [Section("Lengths", intro, tuple(tables))] if tables else []
+
+
+def _worst_sections(result: EyesResult, summary: Summary) -> list[Section]:
+    cases = worst_cases(result, summary)
+    sheets = []
+    for kind, words in KINDS.items():
+        some = [case for case in cases if case.kind == kind]
+        if some:
+            caption = f"{words} Green: what is there; orange: what was found."
+            sheets.append(Picture(caption, draw_sheet(some, result)))
+    return [Section("The worst cases", (), tuple(sheets))] if sheets else []
+
+
+def _provenance(result: EyesResult) -> dict[str, Any]:
+    seconds = {
+        f"{name} (median s a picture)": f"{np.median(values):.3f}"
+        for name, values in result.seconds.items()
+    }
+    return {
+        "software": f"cucumbervision {__version__}",
+        "data set": result.plan.data.name,
+        "split": result.plan.split,
+        "confidence": result.plan.confidence,
+        "networks": result.models,
+        **seconds,
+        "duration (s)": f"{result.duration_s:.0f}",
+        "versions": installed_versions(),
+    }
+
+
+def _numbers(result: EyesResult, summary: Summary) -> dict[str, Any]:
+    return {
+        **_provenance(result),
+        "licence": LICENCE,
+        "pictures": len(result.frames),
+        "average_precision": [
+            {
+                "stage": str(one.stage),
+                "of": one.judged.name.lower(),
+                "map50": one.found.at_50.as_json(),
+                "map50_95": one.found.at_50_95.as_json(),
+            }
+            for one in summary.precisions
+        ],
+        "overall": {str(stage): _scores(one) for stage, one in summary.overall},
+        "groups": [
+            {"factor": one.factor, "group": one.group, **_scores(one)} for one in summary.groups
+        ],
+        "ends": {
+            one.ends: {
+                "median_percent": one.median_percent.as_json(),
+                "p90_percent": one.p90_percent.as_json(),
+            }
+            for one in summary.ends
+        },
+        "ends_swapped": summary.swapped.as_json(),
+        "masks": [
+            {
+                "pictures": one.pictures,
+                "box": one.prompt_box,
+                "masks": one.masks,
+                "mean_iou": one.mean.as_json(),
+                "median_iou": one.median.as_json(),
+                "refused": one.refused,
+            }
+            for one in summary.overlaps
+        ],
+        "lengths": [_length_numbers(one) for one in summary.lengths],
+        "photos": None if result.photos is None else _photo_numbers(result.photos),
+    }
+
+
+def _length_numbers(one: LengthScore) -> dict[str, Any]:
+    return {
+        "truth": str(one.truth),
+        "group": one.group,
+        "masks": str(one.masks),
+        "method": one.method,
+        "missed": one.missed,
+        "error_percent": one.error_percent.as_json(),
+        "error_of_measured_percent": one.measured_percent.as_json(),
+        **{name: _plain(value) for name, value in asdict(one.metrics).items()},
+    }
+
+
+def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
+    return {
+        "photos": photos.photos,
+        "scenes": photos.scenes,
+        "missing": photos.missing,
+        "scores": {name: _scores(one) for name, one in photos.scores},
+        "false": [_plain_row(r) for r in photos.found if r.outcome == "false"],
+    }
+
+
+def _scores(one: GroupScore) -> dict[str, Any]:
+    precision = None if one.precision is None else one.precision.as_json()
+    return {"recall": one.recall.as_json(), "precision": precision}
+
+
+def _plain_row(row: FoundRow) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in asdict(row).items()}
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _write_rows(path: Path, kind: type, rows: Iterable[Any]) -> None:
+    """Write dataclasses as CSV, one a line; what is not known stays empty."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        names = [one.name for one in fields(kind)]
+        writer.writerow(names)
+        for row in rows:
+            writer.writerow([_cell(getattr(row, name)) for name in names])
+
+
+def _write_lengths(path: Path, records: Sequence[Record]) -> None:
+    """Write one line a fruit, kind of masks and method."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(_LENGTH_COLUMNS)
+        for r in records:
+            details = r.details
+            for method, length in r.lengths_m.items():
+                line = [r.fruit, details["scene"], str(r.masks), method, length, r.centreline_m]
+                line += [r.thread_m, r.chord_m, details["missed"], r.hidden_share]
+                line += [details["cut_off"], r.distance_m, details.get("selected")]
+                writer.writerow([_cell(value) for value in line])
+
+
+def _cell(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, str):
+        return defused(value)
+    return round(value, 6) if isinstance(value, float) else value

@@ -1,0 +1,278 @@
+"""The whole evaluation: what is asked, what comes out, picture by picture in between."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.files import read_color
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.masks import decode_rle
+from cucumbervision_lab.detection.lengths import length_records
+from cucumbervision_lab.detection.overlaps import (
+    PROMPTS_COMPARED,
+    OverlapRow,
+    capture_overlaps,
+    draw_by_prompt,
+    overlap_rows,
+)
+from cucumbervision_lab.detection.picture_result import Eyes, Looked, found_of, look_at, open_eyes
+from cucumbervision_lab.detection.pictures import import_pycocotools
+from cucumbervision_lab.detection.truth import (
+    DRAWN,
+    HeldOut,
+    capture_of,
+    frame_of,
+    read_held_out,
+    spread,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.perception.instances import Instance
+    from cucumbervision_lab.benchmark.records import Record
+    from cucumbervision_lab.datasets.labels import LabelledPicture
+    from cucumbervision_lab.detection.photos import PhotoResult
+    from cucumbervision_lab.detection.pictures import Frame
+
+__all__ = ["EyesPlan", "EyesResult", "chosen_networks", "evaluate_eyes"]
+
+
+@dataclass(frozen=True)
+class EyesPlan:
+    """What is to be evaluated.
+
+    Parameters
+    ----------
+    data : Path
+        The labelled set.
+    segment, pose : Path, optional
+        Networks, ONNX; those of the registry without.
+    segmenter : str, optional
+        SAM's name in the registry; None measures on the detector's own masks.
+    runtime : str
+        As in `open_network`.
+    confidence : float
+        At which recall and precision are judged.
+    split : str
+        Of the set.
+    limit : int, optional
+        Pictures at most, evenly spread.
+    sam_limit : int
+        Pictures at most for SAM and for lengths, evenly spread.
+    captures : tuple of Path
+        Real captures with true masks, for SAM's prompts.
+    photos : Path, optional
+        Folder of the audited real photos.
+    """
+
+    data: Path
+    segment: Path | None = None
+    pose: Path | None = None
+    segmenter: str | None = "mobile-sam"
+    runtime: str = "auto"
+    confidence: float = 0.30
+    split: str = "test"
+    limit: int | None = None
+    sam_limit: int = 40
+    captures: tuple[Path, ...] = ()
+    photos: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class EyesResult:
+    """What was seen.
+
+    Parameters
+    ----------
+    plan : EyesPlan
+        What was asked.
+    held_out : HeldOut
+        The pictures.
+    frames : tuple of Frame
+        Their truth and what was found, in the same order.
+    overlaps : tuple of OverlapRow
+        SAM's masks against true ones.
+    records : tuple of Record
+        Lengths on true and on perceived masks.
+    photos : PhotoResult, optional
+        On real photos, as figures.
+    models : list of dict
+        Which networks looked.
+    seconds : dict of str to list of float
+        What each network took for each picture.
+    duration_s : float
+        Of the whole.
+    """
+
+    plan: EyesPlan
+    held_out: HeldOut
+    frames: tuple[Frame, ...]
+    overlaps: tuple[OverlapRow, ...] = ()
+    records: tuple[Record, ...] = ()
+    photos: PhotoResult | None = None
+    models: list[dict[str, Any]] = field(default_factory=list)
+    seconds: dict[str, list[float]] = field(default_factory=dict)
+    duration_s: float = 0.0
+
+
+def chosen_networks(plan: EyesPlan) -> tuple[Path | None, Path | None]:
+    """Give the segmenting and the pose network: those that were named, else the registry's.
+
+    Raises
+    ------
+    ModelError
+        If there is none of either.
+    """
+    from cucumbervision.perception.registry import load_registry
+
+    registry = load_registry()
+
+    def choose(named: Path | None, task: str) -> Path | None:
+        if named is not None:
+            return named
+        model = registry.default(task)
+        return registry.resolve(model.name)["network"] if model else None
+
+    segment, pose = choose(plan.segment, "segment"), choose(plan.pose, "pose")
+    if segment is None and pose is None:
+        raise ModelError(
+            "this version comes without networks of its own", remedy="name one: --seg, --pose"
+        )
+    return segment, pose
+
+
+def evaluate_eyes(
+    plan: EyesPlan, report: Callable[[str, int, int], None] | None = None
+) -> EyesResult:
+    """Let the networks look at every picture of the split.
+
+    Parameters
+    ----------
+    plan : EyesPlan
+        What to do.
+    report : callable, optional
+        Called with a part's name, how many pictures were just finished and how many it has.
+
+    Raises
+    ------
+    DataSetError
+        If the set cannot serve as a test.
+    ModelError
+        If a network is missing or cannot be loaded.
+    MissingExtraError
+        If pycocotools is not installed.
+    """
+    start = time.perf_counter()
+    import_pycocotools()
+    held_out = read_held_out(plan.data, plan.split, plan.limit)
+    eyes = open_eyes(
+        *chosen_networks(plan),
+        plan.segmenter,
+        runtime=plan.runtime,
+        confidence=plan.confidence,
+    )
+    measured = {picture.file for picture in spread(held_out.pictures, plan.sam_limit)}
+    frames: list[Frame] = []
+    overlaps: list[OverlapRow] = []
+    records: list[Record] = []
+    seconds: dict[str, list[float]] = {}
+    for picture in held_out.pictures:
+        color, capture = _read(picture, held_out)
+        depth_m = None if capture is None else capture.depth_m
+        looked = look_at(frame_of(picture, held_out.data, depth_m), color, eyes, depth_m)
+        if picture.file in measured:
+            masked, rows = _segment(looked, color, eyes, picture.source == DRAWN)
+            overlaps += rows
+            if capture is not None:
+                records += length_records(looked.frame, capture, masked)
+        frames.append(looked.frame)
+        for name, one in looked.seconds.items():
+            seconds.setdefault(name, []).append(one)
+        if report is not None:
+            report("pictures", 1, len(held_out.pictures))
+    overlaps += _captures(plan, eyes, report)
+    return EyesResult(
+        plan,
+        held_out,
+        tuple(frames),
+        tuple(overlaps),
+        tuple(records),
+        _photos(plan, report),
+        eyes.models,
+        seconds,
+        time.perf_counter() - start,
+    )
+
+
+def _photos(plan: EyesPlan, report: Callable[[str, int, int], None] | None) -> PhotoResult | None:
+    if plan.photos is None:
+        return None
+    # No average precision here: unsure detections, whose masks take long, are not wanted.
+    eyes = open_eyes(
+        *chosen_networks(plan),
+        None,
+        runtime=plan.runtime,
+        confidence=plan.confidence,
+        floor=plan.confidence,
+    )
+    from cucumbervision_lab.detection.photos import audited_photos, look_at_photos
+
+    photos, missing = audited_photos(plan.photos)
+    tell = None if report is None else (lambda count: report("photos", count, len(photos)))
+    return look_at_photos(photos, eyes, missing, tell)
+
+
+def _read(picture: LabelledPicture, held_out: HeldOut) -> tuple[NDArray[np.uint8], Capture | None]:
+    color = read_color(held_out.data.path(picture))
+    return color, capture_of(picture, held_out.data, color)
+
+
+def _segment(
+    looked: Looked, color: NDArray[np.uint8], eyes: Eyes, simulated: bool
+) -> tuple[dict[int, Instance], list[OverlapRow]]:
+    """Draw SAM's masks of what was found, by both prompts; the second is the shipped one.
+
+    Without SAM the detector's own masks stay.
+    """
+    frame, found = looked.frame, found_of(looked, eyes.confidence)
+    asked = list(found.values())
+    if eyes.segmenter is None:
+        return found, []
+    drawn = draw_by_prompt(eyes.segmenter, color, asked)
+    numbered = dict(zip(found, range(len(asked)), strict=True))
+    pairs = []
+    for number, place in numbered.items():
+        code = frame.true[number].code
+        if code is not None:
+            pairs.append((number, decode_rle(code["counts"], *code["size"]), asked[place]))
+    kept = {
+        name: [masks[numbered[number]] for number, _, _ in pairs] for name, masks in drawn.items()
+    }
+    rows = overlap_rows((frame.name, frame.scene), pairs, kept, simulated=simulated)
+    return dict(zip(found, drawn[PROMPTS_COMPARED[-1]], strict=True)), rows
+
+
+def _captures(
+    plan: EyesPlan, eyes: Eyes, report: Callable[[str, int, int], None] | None
+) -> list[OverlapRow]:
+    if eyes.segmenter is None or not plan.captures:
+        return []
+    from cucumbervision.capture.readers import open_source
+
+    rows: list[OverlapRow] = []
+    for path in plan.captures:
+        source = open_source(path)
+        for ref in source:
+            rows += capture_overlaps(ref.load(), eyes.segmenter, path.name)
+            if report is not None:
+                report(path.name, 1, source.total or 0)
+    return rows

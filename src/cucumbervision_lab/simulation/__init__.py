@@ -1,0 +1,1 @@
+"""Simulated houses and rounds of known truth."""

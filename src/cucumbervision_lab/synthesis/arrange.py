@@ -1,0 +1,293 @@
+"""Put fruit, leaves, stems and strings together to scenes a benchmark can ask for by number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision_lab.synthesis.occluders import Leaf, Plane, Stem, cast_leaf
+from cucumbervision_lab.synthesis.raycast import cast_tube
+from cucumbervision_lab.synthesis.scenes import Scene
+from cucumbervision_lab.synthesis.tube import rotation
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.synthesis.raycast import Hit
+    from cucumbervision_lab.synthesis.tube import Tube
+
+__all__ = ["cover", "foliage", "hang", "string", "trellis"]
+
+COARSE = 2  # the search for a leaf's size looks at every second pixel
+SEARCH_STEPS = 14
+NEAREST = 0.4  # a leaf stands no nearer to the camera than that share of the way from the fruit
+
+
+def hang(
+    fruit: Tube,
+    at_m: tuple[float, float, float],
+    *,
+    roll_deg: float = -90.0,
+    tilt_deg: float = 0.0,
+    spin_deg: float = 0.0,
+) -> Tube:
+    """Place a fruit made about the origin.
+
+    Parameters
+    ----------
+    fruit : Tube
+        As `bent_tube` and `random_fruit` give it.
+    at_m : tuple of float
+        Where its middle goes, camera coordinates, metres.
+    roll_deg, tilt_deg, spin_deg : float
+        As `rotation` takes them: with a roll of -90 it hangs, stem end up; tilt leans the axis
+        out of the picture plane; spin turns the bend about the axis, 0 being in the picture
+        plane and 90 towards or from the camera.
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> hung = hang(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5))
+    >>> hung.poles_m[1].round(3).tolist()  # the stem end, up
+    [0.0, -0.1, 0.5]
+    """
+    return fruit.moved(rotation(roll_deg, tilt_deg, spin_deg), at_m)
+
+
+def foliage(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    distance_m: float,
+    depth_m: float = 0.35,
+    density: float = 1.6,
+) -> tuple[Leaf, ...]:
+    """Draw a layer of leaves that fills the view.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    camera : Intrinsics
+        Whose view to fill.
+    distance_m, depth_m : float
+        The nearest leaf's middle and how far back the layer goes, metres.
+    density : float
+        Leaf area for each area of the view, seen flat.
+
+    Returns
+    -------
+    tuple of Leaf
+        Far ones first.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> leaves = foliage(np.random.default_rng(1), camera, 0.7)
+    >>> len(leaves) > 20, bool(min(leaf.centre_m[2] for leaf in leaves) >= 0.7)
+    (True, True)
+    """
+    low = np.array(camera.rays(0.0, 0.0))
+    high = np.array(camera.rays(camera.width - 1.0, camera.height - 1.0))
+    middle = distance_m + depth_m / 2
+    area, filled, leaves = float(np.prod(high - low)) * middle**2, 0.0, []
+    while filled < density * area:
+        length, slim = rng.uniform(0.06, 0.12), rng.uniform(0.7, 0.95)
+        z = rng.uniform(distance_m, distance_m + depth_m)
+        spot = rng.uniform(1.1 * low, 1.1 * high) * z
+        leaves.append(_leaf(rng, (spot[0], spot[1], z), length, slim * length))
+        filled += np.pi * slim * length**2
+    return tuple(sorted(leaves, key=lambda leaf: -float(leaf.centre_m[2])))
+
+
+def _leaf(
+    rng: np.random.Generator, centre_m: tuple[float, float, float], length_m: float, width_m: float
+) -> Leaf:
+    # Blades face the light more or less, that is up and to the camera.
+    turn = rotation(rng.uniform(0, 360), rng.normal(0, 25), rng.normal(0, 25))
+    lean = rotation(spin_deg=rng.uniform(-10, 50))
+    bend = rng.normal(0, 1.5, 2)
+    return Leaf(
+        np.array(centre_m),
+        (lean @ turn).T,
+        length_m,
+        width_m,
+        (float(bend[0]), float(bend[1])),
+        rng.uniform(0.05, 0.18),
+    )
+
+
+def string(
+    rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0.0015, lean: float = 0.03
+) -> Stem:
+    """Draw a string or a stem from above the view to below it.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    x_m, z_m : float
+        Where it crosses the height of the camera, metres.
+    radius_m : float
+        Metres: a string has 1 to 2 mm, a main stem 4 to 6.
+    lean : float
+        How far it leans and bows, as a share of its height.
+    """
+    y = np.linspace(-1.2, 1.2, 9) * z_m
+    x = x_m + rng.normal(0, lean) * y + rng.normal(0, lean) * np.cos(2 * y / z_m) * 0.3 * z_m
+    z = z_m + rng.normal(0, lean) * y
+    return Stem(np.stack([x, y, z], axis=1), radius_m)
+
+
+def trellis(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    fruit: tuple[Tube, ...],
+    behind_m: float = 0.15,
+) -> Scene:
+    """Hang fruit before leaves, strings and stems, a wall far behind.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    camera : Intrinsics
+        Who looks.
+    fruit : tuple of Tube
+        Placed, in the camera's coordinates.
+    behind_m : float
+        How far behind the farthest point of the fruit the leaves begin, metres.
+
+    Returns
+    -------
+    Scene
+        Nothing of it but fruit hides fruit: `cover` adds that.
+    """
+    back = max(float((f.centres_m[:, 2] + f.radii_m).max()) for f in fruit)
+    # A leaf may lean forward by its own length.
+    leaves = foliage(rng, camera, back + behind_m + 0.10)
+    half = camera.width / (2 * camera.fx_px) * (back + behind_m)
+    stems = [
+        string(rng, x, back + behind_m, radius)
+        for x, radius in zip(
+            rng.uniform(-half, half, 4), (0.0015, 0.0015, 0.004, 0.005), strict=True
+        )
+    ]
+    wall = Plane.facing(back + behind_m + rng.uniform(0.7, 1.5), *rng.uniform(-10, 10, 2))
+    return Scene(fruit, leaves, tuple(stems), (wall,))
+
+
+def cover(
+    scene: Scene,
+    camera: Intrinsics,
+    index: int,
+    hidden_share: float,
+    rng: np.random.Generator,
+    *,
+    ends_free: bool = True,
+) -> Scene:
+    """Hang one leaf before a fruit so that it hides a share of it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose fruit `index` is not hidden yet.
+    camera : Intrinsics
+        Who looks.
+    index : int
+        Which fruit.
+    hidden_share : float
+        Share of its outline's pixels to hide, 0 to 0.6 with both ends free, to 0.9 otherwise.
+    rng : numpy.random.Generator
+        The source of chance.
+    ends_free : bool
+        Whether both ends stay in sight; otherwise the leaf hides one end.
+
+    Returns
+    -------
+    Scene
+        With one leaf more. The share is met to a few per cent of itself, less by what lies
+        outside the picture; `truth_of` says what it is.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_lab.synthesis.scenes import truth_of
+    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> bare = Scene((hang(arc_tube(0.25, 0.02), (0.0, 0.0, 0.5)),))
+    >>> covered = cover(bare, camera, 0, 0.3, np.random.default_rng(1))
+    >>> truth, = truth_of(covered, camera)
+    >>> round(truth.hidden_share, 1), truth.keypoint_visibility[[0, 4]].tolist()
+    (0.3, [2, 2])
+    """
+    if hidden_share <= 0:
+        return scene
+    tube = scene.fruit[index]
+    rough = _coarse(camera)
+    fruit = cast_tube(tube, rough)
+    if fruit is None:
+        return scene
+    before = rng.uniform(0.02, 0.06)
+    bend = float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1))
+    where = 0.5 + rng.uniform(-0.5, 0.5) * (0.75 - hidden_share) if ends_free else 0.0
+    if not ends_free and rng.random() < 0.5:
+        where = 1.0
+    # A half length of half the share would do for an oblong leaf; this one has lobes.
+    low, high = 0.0, (0.9 if ends_free else 1.8) * hidden_share
+    for _ in range(SEARCH_STEPS):
+        reach = (low + high) / 2
+        leaf = _blade(tube, where, reach, before, bend)
+        if _hides(leaf, fruit, rough) < hidden_share:
+            low = reach
+        else:
+            high = reach
+    return replace(scene, leaves=(*scene.leaves, leaf))
+
+
+def _blade(
+    tube: Tube, where: float, reach: float, before_m: float, bend_per_m: tuple[float, float]
+) -> Leaf:
+    k = round(where * (len(tube.radii_m) - 1))
+    ahead, back = min(k + 1, len(tube.radii_m) - 1), max(k - 1, 0)
+    along = tube.centres_m[ahead] - tube.centres_m[back]
+    along /= np.linalg.norm(along)
+    # Parallel to the fruit there, on the ray from the camera, so that it hides this very spot.
+    distance = float(np.linalg.norm(tube.centres_m[k]))
+    sight = -tube.centres_m[k] / distance
+    off = sight - (sight @ along) * along
+    off /= np.linalg.norm(off)
+    radius = float(tube.radii_m.max())
+    away = min((radius + before_m) / max(float(sight @ off), 0.3), NEAREST * distance)
+    return Leaf(
+        tube.centres_m[k] + away * sight,
+        np.stack([along, np.cross(off, along), off]),
+        max(reach * tube.centreline_m, 1e-4),
+        3.0 * radius,
+        bend_per_m,
+        0.1,
+    )
+
+
+def _hides(leaf: Leaf, fruit: Hit, camera: Intrinsics) -> float:
+    blade = cast_leaf(leaf, camera)
+    if blade is None:
+        return 0.0
+    before = np.full((camera.height, camera.width), np.inf)
+    before[blade.window] = blade.depth_m
+    hidden = fruit.mask & (before[fruit.window] < fruit.depth_m)
+    return float(hidden.sum() / fruit.mask.sum())
+
+
+def _coarse(camera: Intrinsics) -> Intrinsics:
+    # Pixel centres are whole numbers: the middle of two by two lies at 0.5.
+    return replace(
+        camera,
+        width=max(camera.width // COARSE, 1),
+        height=max(camera.height // COARSE, 1),
+        fx_px=camera.fx_px / COARSE,
+        fy_px=camera.fy_px / COARSE,
+        cx_px=(camera.cx_px - (COARSE - 1) / 2) / COARSE,
+        cy_px=(camera.cy_px - (COARSE - 1) / 2) / COARSE,
+    )

@@ -1,0 +1,200 @@
+"""Fruit as they grow: each with its own bends, neck, blossom end and bulges, lengths exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry.curve import polyline_length
+from cucumbervision_lab.synthesis.tube import BALLS, Tube
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Variety", "bent_tube", "random_fruit", "variety_of"]
+
+MAX_SLOPE = 0.45  # of a radius along the axis: steeper makes an end blunter than a half ball
+
+
+class Variety(StrEnum):
+    """Kinds of greenhouse cucumbers, told by size."""
+
+    LONG = "long"
+    MEDIUM = "medium"
+    MINI = "mini"
+    SMALL = "small"
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    # Radius of the body and least radius of bending in metres, share of S-shaped fruit.
+    radius_m: tuple[float, float]
+    bend_radius_m: float
+    neck: tuple[float, float]
+
+
+_SIZES = {
+    Variety.LONG: _Sizes((0.020, 0.025), 0.15, (0.15, 0.50)),
+    Variety.MEDIUM: _Sizes((0.018, 0.023), 0.13, (0.10, 0.40)),
+    Variety.MINI: _Sizes((0.015, 0.020), 0.12, (0.05, 0.30)),
+    Variety.SMALL: _Sizes((0.012, 0.016), 0.10, (0.05, 0.25)),
+}
+
+
+def variety_of(length_m: float) -> Variety:
+    """Say which variety a fruit of that length is taken for.
+
+    Examples
+    --------
+    >>> [variety_of(length).value for length in (0.069, 0.147, 0.21, 0.38)]
+    ['small', 'mini', 'medium', 'long']
+    """
+    if length_m < 0.10:
+        return Variety.SMALL
+    if length_m < 0.18:
+        return Variety.MINI
+    return Variety.MEDIUM if length_m < 0.25 else Variety.LONG
+
+
+def bent_tube(
+    length_m: float, radii_m: NDArray[np.float64], curvature_per_m: NDArray[np.float64]
+) -> Tube:
+    """Make a plane fruit from its radius and its curvature along the axis.
+
+    Parameters
+    ----------
+    length_m : float
+        Centreline from pole to pole, metres.
+    radii_m : ndarray of float64, shape (K,)
+        Radius at K points evenly along the run of the balls' centres, metres.
+    curvature_per_m : ndarray of float64, shape (K,)
+        Signed curvature there, 1/m.
+
+    Returns
+    -------
+    Tube
+        Centred on the origin, its chord along x, the convex side of its larger bend towards -y;
+        `centreline_m` equals `length_m`.
+
+    Raises
+    ------
+    ValueError
+        If the body would be shorter than its round ends.
+
+    Examples
+    --------
+    >>> tube = bent_tube(0.25, np.full(800, 0.02), np.full(800, 1 / 0.30))
+    >>> round(tube.centreline_m, 6), round(tube.thread_m, 4)  # as arc_tube(0.25, 0.02, 0.30)
+    (0.25, 0.2868)
+    """
+    run = length_m - radii_m[0] - radii_m[-1]
+    if run <= 0:
+        raise ValueError(f"a fruit of {length_m} m is shorter than its round ends")
+    step = run / (len(radii_m) - 1)
+    between = (curvature_per_m[1:] + curvature_per_m[:-1]) / 2
+    turned = np.concatenate([[0.0], np.cumsum(between * step)])
+    if np.maximum(between, 0).sum() < np.maximum(-between, 0).sum():
+        turned = -turned
+    heading = (turned[1:] + turned[:-1]) / 2
+    x = np.concatenate([[0.0], np.cumsum(np.cos(heading))])
+    y = np.concatenate([[0.0], np.cumsum(np.sin(heading))])
+    centres = np.stack([x, y, np.zeros_like(x)], axis=1)
+    centres *= run / polyline_length(centres)
+    tube = Tube(centres, radii_m, np.array([0.0, -1.0, 0.0]))
+    blossom, stem = tube.poles_m
+    angle = np.arctan2(stem[1] - blossom[1], stem[0] - blossom[0])
+    cos, sin = np.cos(-angle), np.sin(-angle)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    level = centres @ turn.T
+    poles = tube.poles_m @ turn.T
+    middle = np.array([poles[:, 0].mean(), (level[:, 1].min() + level[:, 1].max()) / 2, 0.0])
+    return Tube(level - middle, radii_m, tube.outward)
+
+
+def random_fruit(
+    rng: np.random.Generator,
+    length_m: float,
+    variety: Variety | str | None = None,
+    *,
+    bend_radius_m: float | None = None,
+    s_shape: bool | None = None,
+    balls: int = BALLS,
+) -> Tube:
+    """Draw one fruit of a length.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    length_m : float
+        Centreline, pole to pole, metres.
+    variety : Variety or str, optional
+        Sets thickness, neck and how sharply it may bend; by default that of the length.
+    bend_radius_m : float, optional
+        Mean radius of bending, metres, infinite for a straight fruit; by default drawn, most
+        often slight.
+    s_shape : bool, optional
+        Whether it bends to and fro; by default one in eight.
+    balls : int
+        Number of balls.
+
+    Returns
+    -------
+    Tube
+        As `bent_tube` gives it, with `centreline_m` equal to `length_m`.
+
+    Raises
+    ------
+    ValueError
+        If the fruit would be shorter than its round ends.
+
+    Examples
+    --------
+    >>> fruit = random_fruit(np.random.default_rng(3), 0.32)
+    >>> round(fruit.centreline_m, 6), round(float(2e3 * fruit.radii_m.max()))  # mm across
+    (0.32, 41)
+    """
+    sizes = _SIZES[variety_of(length_m) if variety is None else Variety(variety)]
+    share = np.linspace(0.0, 1.0, balls)
+    radii = _radii(rng, length_m, sizes, share)
+    if bend_radius_m is None:
+        # Uniform in curvature squared's root: many nearly straight, few at the limit.
+        bend = rng.beta(1.0, 2.5) / sizes.bend_radius_m
+    else:
+        bend = 1.0 / bend_radius_m
+    to_and_fro = rng.random() < 1 / 8 if s_shape is None else s_shape
+    return bent_tube(length_m, radii, bend * _bending(rng, share, to_and_fro=to_and_fro))
+
+
+def _bending(
+    rng: np.random.Generator, share: NDArray[np.float64], *, to_and_fro: bool
+) -> NDArray[np.float64]:
+    if to_and_fro:
+        shape = np.sin(2 * np.pi * (share - rng.uniform(-0.08, 0.08))) + rng.uniform(-0.25, 0.25)
+    else:
+        lean, middle = rng.uniform(-0.5, 0.5), rng.uniform(-0.35, 0.35)
+        shape = 1 + lean * (2 * share - 1) + middle * np.cos(2 * np.pi * share)
+    return np.asarray(shape / np.abs(shape).mean())
+
+
+def _radii(
+    rng: np.random.Generator, length_m: float, sizes: _Sizes, share: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    radius = float(rng.uniform(*sizes.radius_m))
+    bulge = 1 + rng.uniform(-0.04, 0.06) * np.sin(np.pi * share)
+    bulge += rng.uniform(-0.025, 0.025) * np.sin(2 * np.pi * share)
+    bulge += rng.uniform(-0.012, 0.012) * np.sin(
+        rng.uniform(4, 7) * np.pi * share + rng.uniform(0, 6)
+    )
+    point, neck = rng.uniform(0.10, 0.50), rng.uniform(*sizes.neck)
+    run = max(length_m - radius * (2 - point - neck), radius)
+    # The blossom end rounds off towards its pole, the neck draws in and runs on.
+    width = max(rng.uniform(0.05, 0.15), 2.0 * point * radius / (MAX_SLOPE * run))
+    blossom = 1 - point * np.clip(1 - share / width, 0.0, None) ** 2
+    width = max(rng.uniform(0.15, 0.35), 1.5 * neck * radius / (MAX_SLOPE * run))
+    t = np.clip((1 - share) / width, 0.0, 1.0)
+    stem = 1 - neck * (1 - t * t * (3 - 2 * t))
+    return np.asarray(radius * bulge * blossom * stem)

@@ -1,0 +1,371 @@
+"""Whole scenes by chance: fruit on the plant, on a bench or in a crate, seen by a handheld camera.
+
+Everything is placed in the camera's coordinates. What each leaf and rod stands for is kept beside
+the scene, for whoever paints it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision_lab.synthesis.arrange import cover, hang, trellis
+from cucumbervision_lab.synthesis.bodies import Variety, random_fruit
+from cucumbervision_lab.synthesis.lay import NEAREST_M, Ground, crate_rods, lay
+from cucumbervision_lab.synthesis.occluders import Leaf, Stem
+from cucumbervision_lab.synthesis.scenes import Scene
+from cucumbervision_lab.synthesis.tube import rotation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.synthesis.tube import Tube
+
+__all__ = ["MOST_FRUIT", "Setting", "Staged", "compose"]
+
+MOST_FRUIT = 12
+TRIES = 30
+LENGTHS_M = {
+    Variety.LONG: (0.25, 0.40),
+    Variety.MEDIUM: (0.18, 0.25),
+    Variety.MINI: (0.12, 0.18),
+    Variety.SMALL: (0.06, 0.12),
+}
+# How often a variety is drawn, and from how far it is looked at: a grower goes near to small fruit.
+_SHARES = {Variety.LONG: 0.42, Variety.MEDIUM: 0.28, Variety.MINI: 0.2, Variety.SMALL: 0.1}
+_REACH_M = {
+    Variety.LONG: (0.42, 1.2),
+    Variety.MEDIUM: (0.36, 1.1),
+    Variety.MINI: (0.32, 0.9),
+    Variety.SMALL: (0.3, 0.7),
+}
+
+
+class Setting(StrEnum):
+    """Where the fruit are."""
+
+    HANGING = "hanging"
+    BENCH = "bench"
+    CRATE = "crate"
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """A composed scene, and what its bodies stand for.
+
+    Parameters
+    ----------
+    scene : Scene
+        In the camera's coordinates.
+    setting : Setting
+        Where the fruit are.
+    variety : Variety
+        Of all its cucumbers.
+    cucumber : tuple of bool
+        Whether each body of `scene.fruit` is a cucumber; others are decoys of its shape.
+    leaf_roles, stem_roles : tuple of str
+        'leaf' or 'blossom'; 'stem', 'stalk', 'string', 'blossom' or 'crate'.
+    up : tuple of float
+        Unit vector against gravity, camera coordinates: light comes from there.
+    """
+
+    scene: Scene
+    setting: Setting
+    variety: Variety
+    cucumber: tuple[bool, ...]
+    leaf_roles: tuple[str, ...]
+    stem_roles: tuple[str, ...]
+    up: tuple[float, float, float]
+
+
+def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str) -> Staged:
+    """Put a scene together.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance; the same seed gives the same scene.
+    camera : Intrinsics
+        Who looks.
+    setting : Setting or str
+        Where the fruit are.
+
+    Returns
+    -------
+    Staged
+        With 0 to 12 cucumbers, none inside another, at 0.3 to 1.2 m.
+
+    Raises
+    ------
+    ValueError
+        If the setting is unknown.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
+    >>> staged = compose(np.random.default_rng(4), camera, "bench")
+    >>> len(staged.scene.fruit) == len(staged.cucumber), staged.setting.value
+    (True, 'bench')
+    """
+    setting = Setting(setting)
+    varieties = list(_SHARES)
+    variety = varieties[int(rng.choice(len(varieties), p=list(_SHARES.values())))]
+    low, high = _REACH_M[variety]
+    distance = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    count = _count(rng, setting)
+    if setting is Setting.HANGING:
+        return _on_the_plant(rng, camera, variety, distance, count)
+    return _laid(rng, camera, setting, variety, distance, count)
+
+
+def _count(rng: np.random.Generator, setting: Setting) -> int:
+    if setting is Setting.CRATE:
+        return int(rng.integers(4, MOST_FRUIT + 1))
+    # One picture in twelve shows no fruit: what is not one has to be learnt too.
+    return 0 if rng.random() < 0.08 else int(min(1 + rng.geometric(0.28) - 1, MOST_FRUIT))
+
+
+def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
+    return random_fruit(rng, float(rng.uniform(*LENGTHS_M[variety])), variety, balls=400)
+
+
+def _on_the_plant(
+    rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float, count: int
+) -> Staged:
+    placed: list[Tube] = []
+    for _ in range(count):
+        for _ in range(TRIES):
+            fruit = _hung(rng, camera, variety, distance_m)
+            if fruit.centres_m[:, 2].min() > NEAREST_M + 0.03 and _apart(fruit, placed):
+                placed.append(fruit)
+                break
+    scene = _behind(rng, camera, tuple(placed), distance_m)
+    stem_roles = ["string", "string", "stem", "stem"]
+    leaf_roles = ["leaf"] * len(scene.leaves)
+    for index in range(len(placed)):
+        if rng.random() < 0.45:
+            share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
+            covered = cover(scene, camera, index, share, rng, ends_free=free)
+            if _in_front(covered.leaves[-1]):
+                scene = covered
+                leaf_roles.append("leaf")
+    before = _loose_leaves(rng, camera, distance_m, close=not placed)
+    leaf_roles += ["leaf"] * len(before)
+    ends = [_ends_of(rng, fruit) for fruit in placed]
+    petals = tuple(leaf for one in ends for leaf in one[0])
+    rods = tuple(rod for one in ends for rod, _ in one[1])
+    stem_roles += [role for one in ends for _, role in one[1]]
+    strings = _strings_before(rng, distance_m)
+    scene = replace(
+        scene,
+        leaves=(*scene.leaves, *before, *petals),
+        stems=(*scene.stems, *rods, *strings),
+    )
+    scene, up = _held(rng, scene)
+    return Staged(
+        scene,
+        Setting.HANGING,
+        variety,
+        (True,) * len(placed),
+        (*leaf_roles, *["blossom"] * len(petals)),
+        (*stem_roles, *["string"] * len(strings)),
+        up,
+    )
+
+
+def _hung(
+    rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float
+) -> Tube:
+    z = distance_m * rng.uniform(0.88, 1.2)
+    u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
+    x, y = (float(r) for r in camera.rays(u, v))
+    return hang(
+        _grown(rng, variety),
+        (x * z, y * z, z),
+        roll_deg=-90.0 + rng.normal(0, 14),
+        tilt_deg=float(np.clip(rng.normal(0, 20), -65, 65)),
+        spin_deg=rng.uniform(0, 360),
+    )
+
+
+def _behind(
+    rng: np.random.Generator, camera: Intrinsics, fruit: tuple[Tube, ...], distance_m: float
+) -> Scene:
+    if fruit:
+        return trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
+    stand_in = (hang(_grown(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
+    return replace(trellis(rng, camera, stand_in), fruit=())
+
+
+def _loose_leaves(
+    rng: np.random.Generator, camera: Intrinsics, distance_m: float, *, close: bool
+) -> tuple[Leaf, ...]:
+    leaves = []
+    # Without fruit leaves come close: one that fills the picture is often taken for a fruit.
+    many, nearest = (5.0, 0.3) if close else (2.2, 0.6)
+    for _ in range(int(rng.poisson(many))):
+        length = rng.uniform(0.05, 0.11)
+        z = distance_m * rng.uniform(nearest, 1.1)
+        u, v = rng.uniform(0, camera.width), rng.uniform(0, camera.height)
+        x, y = (float(r) for r in camera.rays(u, v))
+        turn = rotation(rng.uniform(0, 360), rng.normal(0, 35), rng.uniform(-20, 60))
+        leaf = Leaf(
+            np.array([x * z, y * z, z]),
+            turn.T,
+            length,
+            length * rng.uniform(0.7, 0.95),
+            (float(rng.normal(0, 2)), float(rng.normal(0, 2))),
+            rng.uniform(0.05, 0.18),
+        )
+        if _in_front(leaf):
+            leaves.append(leaf)
+    return tuple(leaves)
+
+
+def _in_front(leaf: Leaf) -> bool:
+    reach = 1.3 * max(leaf.half_length_m, leaf.half_width_m)
+    return float(leaf.centre_m[2]) - reach > 0.05
+
+
+def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, ...]:
+    from cucumbervision_lab.synthesis.arrange import string
+
+    count = int(rng.random() < 0.3) + int(rng.random() < 0.1)
+    return tuple(
+        string(rng, rng.uniform(-0.4, 0.4) * distance_m, distance_m * rng.uniform(0.75, 0.95))
+        for _ in range(count)
+    )
+
+
+def _ends_of(
+    rng: np.random.Generator, fruit: Tube
+) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
+    """Give a fruit's withered blossom and its stalk, which tell its ends apart."""
+    blossom, stem = fruit.poles_m
+    radius = float(fruit.radii_m.max())
+    petals: list[Leaf] = []
+    rods: list[tuple[Stem, str]] = []
+    if rng.random() < 0.85:
+        rods.append((_stalk(rng, stem, fruit.centres_m[-1], radius), "stalk"))
+    if rng.random() < 0.45:
+        out = blossom - fruit.centres_m[0]
+        out /= np.linalg.norm(out)
+        tip = blossom + out * rng.uniform(0.004, 0.014)
+        rods.append(
+            (Stem(np.stack([blossom - 0.002 * out, tip]), rng.uniform(0.002, 0.004)), "blossom")
+        )
+        for _ in range(int(rng.integers(0, 5))):
+            turn = rotation(rng.uniform(0, 360), rng.uniform(-70, 70), rng.uniform(0, 360))
+            length = rng.uniform(0.006, 0.014)
+            at = tip + rng.normal(0, 0.003, 3)
+            bend = float(rng.normal(0, 30)), float(rng.normal(0, 30))
+            petals.append(Leaf(at, turn.T, length, 0.5 * length, bend, 0.0))
+    return tuple(petals), tuple(rods)
+
+
+def _stalk(
+    rng: np.random.Generator, pole: NDArray[np.float64], inner: NDArray[np.float64], radius_m: float
+) -> Stem:
+    out = pole - inner
+    out /= np.linalg.norm(out)
+    aside = rng.normal(0, 0.5, 3)
+    length = rng.uniform(0.012, 0.06)
+    line = [
+        pole - 0.003 * out,
+        pole + 0.4 * length * out + 0.1 * length * aside,
+        pole + length * out + 0.45 * length * aside,
+    ]
+    return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.2))
+
+
+def _held(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
+    """Turn a scene as a camera is held, mostly level, sometimes upright or askew; and say up."""
+    pick = rng.random()
+    if pick < 0.68:
+        roll = rng.normal(0, 6)
+    elif pick < 0.88:
+        roll = rng.choice([-90.0, 90.0]) + rng.normal(0, 8)
+    else:
+        roll = rng.uniform(0, 360)
+    turned = scene.moved(rotation(float(roll)), (0.0, 0.0, 0.0))
+    up = rotation(float(roll)) @ np.array([0.0, -1.0, 0.0])
+    middle = _middle(scene)
+    for turn in (rotation(tilt_deg=float(rng.normal(0, 6))), _pitch(float(rng.normal(0, 11)))):
+        tilted = turned.moved(turn, middle - turn @ middle)
+        # Bodies that would come to lie behind the camera keep it from tilting.
+        if _all_in_front(tilted):
+            turned, up = tilted, turn @ up
+    return turned, (float(up[0]), float(up[1]), float(up[2]))
+
+
+def _middle(scene: Scene) -> NDArray[np.float64]:
+    z = float(np.mean([f.centres_m[:, 2].mean() for f in scene.fruit])) if scene.fruit else 0.8
+    return np.array([0.0, 0.0, z])
+
+
+def _pitch(angle_deg: float) -> NDArray[np.float64]:
+    cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+
+
+def _all_in_front(scene: Scene) -> bool:
+    return (
+        all(f.centres_m[:, 2].min() > NEAREST_M for f in scene.fruit)
+        and all(_in_front(leaf) for leaf in scene.leaves)
+        and all(rod.vertices_m[:, 2].min() > 2 * rod.radius_m for rod in scene.stems)
+    )
+
+
+def _apart(fruit: Tube, others: list[Tube]) -> bool:
+    own, radii = fruit.centres_m[::8], fruit.radii_m[::8]
+    for other in others:
+        gap = np.linalg.norm(own[:, None] - other.centres_m[None, ::8], axis=2)
+        if (gap < radii[:, None] + other.radii_m[None, ::8]).any():
+            return False
+    return True
+
+
+def _laid(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    setting: Setting,
+    variety: Variety,
+    distance_m: float,
+    count: int,
+) -> Staged:
+    crated = setting is Setting.CRATE
+    bodies = [_grown(rng, variety) for _ in range(count)]
+    real = [True] * count
+    if not crated:
+        # Carrots, bananas and pipes: what has the shape but not the skin.
+        for _ in range(int(rng.random() < 0.3) + int(rng.random() < 0.15)):
+            bodies.append(_grown(rng, Variety(rng.choice([v.value for v in Variety]))))
+            real.append(False)
+    longest = max((f.chord_m for f in bodies), default=0.2)
+    inner_m = (float(longest * rng.uniform(1.08, 1.5)), float(longest * rng.uniform(0.35, 0.8)))
+    if crated:
+        # Near enough to fill much of the picture.
+        distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
+    ground = Ground.seen(rng, distance_m)
+    placed, kept = lay(rng, camera, ground, bodies, inner_m if crated else None)
+    rods = crate_rods(rng, ground, inner_m) if crated else ()
+    ends = [
+        _ends_of(rng, fruit) if real[k] else ((), ()) for k, fruit in zip(kept, placed, strict=True)
+    ]
+    petals = tuple(leaf for one in ends for leaf in one[0])
+    tips = tuple(rod for one in ends for rod in one[1])
+    scene = Scene(tuple(placed), petals, (*rods, *(rod for rod, _ in tips)), (ground.plane,))
+    return Staged(
+        scene,
+        setting,
+        variety,
+        tuple(real[k] for k in kept),
+        ("blossom",) * len(petals),
+        (*["crate"] * len(rods), *(role for _, role in tips)),
+        tuple(ground.frame[2].tolist()),
+    )

@@ -1,0 +1,289 @@
+"""Labelled pictures by the thousand: each frame from its own seed, in parallel, resumable."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import threading
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.errors import DataSetError
+from cucumbervision_lab.datasets.coco import collect_fragments, write_coco, write_fragment
+from cucumbervision_lab.datasets.coco_read import read_coco
+from cucumbervision_lab.datasets.labels import Label, LabelledPicture
+from cucumbervision_lab.synthesis.assets import load_assets
+from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
+from cucumbervision_lab.synthesis.paste import cutouts_of, paste
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cucumbervision_lab.datasets.labels import DataSet
+    from cucumbervision_lab.synthesis.assets import Assets
+    from cucumbervision_lab.synthesis.paste import Cutout
+
+__all__ = ["SynthOptions", "generate", "label_frame"]
+
+MANIFEST = "synth.json"
+FRAGMENTS = "fragments"
+DEPTH_UNIT_M = 0.001
+EXACT_UNIT_M = 0.0001
+# In twenty frames fourteen train, three validate, three test: the paper's 70:15:15.
+SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
+# Less of a fruit than this tells nobody what it is: neither fruit nor background.
+LEAST_SHARE = 0.12
+PASTED = 1.2  # real fruit a training frame, on average
+LEAST_PX = 0.0001  # of the picture's pixels
+
+
+@dataclass(frozen=True)
+class SynthOptions:
+    """What a set is drawn from; the same options give the same files.
+
+    Parameters
+    ----------
+    frames : int
+        How many pictures.
+    seed : int
+        The source of chance.
+    frame : FrameOptions
+        Size, settings and depth of every frame.
+    assets : str
+        Folder of textures, backgrounds and lights; empty for none.
+    quality : int
+        JPEG quality of the colour pictures, 1 to 100.
+    split : str
+        'train', 'val' or 'test' for all frames, or empty: 70:15:15 by frame.
+    paste : str
+        Folder of a set with masks whose fruit are pasted into the training frames, which then
+        have no depth; empty for none.
+    """
+
+    frames: int = 1500
+    seed: int = 1
+    frame: FrameOptions = field(default_factory=FrameOptions)
+    assets: str = ""
+    quality: int = 92
+    split: str = ""
+    paste: str = ""
+
+
+def generate(
+    options: SynthOptions,
+    out: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> DataSet:
+    """Draw a set, or what of it is still missing.
+
+    Parameters
+    ----------
+    options : SynthOptions
+        What to draw.
+    out : Path
+        The set's folder: `images/`, `depth/` (as a D435 reads it, millimetres), `exact/` (as it
+        is, tenths of a millimetre), `fragments/` and `annotations.json`.
+    workers : int
+        Processes that draw.
+    progress : callable, optional
+        Called with the frames done and all frames.
+
+    Returns
+    -------
+    DataSet
+        All frames, as `annotations.json` now holds them.
+
+    Raises
+    ------
+    DataSetError
+        If the folder holds a set of other options, or cannot be written.
+
+    Notes
+    -----
+    A frame's labels are written after its pictures, so an interrupted run draws the frame again;
+    a run with more frames than before adds the new ones.
+    """
+    _claim(options, out)
+    missing = [k for k in range(options.frames) if not _fragment(out, k).exists()]
+    done = options.frames - len(missing)
+    if progress is not None:
+        progress(done, options.frames)
+    for _ in _drawn(options, out, missing, workers):
+        done += 1
+        if progress is not None:
+            progress(done, options.frames)
+    return write_coco(collect_fragments(out, FRAGMENTS), out)
+
+
+def _claim(options: SynthOptions, out: Path) -> None:
+    """Note the options in the folder, or see that they are the same as those noted there."""
+    folders = {"assets": Path(options.assets).name, "paste": Path(options.paste).name}
+    wanted = asdict(options) | {"frames": None} | folders
+    wanted = json.loads(json.dumps(wanted))
+    file = out / MANIFEST
+    try:
+        if file.exists() and json.loads(file.read_text(encoding="utf-8")) != wanted:
+            raise DataSetError(
+                "holds a set drawn with other options",
+                source=out,
+                remedy="give the same options to go on, or another folder",
+            )
+        for name in ("images", FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
+            (out / name).mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(wanted, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise DataSetError(
+            f"cannot be written ({error.strerror})", source=out, remedy="choose another folder"
+        ) from None
+    except ValueError:
+        raise DataSetError(
+            "is damaged", source=file, remedy="delete it, and the set will be drawn on"
+        ) from None
+
+
+def _drawn(options: SynthOptions, out: Path, missing: list[int], workers: int) -> Any:
+    if workers <= 1 or len(missing) <= 1:
+        for index in missing:
+            yield _draw(options, out, index)
+        return
+    # Forking a process that runs threads of OpenCV or Torch may hang.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+        jobs = [pool.submit(_draw, options, out, index) for index in missing]
+        try:
+            for job in as_completed(jobs):
+                yield job.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _one_thread() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this process when the command has been killed: nobody would fetch its frames."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@lru_cache(maxsize=1)
+def _assets(folder: str) -> Assets:
+    return load_assets(Path(folder) if folder else None)
+
+
+@lru_cache(maxsize=1)
+def _cutouts(folder: str) -> tuple[Cutout, ...]:
+    return cutouts_of(read_coco(Path(folder)))
+
+
+def _draw(options: SynthOptions, out: Path, index: int) -> int:
+    frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
+    name = f"{index:06d}"
+    split = options.split or SPLIT_OF[index % len(SPLIT_OF)]
+    picture = label_frame(frame, name, f"synth-{options.seed}-{name}", split)
+    color = frame.color
+    if options.paste and split == "train":
+        # Real fruit carry pseudo-labels, which nothing may be tested on.
+        rng = np.random.default_rng([options.seed, index, 1])
+        cutouts = _cutouts(options.paste)
+        count = int(rng.poisson(PASTED))
+        color, labels = paste(color, frame.exact_m, picture.labels, cutouts, count, rng)
+        picture = replace(picture, labels=labels)
+    _write_jpeg(out / "images" / f"{name}.jpg", color, options.quality)
+    if frame.depth_m is not None:
+        from cucumbervision.capture.files import write_png
+
+        write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, DEPTH_UNIT_M))
+        write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, EXACT_UNIT_M))
+    write_fragment(picture, _fragment(out, index))
+    return index
+
+
+def _fragment(out: Path, index: int) -> Path:
+    return out / FRAGMENTS / f"{index:06d}.json"
+
+
+def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]:
+    return np.clip(np.rint(depth_m / unit_m), 0, 65535).astype(np.uint16)
+
+
+def _write_jpeg(path: Path, color: np.ndarray[Any, Any], quality: int) -> None:
+    import cv2
+
+    bgr = np.ascontiguousarray(color[..., ::-1])
+    if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, quality]):
+        raise DataSetError("cannot be written", source=path, remedy="free some space")
+
+
+def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
+    """Give a drawn frame's labels.
+
+    Parameters
+    ----------
+    frame : Frame
+        As drawn.
+    name : str
+        Its files are called so.
+    scene : str
+        What it shares with its near-duplicates.
+    split : str
+        'train', 'val' or 'test'.
+
+    Returns
+    -------
+    LabelledPicture
+        A fruit of which nothing is seen has no label; one of which too little is seen for anyone
+        to tell (12 % of it, or a ten-thousandth of the picture) is to be ignored.
+    """
+    height, width = frame.color.shape[:2]
+    labels = []
+    for body, truth in zip(frame.bodies, frame.truth, strict=True):
+        seen = int(truth.visible.sum())
+        if not seen:
+            continue
+        small = seen < LEAST_PX * width * height or truth.hidden_share > 1 - LEAST_SHARE
+        points = np.column_stack([truth.keypoints_px, truth.keypoint_visibility])
+        labels.append(
+            Label.of_mask(
+                truth.visible,
+                amodal=truth.amodal,
+                keypoints=points.astype(np.float64),
+                hidden_share=round(truth.hidden_share, 4),
+                cut_off=truth.cut_off,
+                ignore=small,
+                extras=extras_of(body, truth),
+            )
+        )
+    depth = frame.depth_m is not None
+    return LabelledPicture(
+        f"images/{name}.jpg",
+        width,
+        height,
+        tuple(labels),
+        scene=scene,
+        split=split,
+        source="synth",
+        licence="CC0-1.0",
+        depth_file=f"depth/{name}.png" if depth else None,
+        depth_unit_m=DEPTH_UNIT_M,
+        camera=frame.camera,
+        extras={
+            "setting": frame.staged.setting.value,
+            "variety": frame.staged.variety.value,
+            "depth_scale": round(frame.depth_scale, 6),
+        },
+    )

@@ -1,0 +1,295 @@
+"""Light on a scene: an environment all around, a sun, shade; kept as maps over the normal.
+
+The diffuse light from an environment needs nine numbers a channel (Ramamoorthi and Hanrahan,
+"An efficient representation for irradiance environment maps", SIGGRAPH 2001). What a camera sees
+faces it, so light and gleam are kept as small pictures over the x and y of the normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision_lab.synthesis.tones import to_linear
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision_lab.synthesis.assets import Assets
+
+    Vector = tuple[float, float, float]
+
+__all__ = ["Light", "LightMaps", "harmonics", "irradiance", "light_maps", "random_light"]
+
+_SKY = (32, 64)
+_MAP = 96
+_PEAK = 25.0  # times the mean: what shines brighter is the sun, which is drawn by itself
+
+
+@dataclass(frozen=True)
+class Light:
+    """Where light comes from. White matt ground under the whole sky without sun has radiance 1.
+
+    Parameters
+    ----------
+    sun : tuple of float
+        Unit vector towards the sun, camera coordinates.
+    sun_color : tuple of float
+        Linear RGB of mean 1.
+    sun_strength : float
+        Radiance of white matt ground that faces the sun.
+    up : tuple of float
+        Unit vector, camera coordinates.
+    yaw_deg : float
+        By how much the environment is turned about `up`.
+    environment : int
+        Index among the assets; -1 for a drawn sky.
+    zenith, horizon, ground : tuple of float
+        sRGB of a drawn sky, 0 to 255.
+    panels : int
+        Number of bright panes in a drawn sky.
+    shade : float
+        Share of the sun that leaves out of sight take away, in spots, 0 to 1.
+    spot_m : float
+        Size of these spots, metres.
+    """
+
+    sun: Vector
+    sun_color: Vector = (1.0, 1.0, 1.0)
+    sun_strength: float = 0.0
+    up: Vector = (0.0, -1.0, 0.0)
+    yaw_deg: float = 0.0
+    environment: int = -1
+    zenith: Vector = (235.0, 240.0, 250.0)
+    horizon: Vector = (150.0, 165.0, 150.0)
+    ground: Vector = (60.0, 80.0, 50.0)
+    panels: int = 3
+    shade: float = 0.0
+    spot_m: float = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class LightMaps:
+    """Light over the normals that face a camera.
+
+    Parameters
+    ----------
+    front, back : ndarray of float32, shape (S, S, 3)
+        Diffuse radiance of a white matt surface at normal (x, y), and at the opposite one; x and
+        y run from -1 to 1 over the columns and rows.
+    sharp, soft : ndarray of float32, shape (S, S, 3)
+        What a mirror with that normal shows: a glossy one, and a dull one.
+    """
+
+    front: NDArray[np.float32]
+    back: NDArray[np.float32]
+    sharp: NDArray[np.float32]
+    soft: NDArray[np.float32]
+
+
+def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1.0, 0.0)) -> Light:
+    """Draw a light: overcast, under glass, sunny, under lamps, deep in the leaves.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    assets : Assets
+        Environments to take, in half of all cases where there are any.
+    up : tuple of float
+        Unit vector, camera coordinates.
+    """
+    high = np.asarray(up, float)
+    # From above, rather from the camera's side.
+    towards = 1.2 * high + rng.normal(0, 0.6, 3) + np.array([0.0, 0.0, -0.35])
+    towards /= np.linalg.norm(towards)
+    sunny = rng.random() < 0.55
+    warm = rng.uniform(-0.08, 0.30)
+    hue = np.array([1 + 0.6 * warm, 1.0, 1 - warm])
+    sky = float(rng.uniform(185, 255))
+    tint = rng.normal(0, 6, 3)
+    side = rng.choice([70.0, 120.0, 190.0]) + rng.normal(0, 10, 3) + np.array([-8.0, 8.0, -14.0])
+    below = rng.choice([35.0, 75.0, 150.0]) + rng.normal(0, 8, 3) + np.array([-4.0, 10.0, -12.0])
+    taken = bool(assets.environments) and rng.random() < 0.5
+    return Light(
+        sun=_triple(towards),
+        sun_color=_triple(hue / hue.mean()),
+        sun_strength=float(rng.uniform(0.5, 4.0)) if sunny else 0.0,
+        up=_triple(high),
+        yaw_deg=float(rng.uniform(0, 360)),
+        environment=int(rng.integers(len(assets.environments))) if taken else -1,
+        zenith=_triple(np.clip(sky + tint, 60, 255)),
+        horizon=_triple(np.clip(side, 10, 255)),
+        ground=_triple(np.clip(below, 10, 255)),
+        panels=int(rng.integers(0, 6)),
+        shade=float(rng.choice([0.0, rng.uniform(0.3, 1.0)])),
+        spot_m=float(rng.uniform(0.03, 0.14)),
+    )
+
+
+def _triple(values: NDArray[np.float64]) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightMaps:
+    """Work out a light for all normals.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance, for a drawn sky.
+    light : Light
+        Its sun is not in the maps.
+    assets : Assets
+        Where `light.environment` points to.
+    """
+    if light.environment >= 0 and assets.environments:
+        sky = assets.environments[light.environment % len(assets.environments)]
+        sky = np.minimum(sky, _PEAK * sky.mean())
+        # A camera's white balance takes most of a sky's colour away.
+        sky = 0.6 * sky + 0.4 * sky.mean(axis=2, keepdims=True)
+    else:
+        sky = _drawn_sky(rng, light)
+    nine = harmonics(sky)
+    level = float(irradiance(nine, np.array([[0.0, 0.0, 1.0]])).mean()) / np.pi
+    sky, nine = sky / level, nine / level
+    frame = _world(light)
+    line = (np.arange(_MAP, dtype=np.float32) + 0.5) * (2 / _MAP) - 1
+    x, y = np.meshgrid(line, line)
+    beyond = np.maximum(np.hypot(x, y), 1.0)
+    x, y = x / beyond, y / beyond
+    normal = np.stack([x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1)
+    # The mirror image of the line of sight: 2 (n . v) n - v with v = (0, 0, -1).
+    mirrored = -2 * normal[..., 2:] * normal - np.array([0.0, 0.0, -1.0])
+    flat = (normal @ frame.T).reshape(-1, 3)
+    shape = (_MAP, _MAP, 3)
+    front = np.maximum(irradiance(nine, flat) / np.pi, 0.02).reshape(shape)
+    back = np.maximum(irradiance(nine, -flat) / np.pi, 0.02).reshape(shape)
+    towards = mirrored @ frame.T
+    return LightMaps(
+        front.astype(np.float32),
+        back.astype(np.float32),
+        _seen(sky, towards, 1.0),
+        _seen(sky, towards, 5.0),
+    )
+
+
+def _world(light: Light) -> NDArray[np.float64]:
+    # Rows: right, forward and up of the environment, in camera coordinates.
+    up = np.asarray(light.up, float)
+    aside = np.cross(up, (0.0, 0.0, 1.0) if abs(up[2]) < 0.9 else (1.0, 0.0, 0.0))
+    aside /= np.linalg.norm(aside)
+    ahead = np.cross(up, aside)
+    cos, sin = np.cos(np.deg2rad(light.yaw_deg)), np.sin(np.deg2rad(light.yaw_deg))
+    return np.stack([cos * aside + sin * ahead, cos * ahead - sin * aside, up])
+
+
+def _drawn_sky(rng: np.random.Generator, light: Light) -> NDArray[np.float32]:
+    rows, columns = _SKY
+    height = np.sin(np.pi * (0.5 - (np.arange(rows, dtype=np.float32) + 0.5) / rows))[:, None, None]
+    zenith, horizon, ground = (to_linear(c) for c in (light.zenith, light.horizon, light.ground))
+    sky = np.where(
+        height > 0,
+        horizon + np.maximum(height, 0) ** 0.7 * (zenith - horizon),
+        horizon + np.minimum(-6 * height, 1) * (ground - horizon),
+    )
+    sky = np.repeat(sky, columns, axis=1).astype(np.float32)
+    for _ in range(light.panels):
+        top, left = int(rng.integers(1, rows // 2)), int(rng.integers(columns))
+        tall, wide = int(rng.integers(2, 9)), int(rng.integers(3, 16))
+        here = np.arange(left, left + wide) % columns
+        sky[top : top + tall, here] *= np.float32(rng.choice([0.25, 2.5, 5.0]))
+    return sky
+
+
+def _basis(d: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, z = d[:, 0], d[:, 1], d[:, 2]
+    return np.stack(
+        [
+            np.full(len(d), 0.282095),
+            0.488603 * y,
+            0.488603 * z,
+            0.488603 * x,
+            1.092548 * x * y,
+            1.092548 * y * z,
+            0.315392 * (3 * z * z - 1),
+            1.092548 * x * z,
+            0.546274 * (x * x - y * y),
+        ],
+        axis=1,
+    )
+
+
+def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Give the nine coefficients of an environment's light.
+
+    Parameters
+    ----------
+    environment : ndarray of float32, shape (H, W, 3)
+        Radiance, equirectangular, the top row up (z).
+
+    Returns
+    -------
+    ndarray of float64, shape (9, 3)
+
+    Examples
+    --------
+    Light of 1 from everywhere gives an irradiance of pi:
+
+    >>> nine = harmonics(np.ones((32, 64, 3), np.float32))
+    >>> irradiance(nine, np.array([[0.0, 0.0, 1.0]])).round(2).tolist()
+    [[3.14, 3.14, 3.14]]
+    """
+    rows, columns = environment.shape[:2]
+    up = np.pi * ((np.arange(rows) + 0.5) / rows)
+    round_about = 2 * np.pi * ((np.arange(columns) + 0.5) / columns)
+    polar, azimuth = np.meshgrid(up, round_about, indexing="ij")
+    towards = np.stack(
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1
+    )
+    solid = np.sin(polar) * (np.pi / rows) * (2 * np.pi / columns)
+    weighted = environment.reshape(-1, 3).astype(np.float64) * solid.reshape(-1, 1)
+    return np.asarray(_basis(towards.reshape(-1, 3)).T @ weighted)
+
+
+def irradiance(nine: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give the irradiance at normals (Ramamoorthi and Hanrahan 2001, equation 6).
+
+    Parameters
+    ----------
+    nine : ndarray of float64, shape (9, 3)
+        As `harmonics` gives them.
+    normal : ndarray of float64, shape (N, 3)
+        Unit vectors, z up.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 3)
+    """
+    spread = np.pi * np.array([1.0, *[2 / 3] * 3, *[1 / 4] * 5])
+    return np.asarray(_basis(normal) @ (spread[:, None] * nine))
+
+
+def _seen(
+    sky: NDArray[np.float32], towards: NDArray[np.float64], blur_share: float
+) -> NDArray[np.float32]:
+    rows, columns = sky.shape[:2]
+    sigma = blur_share * columns / 64
+    pad = columns // 4
+    wide = np.concatenate([sky[:, -pad:], sky, sky[:, :pad]], axis=1).astype(np.float32)
+    soft = cv2.GaussianBlur(wide, (0, 0), sigma)
+    azimuth = np.arctan2(towards[..., 1], towards[..., 0]) / (2 * np.pi) % 1.0
+    polar = np.arccos(np.clip(towards[..., 2], -1, 1)) / np.pi
+    x, y = azimuth * columns - 0.5 + pad, polar * rows - 0.5
+    found = cv2.remap(
+        soft,
+        x.astype(np.float32),
+        y.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(found)

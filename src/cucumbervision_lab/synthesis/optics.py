@@ -1,0 +1,238 @@
+"""What a camera makes of the light: exposure, blur, noise, tone curve, compression."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from cucumbervision_lab.synthesis.tones import to_srgb
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Exposure", "expose", "random_exposure"]
+
+_KEY = 0.20  # what an automatic exposure makes of the picture's mean
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How a camera takes a picture.
+
+    Parameters
+    ----------
+    highlights : float
+        The most that its metering makes of the brightest parts, full light being 1.
+    stops : float
+        Error of the exposure: 1 is twice the light.
+    warmth, tint : float
+        Error of the white balance: red over blue, green over both.
+    contrast : float
+        Power of the tone curve about middle grey; above 1 is harder.
+    saturation : float
+        1 leaves colours as they are.
+    blur_px : float
+        Standard deviation of the lens' blur.
+    motion_px, motion_deg : float
+        Length and direction of a movement.
+    focus_m, aperture_px_m : float
+        Distance in focus, and blur per unit of |1/distance - 1/focus|, pixel metres.
+    shot, read : float
+        Noise: variance per light, and standard deviation in the dark, both of full light 1.
+    vignette : float
+        Share of the light that the corners lack.
+    sharpen : float
+        Strength of the camera's own sharpening.
+    quality : int
+        Of JPEG, 1 to 100; 0 for no compression.
+    """
+
+    highlights: float = 1.5
+    stops: float = 0.0
+    warmth: float = 0.0
+    tint: float = 0.0
+    contrast: float = 1.0
+    saturation: float = 1.0
+    blur_px: float = 0.6
+    motion_px: float = 0.0
+    motion_deg: float = 0.0
+    focus_m: float = 0.6
+    aperture_px_m: float = 0.0
+    shot: float = 0.0004
+    read: float = 0.002
+    vignette: float = 0.1
+    sharpen: float = 0.3
+    quality: int = 92
+
+
+def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
+    """Draw an exposure: most good, some dark, bright, blurred or noisy.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    width : int
+        Of the picture, pixels: blurs go with it.
+
+    Examples
+    --------
+    >>> 40 <= random_exposure(np.random.default_rng(1)).quality <= 98
+    True
+    """
+    scale = width / 1280
+    moved = rng.random() < 0.2
+    dark = float(rng.beta(1.2, 5.0))
+    return Exposure(
+        highlights=float(np.exp(rng.uniform(0.0, 2.0))),
+        stops=float(rng.normal(0.25, 0.7)),
+        warmth=float(rng.normal(0, 0.10)),
+        tint=float(rng.normal(0, 0.04)),
+        contrast=float(rng.uniform(0.9, 1.25)),
+        saturation=float(rng.uniform(0.75, 1.55)),
+        blur_px=float(rng.uniform(0.35, 0.6) + scale * rng.gamma(1.2, 0.4)),
+        motion_px=float(scale * rng.gamma(2.0, 2.2)) if moved else 0.0,
+        motion_deg=float(rng.uniform(0, 180)),
+        focus_m=float(rng.uniform(0.4, 1.0)),
+        aperture_px_m=float(scale * rng.choice([0.0, rng.uniform(0.3, 3.0)])),
+        shot=0.0001 + 0.004 * dark,
+        read=0.0005 + 0.008 * dark,
+        vignette=float(rng.uniform(0.0, 0.35)),
+        sharpen=float(rng.choice([0.0, rng.uniform(0.2, 0.7)])),
+        quality=int(rng.integers(45, 99)),
+    )
+
+
+def expose(
+    linear: NDArray[np.float32],
+    exposure: Exposure,
+    rng: np.random.Generator,
+    depth_m: NDArray[np.float64] | None = None,
+) -> NDArray[np.uint8]:
+    """Take a picture.
+
+    Parameters
+    ----------
+    linear : ndarray of float32, shape (H, W, 3)
+        Linear RGB of any brightness: the camera sets its exposure by it.
+    exposure : Exposure
+        How.
+    rng : numpy.random.Generator
+        The source of chance, for the noise.
+    depth_m : ndarray of float, shape (H, W), optional
+        Metres, 0 for far; without it all is in focus.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Examples
+    --------
+    >>> grey = np.full((32, 32, 3), 7.0, np.float32)
+    >>> clean = Exposure(shot=0.0, read=0.0, vignette=0.0, quality=0)
+    >>> picture = expose(grey, clean, np.random.default_rng(1))
+    >>> picture.shape, picture.dtype.name, int(picture[16, 16, 0])
+    ((32, 32, 3), 'uint8', 124)
+    """
+    light = _gained(linear, exposure)
+    light = _blurred(light, exposure, depth_m)
+    light = _noisy(light, exposure, rng)
+    picture: NDArray[Any] = to_srgb(_toned(light, exposure))
+    if exposure.sharpen > 0:
+        soft = cv2.GaussianBlur(picture, (0, 0), 1.0)
+        picture = cv2.addWeighted(picture, 1 + exposure.sharpen, soft, -exposure.sharpen, 0)
+    if exposure.quality > 0:
+        picture = _compressed(np.asarray(picture, np.uint8), exposure.quality)
+    return np.asarray(picture, np.uint8)
+
+
+def _gained(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+    few = linear[::8, ::8].reshape(-1, 3) @ np.array([0.25, 0.6, 0.15], np.float32)
+    mean = float(np.minimum(few, 8 * np.median(few) + 1e-6).mean())
+    bright = float(np.quantile(few, 0.98))
+    gain = (
+        min(_KEY / max(mean, 1e-6), exposure.highlights / max(bright, 1e-6)) * 2.0**exposure.stops
+    )
+    white = np.array([1 + exposure.warmth, 1 + exposure.tint, 1 - exposure.warmth], np.float32)
+    light = linear * (np.float32(gain) * np.clip(white, 0.4, 2.5))
+    if exposure.vignette > 0:
+        height, width = linear.shape[:2]
+        x = np.linspace(-1, 1, width, dtype=np.float32) ** 2
+        y = np.linspace(-1, 1, height, dtype=np.float32)[:, None] ** 2
+        light *= (1 - np.float32(exposure.vignette / 2) * (x + y))[..., None]
+    return np.asarray(np.minimum(light, 6.0))
+
+
+def _blurred(
+    light: NDArray[np.float32], exposure: Exposure, depth_m: NDArray[np.float64] | None
+) -> NDArray[np.float32]:
+    if depth_m is not None and exposure.aperture_px_m > 0:
+        light = _defocused(light, exposure, depth_m)
+    if exposure.blur_px > 0:
+        light = np.asarray(cv2.GaussianBlur(light, (0, 0), exposure.blur_px))
+    if exposure.motion_px > 1:
+        light = np.asarray(cv2.filter2D(light, -1, _path(exposure)))
+    return light
+
+
+def _defocused(
+    light: NDArray[np.float32], exposure: Exposure, depth_m: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    # Far things blur into one another; sharp ones keep their outline.
+    far = np.where(depth_m > 0, depth_m, 10.0).astype(np.float32)
+    blur = exposure.aperture_px_m * np.abs(1 / far - 1 / exposure.focus_m)
+    for sigma in (1.0, 2.0, 4.0):
+        share: NDArray[Any] = np.clip((blur - 0.5 * sigma) / (0.5 * sigma), 0, 1)
+        if share.max() == 0:
+            break
+        share = cv2.GaussianBlur(share.astype(np.float32), (0, 0), 1.0)[..., None]
+        soft = cv2.GaussianBlur(light, (0, 0), sigma)
+        light = light + share * (soft - light)
+    return light
+
+
+def _path(exposure: Exposure) -> NDArray[np.float32]:
+    half = int(np.ceil(exposure.motion_px / 2))
+    kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
+    turn = np.deg2rad(exposure.motion_deg)
+    for at in np.linspace(-0.5, 0.5, 4 * half + 1) * exposure.motion_px:
+        x, y = half + at * np.cos(turn), half + at * np.sin(turn)
+        kernel[int(np.rint(y)), int(np.rint(x))] += 1
+    return np.asarray(kernel / kernel.sum())
+
+
+def _noisy(
+    light: NDArray[np.float32], exposure: Exposure, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    if exposure.shot == 0 and exposure.read == 0:
+        return light
+    height, width = light.shape[:2]
+    green: NDArray[Any] = rng.standard_normal((height, width), dtype=np.float32)
+    green = cv2.GaussianBlur(green, (0, 0), 0.5)
+    # One in four pixels of a Bayer pattern sees red, one blue; the rest lies between them.
+    half = rng.standard_normal((2, -(-height // 2), -(-width // 2)), dtype=np.float32)
+    red, blue = (cv2.resize(n, (width, height), interpolation=cv2.INTER_LINEAR) for n in half)
+    spread = np.sqrt(np.float32(exposure.shot) * light + np.float32(exposure.read**2))
+    return np.asarray(light + spread * np.dstack([1.4 * red, 1.3 * green, 1.6 * blue]))
+
+
+def _toned(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+    # Highlights roll off before they clip.
+    light = np.maximum(light, 0)
+    grey = light @ np.array([0.25, 0.6, 0.15], np.float32)
+    light = grey[..., None] + np.float32(exposure.saturation) * (light - grey[..., None])
+    if exposure.contrast != 1:
+        lift = np.power(np.maximum(grey, 1e-4) / 0.2, np.float32(exposure.contrast - 1))
+        light *= np.clip(lift, 0.25, 2.5)[..., None]
+    over = np.maximum(light - 0.7, 0)
+    return np.asarray(np.minimum(light, 0.7) + 0.3 * over / (over + 0.3))
+
+
+def _compressed(picture: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    _, packed = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    unpacked: NDArray[Any] | None = cv2.imdecode(packed, cv2.IMREAD_COLOR)
+    return picture if unpacked is None else np.ascontiguousarray(unpacked[..., ::-1], np.uint8)

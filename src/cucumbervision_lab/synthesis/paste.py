@@ -1,0 +1,238 @@
+"""Paste real fruit, cut out of photos by their masks, into drawn frames.
+
+A pasted fruit stands at a depth: what the frame shows nearer hides it, and it hides what lies
+behind. Its labels are pseudo-labels, since a network drew its mask. It has no length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision.perception.instances import box_of_mask
+from cucumbervision_lab.datasets.labels import Label
+from cucumbervision_lab.synthesis.scenes import reaches_border
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision_lab.datasets.labels import DataSet
+
+__all__ = ["Cutout", "cutouts_of", "paste"]
+
+MARGIN_PX = 4
+LEAST_SIDE_PX = 40
+LENGTH_SHARE = (0.10, 0.55)  # of the frame's longer side
+LEAST_SEEN = 0.12
+
+
+@dataclass(frozen=True, eq=False)
+class Cutout:
+    """A fruit cut out of a photo.
+
+    Parameters
+    ----------
+    color : ndarray of uint8, shape (h, w, 3)
+        RGB.
+    mask : ndarray of bool, shape (h, w)
+        The fruit.
+    keypoints : ndarray of float64, shape (5, 3), optional
+        In pixels of the cutout.
+    """
+
+    color: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+    keypoints: NDArray[np.float64] | None
+
+
+def cutouts_of(dataset: DataSet, split: str = "train") -> tuple[Cutout, ...]:
+    """Cut the whole fruit out of the pictures of a split.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        With masks; labels to be ignored, cut off by the border, hidden in part or smaller than
+        40 px are left out.
+    split : str
+        Which pictures; never those that something is tested on.
+
+    Raises
+    ------
+    CaptureError
+        If a picture cannot be read.
+    """
+    from cucumbervision.capture.files import read_color
+
+    found = []
+    for picture in dataset.in_split(split):
+        whole = [x for x in picture.labels if _usable(x, picture.width, picture.height)]
+        if not whole:
+            continue
+        color = read_color(dataset.path(picture))
+        found += [_cut(color, label) for label in whole]
+    return tuple(found)
+
+
+def _usable(label: Label, width: int, height: int) -> bool:
+    if label.ignore or label.cut_off or label.mask_code is None or (label.hidden_share or 0) > 0.05:
+        return False
+    x1, y1, x2, y2 = label.box
+    inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
+    return bool(inside and max(x2 - x1, y2 - y1) >= LEAST_SIDE_PX)
+
+
+def _cut(color: NDArray[np.uint8], label: Label) -> Cutout:
+    mask = label.mask
+    if mask is None:
+        raise ValueError("a label without a mask cannot be cut out")
+    x1, y1, x2, y2 = box_of_mask(mask)
+    left, top = max(int(x1) - MARGIN_PX, 0), max(int(y1) - MARGIN_PX, 0)
+    part = np.s_[top : int(y2) + MARGIN_PX, left : int(x2) + MARGIN_PX]
+    points = label.keypoints
+    if points is not None:
+        points = points - np.array([left, top, 0.0])
+    return Cutout(color[part].copy(), mask[part].copy(), points)
+
+
+def paste(
+    color: NDArray[np.uint8],
+    depth_m: NDArray[np.float64],
+    labels: Sequence[Label],
+    cutouts: Sequence[Cutout],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.uint8], tuple[Label, ...]]:
+    """Paste fruit into a frame.
+
+    Parameters
+    ----------
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB; not changed.
+    depth_m : ndarray of float64, shape (H, W)
+        Exact depth, metres; 0 where nothing is.
+    labels : sequence of Label
+        The frame's own.
+    cutouts : sequence of Cutout
+        To choose from.
+    count : int
+        How many to paste.
+    rng : numpy.random.Generator
+        The source of chance.
+
+    Returns
+    -------
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    labels : tuple of Label
+        The frame's own, less what is now hidden, and the pasted ones, marked `pseudo`.
+    """
+    picture, depth = color.copy(), np.where(depth_m > 0, depth_m, np.inf)
+    kept = list(labels)
+    for _ in range(count if cutouts else 0):
+        drawn = _turned(cutouts[int(rng.integers(len(cutouts)))], picture.shape[:2], rng)
+        if drawn is None:
+            continue
+        fruit, alpha, points = drawn
+        amodal = alpha > 0.5
+        near, far = np.percentile(depth[amodal], [10, 60])
+        stand = float(np.clip(rng.uniform(near, max(far, near)) - 0.03, 0.2, 3.0))
+        seen = amodal & (depth > stand)
+        if seen.sum() < LEAST_SEEN * amodal.sum():
+            continue
+        blend = (alpha * (depth > stand))[..., None]
+        picture = (picture * (1 - blend) + fruit * blend).astype(np.uint8)
+        depth = np.where(seen, stand, depth)
+        kept = [x for x in (_less(label, seen) for label in kept) if x is not None]
+        kept.append(_label(seen, amodal, points))
+    return picture, tuple(kept)
+
+
+def _turned(
+    cutout: Cutout, shape: tuple[int, int], rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64] | None] | None:
+    height, width = shape
+    h, w = cutout.mask.shape
+    reach = rng.uniform(*LENGTH_SHARE) * max(shape) / max(h, w)
+    # Blowing a small photo up would paste a blur.
+    scale = min(reach, 1.3)
+    turn = np.deg2rad(rng.uniform(0, 360))
+    flip = rng.choice([-1.0, 1.0])
+    linear = scale * np.array(
+        [[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]
+    )
+    spot = rng.uniform(0.1, 0.9, 2) * (width, height)
+    shift = spot - linear @ np.array([(w - 1) / 2, (h - 1) / 2])
+    matrix = np.column_stack([linear, shift])
+    tone = rng.uniform(0.6, 1.25) * rng.uniform(0.94, 1.06, 3)
+    toned = np.clip(cutout.color * tone, 0, 255).astype(np.float32)
+    if scale < 0.7:
+        # Warping alone would skip pixels.
+        toned = cv2.GaussianBlur(toned, (0, 0), 0.35 / scale).astype(np.float32)
+    fruit = cv2.warpAffine(toned, matrix, (width, height), flags=cv2.INTER_LINEAR)
+    soft = cv2.GaussianBlur(cutout.mask.astype(np.float32), (0, 0), max(0.6, 0.4 / scale))
+    alpha = cv2.warpAffine(soft, matrix, (width, height), flags=cv2.INTER_LINEAR)
+    if (alpha > 0.5).sum() < 60:
+        return None
+    points = cutout.keypoints
+    if points is not None:
+        points = np.column_stack([points[:, :2] @ linear.T + shift, points[:, 2]])
+    return fruit.astype(np.float32), alpha.astype(np.float32), points
+
+
+def _less(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
+    mask = label.mask
+    if mask is None or not (mask & hidden).any():
+        return label
+    left = mask & ~hidden
+    if not left.any():
+        return None
+    whole = label.amodal
+    total = int(mask.sum() if whole is None else whole.sum())
+    share = 1 - int(left.sum()) / total
+    fresh = Label.of_mask(left)
+    return replace(
+        label,
+        box=fresh.box,
+        mask_code=fresh.mask_code,
+        keypoints=_hidden_points(label.keypoints, hidden),
+        hidden_share=round(share, 4),
+        ignore=label.ignore or share > 1 - LEAST_SEEN,
+    )
+
+
+def _hidden_points(
+    points: NDArray[np.float64] | None, hidden: NDArray[np.bool_]
+) -> NDArray[np.float64] | None:
+    if points is None:
+        return None
+    found, (height, width) = points.copy(), hidden.shape
+    for row in found:
+        u, v = (round(float(x)) for x in row[:2])
+        inside = 0 <= u < width and 0 <= v < height
+        if row[2] == 2 and inside and hidden[v, u]:
+            row[2] = 1
+    return found
+
+
+def _label(
+    seen: NDArray[np.bool_], amodal: NDArray[np.bool_], points: NDArray[np.float64] | None
+) -> Label:
+    height, width = seen.shape
+    if points is not None:
+        u, v = points[:, 0], points[:, 1]
+        inside = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+        points = np.column_stack([points[:, :2], np.where(inside, points[:, 2], 0)])
+        points = _hidden_points(points, amodal & ~seen)
+    return Label.of_mask(
+        seen,
+        amodal=amodal,
+        keypoints=points,
+        hidden_share=round(1 - int(seen.sum()) / int(amodal.sum()), 4),
+        cut_off=reaches_border(amodal),
+        pseudo=True,
+    )

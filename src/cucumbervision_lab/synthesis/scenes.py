@@ -1,0 +1,323 @@
+"""A scene: fruit among leaves, stems and strings before a backdrop, and its exact truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry.tube import points_along
+from cucumbervision_lab.synthesis.occluders import (
+    Leaf,
+    Plane,
+    Stem,
+    cast_leaf,
+    cast_stem,
+    plane_depth,
+)
+from cucumbervision_lab.synthesis.raycast import cast_tube, ray_grid
+from cucumbervision_lab.synthesis.render import Rendering
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.synthesis.raycast import Hit
+    from cucumbervision_lab.synthesis.tube import Tube
+
+__all__ = ["FruitTruth", "Kind", "Scene", "View", "look", "reaches_border", "truth_of"]
+
+KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+class Kind(IntEnum):
+    """What a pixel sees."""
+
+    NOTHING = 0
+    PLANE = 1
+    FRUIT = 2
+    LEAF = 3
+    STEM = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Bodies in the coordinates of one camera; what is nearest is seen.
+
+    Parameters
+    ----------
+    fruit : tuple of Tube
+        The fruit.
+    leaves : tuple of Leaf
+        Before and behind the fruit.
+    stems : tuple of Stem
+        Stems, stalks and strings.
+    planes : tuple of Plane
+        Bench, walls.
+    """
+
+    fruit: tuple[Tube, ...]
+    leaves: tuple[Leaf, ...] = ()
+    stems: tuple[Stem, ...] = ()
+    planes: tuple[Plane, ...] = ()
+
+    def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Scene:
+        """Give the scene turned about the origin by a 3x3 rotation, then moved by metres."""
+        return Scene(
+            tuple(body.moved(turn, by_m) for body in self.fruit),
+            tuple(body.moved(turn, by_m) for body in self.leaves),
+            tuple(body.moved(turn, by_m) for body in self.stems),
+            tuple(body.moved(turn, by_m) for body in self.planes),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class View(Rendering):
+    """What each pixel's ray meets first, and each fruit's whole outline.
+
+    Parameters
+    ----------
+    kind : ndarray of uint8, shape (H, W)
+        A `Kind`.
+    body : ndarray of int32, shape (H, W)
+        Index of the fruit, leaf, stem or plane within its kind; -1 where nothing is.
+    amodal : tuple of ndarray of bool, shape (H, W)
+        Each fruit's outline as if nothing hid it, within the picture.
+    """
+
+    kind: NDArray[np.uint8]
+    body: NDArray[np.int32]
+    amodal: tuple[NDArray[np.bool_], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FruitTruth:
+    """All that is known exactly of one fruit in one view.
+
+    Parameters
+    ----------
+    centreline_m, thread_m, chord_m : float
+        The three lengths, metres.
+    axis_m : ndarray of float64, shape (K, 3)
+        The central axis from blossom end to stem end, camera coordinates, metres.
+    radius_m : ndarray of float64, shape (K,)
+        The body's radius at each vertex of the axis, 0 at both poles, metres.
+    visible, amodal : ndarray of bool, shape (H, W)
+        Pixels that see the fruit, and those that would if nothing hid it.
+    hidden_share : float
+        Share of the amodal pixels that something hides, 0 to 1.
+    cut_off : bool
+        Whether the outline reaches the picture's border.
+    keypoints_px : ndarray of float64, shape (5, 2)
+        KP0 (blossom end) to KP4 (stem end): the axis' points at shares 0, 1/4, 1/2, 3/4 and 1 of
+        its length, as the camera sees them, (u, v) in pixels.
+    keypoint_visibility : ndarray of int8, shape (5,)
+        2 seen, 1 hidden by something or by the fruit itself, 0 outside the picture (COCO).
+    """
+
+    centreline_m: float
+    thread_m: float
+    chord_m: float
+    axis_m: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+    amodal: NDArray[np.bool_]
+    hidden_share: float
+    cut_off: bool
+    keypoints_px: NDArray[np.float64]
+    keypoint_visibility: NDArray[np.int8]
+
+
+def look(scene: Scene, camera: Intrinsics) -> View:
+    """Draw a scene exactly.
+
+    Parameters
+    ----------
+    scene : Scene
+        In the camera's coordinates.
+    camera : Intrinsics
+        Who looks.
+
+    Returns
+    -------
+    View
+        Depth 0 where nothing is; `share` and `normal` are the fruit's.
+
+    Raises
+    ------
+    ValueError
+        If a body reaches behind the camera.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
+    >>> string = Stem(np.array([[0.0, -0.3, 0.45], [0.0, 0.3, 0.45]]), 0.002)
+    >>> camera = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
+    >>> seen = look(Scene((tube,), stems=(string,), planes=(Plane.facing(0.8),)), camera)
+    >>> Kind(seen.kind[120, 160]).name, Kind(seen.kind[120, 180]).name, float(seen.depth_m[0, 0])
+    ('STEM', 'FRUIT', 0.8)
+    """
+    shape = camera.height, camera.width
+    canvas = _Canvas(
+        np.full(shape, np.inf),
+        np.zeros(shape, np.uint8),
+        np.full(shape, -1, np.int32),
+        np.zeros(shape, np.int32),
+    )
+    amodal = []
+    for index, tube in enumerate(scene.fruit):
+        hit = cast_tube(tube, camera)
+        whole = np.zeros(shape, np.bool_)
+        if hit is not None:
+            whole[hit.window] = hit.mask
+            canvas.add(hit, Kind.FRUIT, index)
+        amodal.append(whole)
+    for kind, hits in (
+        (Kind.LEAF, [cast_leaf(leaf, camera) for leaf in scene.leaves]),
+        (Kind.STEM, [cast_stem(stem, camera) for stem in scene.stems]),
+    ):
+        for index, hit in enumerate(hits):
+            if hit is not None:
+                canvas.add(hit, kind, index)
+    for index, plane in enumerate(scene.planes):
+        canvas.add_plane(plane_depth(plane, camera), index)
+    return _view(scene, camera, canvas, tuple(amodal))
+
+
+@dataclass(frozen=True, eq=False)
+class _Canvas:
+    depth_m: NDArray[np.float64]
+    kind: NDArray[np.uint8]
+    body: NDArray[np.int32]
+    part: NDArray[np.int32]
+
+    def add(self, hit: Hit, kind: Kind, index: int) -> None:
+        closer = hit.depth_m < self.depth_m[hit.window]
+        self.depth_m[hit.window][closer] = hit.depth_m[closer]
+        self.kind[hit.window][closer] = kind
+        self.body[hit.window][closer] = index
+        self.part[hit.window][closer] = hit.part[closer]
+
+    def add_plane(self, depth_m: NDArray[np.float64], index: int) -> None:
+        closer = depth_m < self.depth_m
+        np.copyto(self.depth_m, depth_m, where=closer)
+        self.kind[closer] = Kind.PLANE
+        self.body[closer] = index
+
+
+def _view(
+    scene: Scene, camera: Intrinsics, canvas: _Canvas, amodal: tuple[NDArray[np.bool_], ...]
+) -> View:
+    depth, grid = canvas.depth_m, ray_grid(camera)
+    depth[np.isinf(depth)] = 0.0
+    fruit = np.where(canvas.kind == Kind.FRUIT, canvas.body, -1).astype(np.int32)
+    share = np.zeros(depth.shape, np.float32)
+    normal = np.zeros((*depth.shape, 3), np.float32)
+    for index, tube in enumerate(scene.fruit):
+        v, u = np.nonzero(fruit == index)
+        k, z = canvas.part[v, u], depth[v, u]
+        points = np.stack([grid.x[v, u] * z, grid.y[v, u] * z, z], axis=1)
+        share[v, u] = k / (len(tube.radii_m) - 1)
+        normal[v, u] = (points - tube.centres_m[k]) / tube.radii_m[k, None]
+    return View(depth, fruit, share, normal, canvas.kind, canvas.body, amodal)
+
+
+def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tuple[FruitTruth, ...]:
+    """Give the truth of each fruit of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        In the camera's coordinates.
+    camera : Intrinsics
+        Who looks.
+    view : View, optional
+        What `look` gave for them, if at hand.
+
+    Returns
+    -------
+    tuple of FruitTruth
+        In the order of `scene.fruit`; a fruit outside the picture has empty masks and a
+        `hidden_share` of 0.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
+    >>> truth, = truth_of(Scene((tube,)), Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0))
+    >>> truth.keypoints_px.round(1)[:, 0].tolist(), truth.keypoint_visibility.tolist()
+    ([100.0, 130.0, 160.0, 190.0, 220.0], [2, 2, 2, 2, 2])
+    """
+    seen = look(scene, camera) if view is None else view
+    return tuple(_truth(tube, k, camera, seen) for k, tube in enumerate(scene.fruit))
+
+
+def reaches_border(mask: NDArray[np.bool_]) -> bool:
+    """Say whether a mask of shape (H, W) has a pixel in the picture's outermost rows or columns.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[2, 2:5] = True
+    >>> reaches_border(mask), reaches_border(mask[:3])
+    (False, True)
+    """
+    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
+
+
+def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth:
+    visible, amodal = view.mask(index), view.amodal[index]
+    whole = int(amodal.sum())
+    axis = tube.axis_m
+    points = points_along(axis, KEYPOINT_SHARES)
+    pixels = camera.project(points)
+    return FruitTruth(
+        centreline_m=tube.centreline_m,
+        thread_m=tube.thread_m,
+        chord_m=tube.chord_m,
+        axis_m=axis,
+        radius_m=np.concatenate([[0.0], tube.radii_m, [0.0]]),
+        visible=visible,
+        amodal=amodal,
+        hidden_share=1.0 - int(visible.sum()) / whole if whole else 0.0,
+        cut_off=reaches_border(amodal),
+        keypoints_px=pixels,
+        keypoint_visibility=_visibility(points, pixels, tube, visible, view.depth_m, camera),
+    )
+
+
+GROWN_SHARE = 0.2
+"""Half the width of a stalk or a blossom, as a share of the fruit's largest radius."""
+
+
+def _visibility(
+    points_m: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    tube: Tube,
+    visible: NDArray[np.bool_],
+    depth_m: NDArray[np.float64],
+    camera: Intrinsics,
+) -> NDArray[np.int8]:
+    height, width = visible.shape
+    thick_m = float(tube.radii_m.max())
+    found = np.zeros(len(pixels), np.int8)
+    # An inner point lies a radius under the skin; a pole is on it, or behind the fruit's body.
+    allowed = [0.5 * tube.radii_m[0], *[np.inf] * (len(pixels) - 2), 0.5 * tube.radii_m[-1]]
+    for k, (u, v) in enumerate(np.rint(pixels).astype(int).tolist()):
+        if not (0 <= u < width and 0 <= v < height):
+            continue
+        # A pole's own pixel may just miss the outline: its neighbours count too. And where a stalk
+        # or a blossom grows, the end is in sight all the same: as far as these reach.
+        about = 1
+        if k in (0, len(pixels) - 1):
+            about += int(np.ceil(GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6)))
+        near = np.s_[max(v - about, 0) : v + about + 1, max(u - about, 0) : u + about + 1]
+        fruit = visible[near]
+        behind = points_m[k, 2] - depth_m[near]
+        found[k] = 2 if (fruit & (behind <= allowed[k])).any() else 1
+    return found

@@ -1,0 +1,396 @@
+"""Paint a scene: what each body is made of, then light on all of it at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision_lab.synthesis.blade import (
+    BLADES,
+    blade_level,
+    blade_photo,
+    blade_pixel,
+    blade_texture,
+)
+from cucumbervision_lab.synthesis.ground import TILE_M, far_view, material_tile
+from cucumbervision_lab.synthesis.light import light_maps
+from cucumbervision_lab.synthesis.raycast import ray_grid
+from cucumbervision_lab.synthesis.scenes import Kind
+from cucumbervision_lab.synthesis.shadow import corners, spots, sun_shadow
+from cucumbervision_lab.synthesis.skin import skin_maps
+from cucumbervision_lab.synthesis.style import FAR, Style, random_style
+from cucumbervision_lab.synthesis.tones import dimmed, mix, sample, smooth_noise, to_linear
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.synthesis.assets import Assets
+    from cucumbervision_lab.synthesis.light import Light
+    from cucumbervision_lab.synthesis.occluders import Leaf, Plane, Stem
+    from cucumbervision_lab.synthesis.scenes import Scene, View
+    from cucumbervision_lab.synthesis.skin import Skin
+    from cucumbervision_lab.synthesis.tube import Tube
+
+    Array = NDArray[np.float32]
+
+__all__ = ["Style", "paint_scene", "random_style"]
+
+_FAR_M = 8.0
+_PHOTOS = 3
+_SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # a leaf against the light is yellower
+
+
+@dataclass(frozen=True, eq=False)
+class _Layers:
+    # What the light needs, flat: colour, normal, gloss, share of light that passes through,
+    # and where the colour shines by itself (a far view).
+    albedo: Array
+    normal: Array
+    gloss: Array
+    through: Array
+    far: NDArray[np.bool_]
+
+
+def paint_scene(
+    scene: Scene,
+    view: View,
+    camera: Intrinsics,
+    style: Style,
+    assets: Assets,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Give the light that each pixel sees.
+
+    Parameters
+    ----------
+    scene : Scene
+        In the camera's coordinates.
+    view : View
+        What `look` gives for it.
+    camera : Intrinsics
+        Who looks.
+    style : Style
+        How each body looks.
+    assets : Assets
+        Richer pictures to take.
+    rng : numpy.random.Generator
+        The source of chance.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        Linear RGB; `optics.expose` makes a picture of it.
+
+    Raises
+    ------
+    ValueError
+        If the style has not one look for each body.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_lab.synthesis.assets import Assets
+    >>> from cucumbervision_lab.synthesis.occluders import Plane
+    >>> from cucumbervision_lab.synthesis.scenes import Scene, look
+    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> camera, rng = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0), np.random.default_rng(1)
+    >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
+    >>> scene = Scene((tube,), planes=(Plane.facing(0.52),))
+    >>> style = random_style(rng, scene, Assets(), "bench")
+    >>> paint_scene(scene, look(scene, camera), camera, style, Assets(), rng).shape
+    (120, 160, 3)
+    """
+    _check(scene, style)
+    grid = ray_grid(camera)
+    depth = view.depth_m.astype(np.float32)
+    x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
+    points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
+    layers = _empty(view)
+    far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
+    photos = [blade_photo(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
+    tiles: dict[str, Array] = {}
+    for kind, index, at in _bodies(view):
+        here = points[at]
+        if kind == Kind.FRUIT:
+            skin, tube = style.skins[index], scene.fruit[index]
+            surface = view.share.ravel()[at], view.normal.reshape(-1, 3)[at]
+            _fruit(rng, layers, at, tube, skin, here, surface, camera, assets)
+        elif kind == Kind.LEAF:
+            photo = photos[rng.integers(_PHOTOS)]
+            _leaf(rng, layers, at, scene.leaves[index], style, index, here, camera, photo)
+        elif kind == Kind.STEM:
+            _stem(rng, layers, at, scene.stems[index], style, index, here)
+        elif kind == Kind.PLANE and style.materials[index] != FAR:
+            name = style.materials[index]
+            if name not in tiles:
+                seen_m = float(np.median(here[:, 2])) / camera.fx_px
+                tiles[name] = material_tile(rng, name, style.material_colors[index], seen_m)
+            _plane(layers, at, scene.planes[index], tiles[name], name, here)
+        else:
+            layers.albedo[at] = far[at]
+            layers.far[at] = True
+    return _lit(rng, layers, view, camera, style, assets)
+
+
+def _check(scene: Scene, style: Style) -> None:
+    for name, bodies, looks in (
+        ("fruit", scene.fruit, style.skins),
+        ("leaves", scene.leaves, style.leaf_colors),
+        ("leaves", scene.leaves, style.leaf_roles),
+        ("stems", scene.stems, style.stem_colors),
+        ("stems", scene.stems, style.stem_roles),
+        ("planes", scene.planes, style.materials),
+        ("planes", scene.planes, style.material_colors),
+    ):
+        if len(bodies) != len(looks):
+            raise ValueError(f"the style has {len(looks)} looks for {len(bodies)} {name}")
+
+
+def _empty(view: View) -> _Layers:
+    count = view.kind.size
+    normal = np.zeros((count, 3), np.float32)
+    normal[:, 2] = -1
+    return _Layers(
+        np.zeros((count, 3), np.float32),
+        normal,
+        np.zeros(count, np.float32),
+        np.zeros(count, np.float32),
+        np.zeros(count, np.bool_),
+    )
+
+
+def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
+    # One stable sort of 16-bit keys gives the pixels of every body at once.
+    most = int(view.body.max()) + 2
+    key = (view.kind.astype(np.int32) * most + view.body + 1).ravel()
+    key = key.astype(np.uint16) if key.max() < 2**16 else key
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order].astype(np.int32), prepend=-1))
+    found = []
+    for at in np.split(order, starts[1:]):
+        kind, body = divmod(int(key[at[0]]), most)
+        found.append((kind, body - 1, at))
+    return found
+
+
+def _fruit(
+    rng: np.random.Generator,
+    layers: _Layers,
+    at: NDArray[np.intp],
+    tube: Tube,
+    skin: Skin,
+    points: Array,
+    surface: tuple[Array, Array],
+    camera: Intrinsics,
+    assets: Assets,
+) -> None:
+    share, normal = surface
+    balls = len(tube.radii_m)
+    along = np.gradient(tube.centres_m, axis=0)
+    steps = np.linalg.norm(along, axis=1)
+    along /= steps[:, None]
+    run = tube.radii_m[0] + np.concatenate([[0.0], np.cumsum((steps[1:] + steps[:-1]) / 2)])
+    length = float(run[-1] + tube.radii_m[-1])
+    radius = float(np.quantile(tube.radii_m, 0.8))
+    texel = max(1.1 * float(np.median(points[:, 2])) / camera.fx_px, 0.0003)
+    maps = skin_maps(rng, skin, length, radius, texel, assets)
+    k = np.clip(np.rint(share * (balls - 1)), 0, balls - 1).astype(np.int32)
+    tangent = along.astype(np.float32)[k]
+    lean = np.einsum("ij,ij->i", normal, tangent)
+    from_blossom = run.astype(np.float32)[k] + lean * tube.radii_m.astype(np.float32)[k]
+    out = tube.outward - (along @ tube.outward)[:, None] * along
+    out = (out / np.linalg.norm(out, axis=1)[:, None]).astype(np.float32)
+    aside = np.cross(along, out).astype(np.float32)[k]
+    out = out[k]
+    angle = np.arctan2(
+        np.einsum("ij,ij->i", normal, aside), np.einsum("ij,ij->i", normal, out)
+    ) / np.float32(2 * np.pi)
+    rows, columns = maps.albedo.shape[:2]
+    x = (angle + np.float32(rng.random())) % 1 * columns - np.float32(0.5)
+    y = np.clip(from_blossom / np.float32(length), 0, 1) * (rows - 1)
+    layers.albedo[at] = sample(maps.albedo, x, y)
+    relief = sample(maps.relief, x, y)
+    turned = 2 * np.float32(np.pi) * angle[:, None]
+    round_about = np.cos(turned) * aside - np.sin(turned) * out
+    layers.normal[at] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
+    layers.gloss[at] = relief[:, 2]
+
+
+def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + np.float32(1e-9)
+    return dimmed(vectors, (np.float32(1) / length * sign).astype(np.float32))
+
+
+def _leaf(
+    rng: np.random.Generator,
+    layers: _Layers,
+    at: NDArray[np.intp],
+    leaf: Leaf,
+    style: Style,
+    index: int,
+    points: Array,
+    camera: Intrinsics,
+    photo: tuple[Array, ...],
+) -> None:
+    frame = leaf.frame.astype(np.float32)
+    local = (points - leaf.centre_m.astype(np.float32)) @ frame.T
+    flip = np.float32(rng.choice((-1.0, 1.0)))
+    x = blade_pixel(local[:, 0] / np.float32(leaf.half_length_m))
+    y = blade_pixel(flip * local[:, 1] / np.float32(leaf.half_width_m))
+    level = blade_level(camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
+    found = sample(blade_texture(int(rng.integers(BLADES)), level), x, y)
+    below = found[:, 2:] * np.float32(style.leaf_relief)
+    bend = np.asarray(leaf.bend_per_m, np.float32)
+    slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
+    normal = frame[2] - slopes @ frame[:2]
+    # Both faces of a blade are lit from the camera's side.
+    side = np.sign(np.einsum("ij,ij->i", normal, points))
+    under = float(side.mean()) > 0
+    layers.normal[at] = _unit(normal, -np.where(side == 0, 1, side))
+    color = to_linear(style.leaf_colors[index])
+    withered = style.leaf_roles[index] == "blossom"
+    pale = to_linear((150, 168, 104))
+    if under and not withered:
+        color = 0.65 * color + 0.35 * to_linear((140, 158, 122))
+    vein = np.float32(0.0 if withered else rng.uniform(0.02, 0.35)) * found[:, 1]
+    albedo = mix(color, pale, vein)
+    if photo and not withered:
+        albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo[level], x, y) - 1)
+    layers.albedo[at] = dimmed(albedo, np.ascontiguousarray(found[:, 0]))
+    layers.gloss[at] = np.float32(0.0 if under or withered else style.leaf_gloss)
+    layers.through[at] = np.float32(0.55)
+
+
+def _stem(
+    rng: np.random.Generator,
+    layers: _Layers,
+    at: NDArray[np.intp],
+    stem: Stem,
+    style: Style,
+    index: int,
+    points: Array,
+) -> None:
+    line = stem.vertices_m.astype(np.float32)
+    first, step = line[:-1], np.diff(line, axis=0)
+    long = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+    best = np.full(len(at), np.inf, np.float32)
+    normal = np.zeros((len(at), 3), np.float32)
+    run = np.zeros(len(at), np.float32)
+    for k in range(len(step)):
+        off = points - first[k]
+        share = np.clip(off @ step[k] / long[k], 0, 1)
+        off -= share[:, None] * step[k]
+        far = np.einsum("ij,ij->i", off, off)
+        closer = far < best
+        best[closer], normal[closer] = far[closer], off[closer]
+        run[closer] = (k + share[closer]) * np.sqrt(long[k])
+    normal = layers.normal[at] = _unit(normal)
+    color = to_linear(style.stem_colors[index])
+    role = style.stem_roles[index]
+    if role == "string":
+        tone = 1 + 0.2 * np.sin(run * 1600 + 6 * normal[:, 0])
+    elif role == "crate":
+        tone = 1 + 0.1 * sample(smooth_noise(rng, (64, 4), (6, 1), wrap=True), 0 * run, 90 * run)
+    else:
+        noise = smooth_noise(rng, (64, 4), (3, 1), wrap=True)
+        tone = 1 + 0.12 * sample(noise, 2 + 2 * normal[:, 0], run * 400 % 63)
+        tone *= 1 + 0.06 * np.cos(9 * np.arctan2(normal[:, 0], -normal[:, 2]))
+    layers.albedo[at] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
+    layers.gloss[at] = np.float32(0.15)
+    layers.through[at] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
+
+
+def _plane(
+    layers: _Layers,
+    at: NDArray[np.intp],
+    plane: Plane,
+    tile: Array,
+    material: str,
+    points: Array,
+) -> None:
+    normal = plane.normal / np.linalg.norm(plane.normal)
+    normal = normal * -np.sign(normal @ plane.point_m)
+    aside = np.cross(normal, (0.0, 1.0, 0.15) if abs(normal[1]) < 0.9 else (1.0, 0.1, 0.0))
+    aside /= np.linalg.norm(aside)
+    frame = np.stack([aside, np.cross(normal, aside)]).astype(np.float32)
+    place = (points - plane.point_m.astype(np.float32)) @ frame.T
+    size = tile.shape[0]
+    pixel = (place * np.float32(size / TILE_M)) % size
+    layers.albedo[at] = sample(tile, pixel[:, 0], pixel[:, 1])
+    layers.normal[at] = normal.astype(np.float32)
+    layers.gloss[at] = np.float32({"steel": 0.5, "plastic": 0.4}.get(material, 0.03))
+
+
+def _lit(
+    rng: np.random.Generator,
+    layers: _Layers,
+    view: View,
+    camera: Intrinsics,
+    style: Style,
+    assets: Assets,
+) -> NDArray[np.float32]:
+    shape = view.kind.shape
+    grid = ray_grid(camera)
+    far = layers.far.reshape(shape)
+    depth = np.where((view.depth_m > 0) & ~far, view.depth_m, _FAR_M).astype(np.float32)
+    maps = light_maps(rng, style.light, assets)
+    normal = layers.normal.reshape(*shape, 3)
+    albedo = layers.albedo.reshape(*shape, 3)
+    gloss, through = layers.gloss.reshape(shape), layers.through.reshape(shape)
+    size = maps.front.shape[0]
+
+    def found(picture: Array, x: Array, y: Array) -> Array:
+        return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR))
+
+    half = np.float32(size / 2)
+    x, y = ((normal[..., i] + 1) * half - np.float32(0.5) for i in range(2))
+    open_ = corners(depth)
+    front = found(maps.front, x, y)
+    front += dimmed(found(maps.back * _SEEN_THROUGH, x, y), through)
+    nearest = float(np.quantile(depth[::8, ::8], 0.02))
+    gloom = np.exp(-np.float32(style.gloom_per_m) * np.maximum(depth - nearest, 0))
+    front = dimmed(front, open_ * gloom)
+    # Away from the picture's middle the line of sight leans, and the mirror image with it.
+    x += np.float32(0.5) * half * grid.x.astype(np.float32)
+    y += np.float32(0.5) * half * grid.y.astype(np.float32)
+    x, y = np.clip(x, 0, size - 1), np.clip(y, 0, size - 1)
+    # Schlick's approximation, for a coat of wax.
+    edge = np.clip(1 + normal[..., 2], 0, 1) ** 4
+    shine = gloss * (np.float32(0.045) + np.float32(0.35) * edge)
+    gleam = found(maps.soft, x, y)
+    gleam += dimmed(found(maps.sharp, x, y), np.maximum(gloss - np.float32(0.4), 0))
+    light = albedo * front
+    light += dimmed(gleam, shine * (0.3 + 0.7 * open_) * gloom)
+    if style.light.sun_strength > 0:
+        light += _sunlit(rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light)
+    light[far] = albedo[far]
+    return light
+
+
+def _sunlit(
+    rng: np.random.Generator,
+    layers: tuple[Array, Array, Array, Array],
+    depth_m: Array,
+    gloom: Array,
+    camera: Intrinsics,
+    light: Light,
+) -> Array:
+    albedo, normal, gloss, through = layers
+    lit = sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
+    if light.shade > 0:
+        lit = lit * spots(rng, depth_m, camera, light)
+    sun = np.asarray(light.sun, np.float32)
+    halfway = sun + np.array([0, 0, -1], np.float32)
+    halfway /= np.linalg.norm(halfway)
+    both = cv2.transform(normal, np.stack([sun, halfway]))
+    facing = both[..., 0]
+    matt, back = np.maximum(facing, 0), through * np.maximum(-facing, 0)
+    shine = cv2.pow(np.maximum(both[..., 1], 0), 60.0) * gloss * (facing > 0)
+    strength = np.asarray(light.sun_color, np.float32) * np.float32(light.sun_strength)
+    body = cv2.merge([matt + part * back for part in _SEEN_THROUGH.tolist()]) * albedo
+    gleam = np.float32(0.9) * shine
+    return dimmed(body + cv2.merge([gleam, gleam, gleam]), lit) * strength

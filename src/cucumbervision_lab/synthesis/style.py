@@ -1,0 +1,286 @@
+"""How a scene looks: the skins of its fruit, its light, its leaves, what it lies on or before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision_lab.synthesis.ground import material_color
+from cucumbervision_lab.synthesis.light import Light, random_light
+from cucumbervision_lab.synthesis.skin import LOOKS, Skin, random_skin
+from cucumbervision_lab.synthesis.tones import jitter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision_lab.synthesis.assets import Assets
+    from cucumbervision_lab.synthesis.light import Vector
+    from cucumbervision_lab.synthesis.scenes import Scene
+    from cucumbervision_lab.synthesis.skin import Color
+
+__all__ = ["FAR", "ROLES", "SETTINGS", "Style", "random_style"]
+
+SETTINGS = ("hanging", "bench", "crate")
+ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
+FAR = "far"
+
+_LEAVES = (
+    (42.0, 70.0, 38.0),
+    (50.0, 92.0, 38.0),
+    (66.0, 116.0, 42.0),
+    (84.0, 136.0, 46.0),
+    (112.0, 152.0, 60.0),
+)
+_FADED = ((150.0, 150.0, 66.0), (128.0, 104.0, 60.0))
+_ROLE_COLORS: dict[str, tuple[Color, ...]] = {
+    "blossom": (
+        (222.0, 180.0, 40.0),
+        (196.0, 150.0, 70.0),
+        (140.0, 104.0, 62.0),
+        (96.0, 74.0, 50.0),
+    ),
+    "stem": ((96.0, 124.0, 66.0), (122.0, 146.0, 84.0), (80.0, 104.0, 56.0)),
+    "stalk": ((104.0, 132.0, 66.0), (130.0, 152.0, 84.0), (84.0, 112.0, 52.0)),
+    "string": (
+        (226.0, 226.0, 220.0),
+        (170.0, 170.0, 166.0),
+        (140.0, 116.0, 84.0),
+        (40.0, 40.0, 42.0),
+    ),
+    "crate": (
+        (42.0, 44.0, 46.0),
+        (40.0, 100.0, 60.0),
+        (40.0, 90.0, 160.0),
+        (190.0, 160.0, 118.0),
+        (200.0, 202.0, 204.0),
+        (170.0, 50.0, 40.0),
+    ),
+}
+_PLANES: dict[str, tuple[str, ...]] = {
+    "bench": ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil"),
+    "crate": ("plastic", "mesh", "wood", "cardboard"),
+    "floor": ("concrete", "soil", "film", "paper", "cloth"),
+    "wall": ("film", "plastic", "concrete", "wood", "paper"),
+    "far": (FAR,),
+}
+
+
+@dataclass(frozen=True)
+class Style:
+    """How each body of a scene looks, in the order of the scene's bodies.
+
+    Parameters
+    ----------
+    skins : tuple of Skin
+        One a fruit.
+    light : Light
+        The light.
+    far : str
+        What lies behind everything, as `ground.far_view` takes it.
+    materials : tuple of str
+        One a plane: a material, or "far" for a wall that shows the far view.
+    material_colors : tuple of tuple of float
+        One a plane, sRGB, 0 to 255.
+    leaf_colors, stem_colors : tuple of tuple of float
+        One a leaf or stem, sRGB, 0 to 255.
+    leaf_roles, stem_roles : tuple of str
+        One a leaf or stem: "leaf", "blossom"; "stem", "stalk", "string", "blossom", "crate".
+    leaf_gloss, leaf_relief : float
+        How leaves shine, and how blistered they are, 0 to 1.
+    leaf_photo : float
+        How much leaves take their drawing from photos of leaves, 0 to 1.
+    gloom_per_m : float
+        How fast light fades behind the nearest leaves, 1/m.
+    """
+
+    skins: tuple[Skin, ...]
+    light: Light
+    far: str = "leaves"
+    materials: tuple[str, ...] = ()
+    material_colors: tuple[Color, ...] = ()
+    leaf_colors: tuple[Color, ...] = ()
+    stem_colors: tuple[Color, ...] = ()
+    leaf_roles: tuple[str, ...] = ()
+    stem_roles: tuple[str, ...] = ()
+    leaf_gloss: float = 0.3
+    leaf_relief: float = 0.4
+    leaf_photo: float = 0.0
+    gloom_per_m: float = 1.0
+
+
+def random_style(
+    rng: np.random.Generator,
+    scene: Scene,
+    assets: Assets,
+    setting: str,
+    *,
+    leaf_roles: Sequence[str] | None = None,
+    stem_roles: Sequence[str] | None = None,
+    plane_roles: Sequence[str] | None = None,
+    varieties: Sequence[str] | None = None,
+    up: Vector | None = None,
+) -> Style:
+    """Draw how a scene looks.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    scene : Scene
+        Its bodies.
+    assets : Assets
+        Richer pictures to take.
+    setting : str
+        "hanging", "bench" or "crate".
+    leaf_roles, stem_roles : sequence of str, optional
+        What each leaf and stem is; by default all leaves are leaves, and stems of less than
+        2.5 mm radius strings.
+    plane_roles : sequence of str, optional
+        What each plane is: "bench", "crate", "floor", "wall" or "far" (shows the far view); by
+        default the first is a bench unless fruit hang, and the rest are far.
+    varieties : sequence of str, optional
+        What each fruit is (`skin.LOOKS`); by default most fruit of a scene are of one variety.
+    up : tuple of float, optional
+        Unit vector up, camera coordinates; by default -y, or off the first plane towards the
+        camera when the fruit lie.
+
+    Returns
+    -------
+    Style
+
+    Raises
+    ------
+    ValueError
+        If the setting or a role is none of these.
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.synthesis.assets import Assets
+    >>> from cucumbervision_lab.synthesis.occluders import Plane
+    >>> from cucumbervision_lab.synthesis.scenes import Scene
+    >>> bench = Scene((), planes=(Plane.facing(0.6),))
+    >>> style = random_style(np.random.default_rng(1), bench, Assets(), "bench")
+    >>> len(style.materials), style.light.up
+    (1, (0.0, 0.0, -1.0))
+    """
+    _check(setting, (*(leaf_roles or ()), *(stem_roles or ())), plane_roles or ())
+    leaves = tuple(leaf_roles) if leaf_roles is not None else ("leaf",) * len(scene.leaves)
+    stems = tuple(stem_roles) if stem_roles is not None else _stem_roles(scene)
+    light = random_light(rng, assets, _up(scene, setting) if up is None else up)
+    planes = tuple(plane_roles or _plane_roles(len(scene.planes), setting))
+    materials = _materials(rng, planes)
+    far = str(rng.choice(["photo", "leaves", "film", "dark"], p=[0.45, 0.25, 0.22, 0.08]))
+    return Style(
+        skins=_skins(rng, scene, assets, varieties),
+        light=light,
+        far=far,
+        materials=materials,
+        material_colors=_material_colors(rng, materials),
+        leaf_colors=_leaf_colors(rng, leaves),
+        stem_colors=_stem_colors(rng, stems),
+        leaf_roles=leaves,
+        stem_roles=stems,
+        leaf_gloss=float(rng.uniform(0.05, 0.4)),
+        leaf_relief=float(rng.uniform(0.15, 0.7)),
+        leaf_photo=float(rng.uniform(0.3, 1.0)) if assets.leaves and rng.random() < 0.6 else 0.0,
+        gloom_per_m=float(rng.uniform(0.0, 2.5)),
+    )
+
+
+def _check(setting: str, roles: Sequence[str], plane_roles: Sequence[str]) -> None:
+    for given, known, what in (
+        ((setting,), SETTINGS, "setting"),
+        (roles, ROLES, "role of a leaf or stem"),
+        (plane_roles, tuple(_PLANES), "role of a plane"),
+    ):
+        for name in given:
+            if name not in known:
+                raise ValueError(f"no {what} {name!r}: choose one of {', '.join(known)}")
+
+
+def _up(scene: Scene, setting: str) -> Vector:
+    if setting == "hanging" or not scene.planes:
+        return 0.0, -1.0, 0.0
+    plane = scene.planes[0]
+    # The side of the plane that the camera, at the origin, is on.
+    off = plane.normal * -np.sign(plane.normal @ plane.point_m)
+    x, y, z = (off / np.linalg.norm(off) + 0.0).tolist()
+    return x, y, z
+
+
+def _stem_roles(scene: Scene) -> tuple[str, ...]:
+    return tuple("string" if stem.radius_m < 0.0025 else "stem" for stem in scene.stems)
+
+
+def _skins(
+    rng: np.random.Generator, scene: Scene, assets: Assets, varieties: Sequence[str] | None
+) -> tuple[Skin, ...]:
+    names = tuple(LOOKS)
+    main = names[rng.choice(len(names), p=[0.36, 0.22, 0.14, 0.16, 0.12])]
+    kin = random_skin(rng, main, assets)
+    skins = []
+    for k in range(len(scene.fruit)):
+        if varieties is not None:
+            skins.append(random_skin(rng, varieties[k], assets))
+        elif rng.random() < 0.15:
+            skins.append(random_skin(rng, names[rng.integers(len(names))], assets))
+        else:
+            skins.append(_sibling(rng, kin, random_skin(rng, main, assets)))
+    return tuple(skins)
+
+
+def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
+    # Fruit of one plant are alike, but not the same: some ripen, some grow pale.
+    return replace(
+        kin,
+        base=jitter(rng, kin.base, 0.10),
+        tip=jitter(rng, kin.tip, 0.10),
+        tip_reach=other.tip_reach,
+        stripe_strength=(kin.stripe_strength + other.stripe_strength) / 2,
+        bloom=other.bloom,
+        neck=other.neck,
+    )
+
+
+def _plane_roles(count: int, setting: str) -> tuple[str, ...]:
+    first = "far" if setting == "hanging" else "bench"
+    return (first, *["far"] * (count - 1))[:count]
+
+
+def _materials(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[str, ...]:
+    # All planes of a role are of one make: a crate has four sides.
+    known = {role: str(rng.choice(_PLANES[role])) for role in sorted(set(roles))}
+    return tuple(known[role] for role in roles)
+
+
+def _material_colors(rng: np.random.Generator, materials: tuple[str, ...]) -> tuple[Color, ...]:
+    known: dict[str, Color] = {}
+    for name in materials:
+        if name not in known:
+            known[name] = (0.0, 0.0, 0.0) if name == FAR else material_color(rng, name)
+    return tuple(known[name] for name in materials)
+
+
+def _leaf_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
+    main = jitter(rng, _LEAVES[rng.integers(len(_LEAVES))])
+    colors = []
+    for role in roles:
+        if role == "blossom":
+            choices = _ROLE_COLORS["blossom"]
+            colors.append(jitter(rng, choices[rng.integers(len(choices))], 0.12))
+        elif rng.random() < 0.04:
+            colors.append(jitter(rng, _FADED[rng.integers(len(_FADED))]))
+        elif rng.random() < 0.2:
+            colors.append(jitter(rng, _LEAVES[rng.integers(len(_LEAVES))]))
+        else:
+            colors.append(jitter(rng, main, 0.14))
+    return tuple(colors)
+
+
+def _stem_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
+    main = {
+        role: _ROLE_COLORS[role][rng.integers(len(_ROLE_COLORS[role]))] for role in _ROLE_COLORS
+    }
+    return tuple(jitter(rng, main.get(role, main["stem"]), 0.08) for role in roles)

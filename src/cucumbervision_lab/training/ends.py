@@ -1,0 +1,366 @@
+"""Train the small network that tells a fruit's stem end from its blossom end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cucumbervision.capture.files import read_color
+from cucumbervision.errors import TrainingError
+from cucumbervision.geometry.tube import arc_positions
+from cucumbervision.perception.ends import STRIP_PX, SURE, straighten
+from cucumbervision.perception.registry import file_sha256
+from cucumbervision_lab.datasets.labels import DataSet, Label
+from cucumbervision_lab.training.cards import ModelCard, write_card
+
+__all__ = [
+    "EndsResult",
+    "Strips",
+    "collect_strips",
+    "make_network",
+    "train_ends",
+    "write_ends_card",
+]
+
+COPIES = 3  # of each fruit, each with other points
+ALONG_SD, ASIDE_SD = 0.04, 0.02  # what a pose network's points err by, as shares of the length
+HELD_OUT = 8  # every eighth scene is not learnt from
+_BATCH, _SEEN = 128, 2
+_SMOOTH = 0.02
+_LIMITS = (
+    "Where neither end is in sight it goes by colour and taper alone.",
+    "Learnt from points that err by 4 % of the length along a fruit and 2 % aside; worse points "
+    "give worse answers.",
+    "Its probabilities are those of drawn fruit; on real ones they were not checked.",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """Fruit laid level, the stem end to the right.
+
+    Parameters
+    ----------
+    pictures : ndarray of uint8, shape (N, 32, 96, 3)
+        RGB.
+    seen : ndarray of int64, shape (N,)
+        How many of the two ends are in sight.
+    held_out : ndarray of bool, shape (N,)
+        Whether the scene is one to judge by.
+    """
+
+    pictures: NDArray[np.uint8]
+    seen: NDArray[np.int64]
+    held_out: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class EndsResult:
+    """What a training came to.
+
+    Parameters
+    ----------
+    network : Path
+        The ONNX file.
+    strips, judged : int
+        Fruit learnt from (each several times), and fruit judged by.
+    right : dict of str to float
+        Share of fruit of other scenes whose ends are told rightly: 'all', and by how many ends
+        are in sight.
+    sure, sure_right : float
+        Share of those with a probability of at least 0.9, and how many of these are right.
+    """
+
+    network: Path
+    strips: int
+    judged: int
+    right: dict[str, float]
+    sure: float
+    sure_right: float
+
+
+def collect_strips(
+    sets: Sequence[DataSet], seed: int = 0, progress: Callable[[int], None] | None = None
+) -> Strips:
+    """Cut all fruit with five labelled points out of sets of pictures.
+
+    Parameters
+    ----------
+    sets : sequence of DataSet
+        With keypoints; pictures of the split 'test' are left out.
+    seed : int
+        Of the points' errors.
+    progress : callable, optional
+        Called with 1 after each picture.
+
+    Raises
+    ------
+    TrainingError
+        If there is no such fruit.
+    CaptureError
+        If a picture cannot be read.
+    """
+    rng = np.random.default_rng(seed)
+    found: list[NDArray[np.uint8]] = []
+    seen: list[int] = []
+    held: list[bool] = []
+    scenes: dict[str, int] = {}
+    for dataset in sets:
+        for picture in dataset.pictures:
+            fruit = [x for x in picture.labels if _usable(x)] if picture.split != "test" else []
+            if fruit:
+                color = read_color(dataset.path(picture))
+                scene = scenes.setdefault(picture.scene or picture.file, len(scenes))
+                for label in fruit:
+                    strips = _copies(rng, color, label)
+                    found += strips
+                    seen += [_ends_seen(label)] * len(strips)
+                    held += [scene % HELD_OUT == HELD_OUT - 1] * len(strips)
+            if progress is not None:
+                progress(1)
+    if not found or all(held) or not any(held):
+        raise TrainingError(
+            "there are too few scenes with fruit of five labelled points",
+            source=sets[0].folder if sets else None,
+            remedy=f"give at least {HELD_OUT} scenes with keypoints",
+        )
+    return Strips(np.stack(found), np.array(seen), np.array(held))
+
+
+def _usable(label: Label) -> bool:
+    return not label.ignore and label.keypoints is not None and bool(label.keypoints[:, 2].all())
+
+
+def _ends_seen(label: Label) -> int:
+    points = label.keypoints
+    return 0 if points is None else int((points[[0, -1], 2] == _SEEN).sum())
+
+
+def _copies(
+    rng: np.random.Generator, color: NDArray[np.uint8], label: Label
+) -> list[NDArray[np.uint8]]:
+    points = np.asarray(label.keypoints)[:, :2]
+    length = float(arc_positions(points)[-1])
+    strips = []
+    for _ in range(COPIES):
+        moved = points + rng.normal(0, ASIDE_SD * length, points.shape)
+        for tip, inner in ((0, 1), (-1, -2)):
+            out = points[tip] - points[inner]
+            out /= max(float(np.linalg.norm(out)), 1e-9)
+            moved[tip] += out * rng.normal(0, ALONG_SD * length)
+        strip = straighten(color, moved)
+        if strip is not None:
+            strips.append(strip)
+    return strips
+
+
+def make_network() -> Any:
+    """Build the network, with random weights.
+
+    Returns
+    -------
+    torch.nn.Module
+        Takes fruit, float32 of shape (N, 3, 32, 96), 0 to 1; gives logits of shape (N,) that the
+        stem is to the right. Turned by half a turn, a fruit gives the opposite.
+
+    Examples
+    --------
+    >>> import torch
+    >>> network, fruit = make_network().eval(), torch.rand(2, 3, 32, 96)
+    >>> bool(torch.allclose(network(fruit), -network(fruit.flip(2, 3)), atol=1e-6))
+    True
+    """
+    import torch
+    from torch import nn
+
+    def layer(inner: int, outer: int, stride: int | tuple[int, int]) -> list[nn.Module]:
+        convolution = nn.Conv2d(inner, outer, 3, stride, 1, bias=False)
+        return [convolution, nn.BatchNorm2d(outer), nn.SiLU()]
+
+    class Ends(nn.Module):  # type: ignore[misc]
+        """Half of an opinion for each way round."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.opinion = nn.Sequential(
+                *layer(3, 16, 2),
+                *layer(16, 32, 2),
+                *layer(32, 64, 2),
+                *layer(64, 64, 1),
+                nn.AvgPool2d((STRIP_PX[0] // 8, 2)),
+                nn.Flatten(),
+                nn.Dropout(0.2),
+                nn.Linear(64 * STRIP_PX[1] // 16, 1),
+            )
+
+        def forward(self, fruit: Any) -> Any:
+            """Give the logits."""
+            # Both ways round in one batch: batch norm would else tell one from the other.
+            both = torch.cat([fruit, torch.flip(fruit, (2, 3))]) - 0.45
+            right, left = self.opinion(both).view(2, -1)
+            return right - left
+
+    return Ends()
+
+
+def train_ends(
+    strips: Strips,
+    out: Path,
+    *,
+    epochs: int = 20,
+    seed: int = 0,
+    progress: Callable[[int, float], None] | None = None,
+) -> EndsResult:
+    """Train the network and write it as `out`, an ONNX file.
+
+    Parameters
+    ----------
+    strips : Strips
+        From `collect_strips`.
+    out : Path
+        The file to write.
+    epochs : int
+        Rounds through all fruit.
+    seed : int
+        Of the random numbers.
+    progress : callable, optional
+        Called after each epoch with its number and the mean loss.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra `train` is not installed.
+    """
+    from cucumbervision_lab.training.export_yolo import import_ultralytics
+
+    import_ultralytics()  # its absence is named there, and torch comes with it
+    import torch
+    from torch.nn.functional import binary_cross_entropy_with_logits
+
+    torch.manual_seed(seed)
+    network = make_network()
+    planes = torch.from_numpy(np.ascontiguousarray(strips.pictures.transpose(0, 3, 1, 2)))
+    learnt = torch.from_numpy(np.flatnonzero(~strips.held_out))
+    steps = epochs * (len(learnt) // _BATCH + 1)
+    optimiser = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=0.02)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, steps)
+    for epoch in range(epochs):
+        network.train()
+        losses = []
+        for chosen in torch.split(learnt[torch.randperm(len(learnt))], _BATCH):
+            if len(chosen) < 2:
+                continue
+            logits = network(_varied(planes[chosen].float() / 255))
+            loss = binary_cross_entropy_with_logits(logits, torch.full_like(logits, 1 - _SMOOTH))
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            losses.append(loss.item())
+        if progress is not None:
+            progress(epoch + 1, float(np.mean(losses)))
+    network.eval()
+    _export(network, out)
+    with torch.no_grad():
+        judged = planes[torch.from_numpy(np.flatnonzero(strips.held_out))].float() / 255
+        logits = torch.cat([network(part) for part in torch.split(judged, 512)]).numpy()
+    return _judged(logits, strips.seen[strips.held_out], out, len(learnt))
+
+
+def write_ends_card(
+    result: EndsResult, name: str, *, epochs: int, seed: int, credits: Sequence[str] = ()
+) -> ModelCard:
+    """Write the network's card beside it.
+
+    Parameters
+    ----------
+    result : EndsResult
+        What the training came to.
+    name : str
+        The network's.
+    epochs, seed : int
+        As they were.
+    credits : sequence of str
+        Publishers of pictures.
+    """
+    from importlib.metadata import version
+
+    sha256 = file_sha256(result.network)
+    figures = {f"right, {kind}": share for kind, share in result.right.items()}
+    card = ModelCard(
+        name=name,
+        task="ends",
+        file=result.network.name,
+        sha256=sha256,
+        size_bytes=result.network.stat().st_size,
+        checkpoint_sha256=sha256,
+        command=f"cucumbervision train ends SETS --out DIR --epochs {epochs} --seed {seed}",
+        metrics={
+            "fruit learnt from": float(result.strips),
+            "fruit of other scenes judged by": float(result.judged),
+            **figures,
+            "at least 90 % sure": result.sure,
+            "right of these": result.sure_right,
+        },
+        credits=tuple(credits),
+        limits=_LIMITS,
+        versions={"torch": version("torch")},
+    )
+    write_card(card, result.network.parent)
+    return card
+
+
+def _varied(fruit: Any) -> Any:
+    """Vary light, colour and noise, and mirror the fruit about its axis."""
+    import torch
+
+    count = len(fruit)
+    mirrored = torch.rand(count) < 0.5
+    fruit = torch.where(mirrored[:, None, None, None], fruit.flip(2), fruit)
+    gain = 1 + 0.25 * torch.randn(count, 1, 1, 1) + 0.08 * torch.randn(count, 3, 1, 1)
+    noise = 0.03 * torch.rand(count, 1, 1, 1) * torch.randn_like(fruit)
+    return (fruit * gain + 0.05 * torch.randn(count, 1, 1, 1) + noise).clamp(0, 1)
+
+
+def _judged(
+    logits: NDArray[np.float32], seen: NDArray[np.int64], out: Path, learnt: int
+) -> EndsResult:
+    right = {"all": float((logits > 0).mean())}
+    for count in (0, 1, 2):
+        some = seen == count
+        if some.any():
+            right[f"{count} ends in sight"] = float((logits[some] > 0).mean())
+    sure = 1 / (1 + np.exp(-np.abs(logits))) >= SURE
+    share = float((logits[sure] > 0).mean()) if sure.any() else float("nan")
+    return EndsResult(
+        out, learnt // COPIES, len(logits) // COPIES, right, float(sure.mean()), share
+    )
+
+
+def _export(network: Any, out: Path) -> None:
+    import warnings
+
+    import onnx
+    import torch
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network,
+            (torch.zeros(2, 3, *STRIP_PX),),
+            str(out),
+            input_names=["fruit"],
+            output_names=["stem_right"],
+            dynamic_axes={"fruit": {0: "count"}, "stem_right": {0: "count"}},
+            opset_version=17,
+            dynamo=False,
+        )
+    written = onnx.load(out)
+    onnx.helper.set_model_props(written, {"task": "ends"})
+    onnx.save(written, out)

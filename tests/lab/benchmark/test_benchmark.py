@@ -1,0 +1,126 @@
+"""The quick benchmark: regression guards with margin, and that a killed run resumes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.accuracy.statistics import score
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_lab.benchmark.benchmark import BenchmarkPlan, plan_cases, run_benchmark
+from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
+from cucumbervision_lab.benchmark.protocol import (
+    CAMERA,
+    PAPER_THREADS_CM,
+    nearest_m,
+    paper_cases,
+    stress_cases,
+    validation_cases,
+)
+from cucumbervision_lab.benchmark.records import Masks, Record, Suite
+from cucumbervision_lab.benchmark.runner import run_cases
+from cucumbervision_lab.benchmark.simulate import build_fruit, simulate
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
+    out = tmp_path_factory.mktemp("benchmark")
+    found, tables = run_benchmark(BenchmarkPlan(quick=True, workers=1), out)
+    assert tables == {}
+    return found
+
+
+def mape(records: list[Record], method: str, masks: Masks) -> float:
+    some = [r for r in records if r.masks is masks and r.suite is not Suite.STRESS]
+    lengths = [np.nan if (x := r.lengths_m[method]) is None else x for r in some]
+    return score(lengths, [r.centreline_m or 0 for r in some]).mape_percent
+
+
+def test_m6_stays_accurate(records: list[Record]) -> None:
+    assert mape(records, "M6", Masks.EXACT) < 1.5
+    assert mape(records, "M6", Masks.DISTURBED) < 3.0
+    assert mape(records, "M6", Masks.EXACT) < 0.5 * mape(records, "M3", Masks.EXACT)
+
+
+def test_the_papers_methods_read_what_they_are_known_to(records: list[Record]) -> None:
+    assert 1 < mape(records, "M3", Masks.EXACT) < 8
+    assert 1 < mape(records, "M5", Masks.EXACT) < 30
+    assert mape(records, "M1", Masks.EXACT) > 10
+
+
+def test_the_oracle_is_the_floor(records: list[Record]) -> None:
+    assert mape(records, "oracle", Masks.EXACT) < 0.8
+    assert mape(records, "oracle", Masks.DISTURBED) < 3.0
+
+
+def test_every_record_carries_intervals_that_hold_their_length(records: list[Record]) -> None:
+    for record in records:
+        found = record.details["intervals"]
+        assert "M6" in found or record.lengths_m["M6"] is None
+        for ends in found.values():
+            assert ends["known"][0] < ends["known"][1]
+            assert ends["unknown"][1] - ends["unknown"][0] > 0
+
+
+def test_the_same_case_is_always_the_same() -> None:
+    case = stress_cases(1, first=5)[0]
+    one, other = (simulate(case) for _ in range(2))
+    assert (one.capture.depth_m == other.capture.depth_m).all()
+    assert one.depth_scale == other.depth_scale
+
+
+def test_fruit_are_as_long_as_their_cases_say() -> None:
+    for case in (*paper_cases(7), *validation_cases()):
+        assert build_fruit(case).thread_m == pytest.approx(case.length_m, rel=0.004)
+    for case in stress_cases(5):
+        assert build_fruit(case).centreline_m == pytest.approx(case.length_m, rel=1e-4)
+    assert [c.length_m * 100 for c in paper_cases(7)] == pytest.approx(PAPER_THREADS_CM)
+
+
+def test_whole_fruit_fit_into_the_picture() -> None:
+    assert nearest_m(0.2, 0) == pytest.approx(0.2 * 910.22 / (0.86 * 1280))
+    cut = [simulate(case).truth.cut_off for case in (*validation_cases(), *stress_cases(10))]
+    assert sum(cut) <= 1
+    assert CAMERA.width == 1280
+
+
+def test_the_protocol_is_the_papers() -> None:
+    protocol, stress = plan_cases(BenchmarkPlan())
+    assert len([c for c in protocol if c.suite is Suite.PAPER]) == 48
+    assert len({c.fruit for c in protocol if c.suite is Suite.PAPER}) == 7
+    assert len({c.fruit for c in stress}) == len(stress) == 2000
+
+
+def test_hiding_leaves_hide_about_what_was_asked() -> None:
+    hidden = [c for c in stress_cases(60) if c.hidden_share > 0.1][:8]
+    for case in hidden:
+        assert simulate(case).truth.hidden_share == pytest.approx(case.hidden_share, abs=0.2)
+
+
+def test_a_killed_run_resumes_and_a_foreign_file_is_refused(tmp_path: Path) -> None:
+    cases, options = paper_cases(2), CaseOptions((Masks.EXACT,))
+    file = tmp_path / "records.jsonl"
+    first = run_cases(cases[:1], options, file, workers=1)
+    done: list[int] = []
+    both = run_cases(cases, options, file, workers=1, report=done.append)
+    assert both[0] == first[0]
+    assert [r.case for r in both] == [c.name for c in cases]
+    assert done == [1, 1]
+    with pytest.raises(CucumberVisionError, match="begun with other options"):
+        run_cases(cases, CaseOptions((Masks.DISTURBED,)), file, workers=1)
+
+
+def test_two_workers_measure_what_one_does(tmp_path: Path) -> None:
+    cases, options = stress_cases(5), CaseOptions((Masks.EXACT,))
+    alone = run_cases(cases, options, tmp_path / "a.jsonl", workers=1)
+    both = run_cases(cases, options, tmp_path / "b.jsonl", workers=2)
+    lengths = {r.case: r.lengths_m for r in both}
+    for record in alone:  # to the last digits, which the number of threads may change
+        assert lengths[record.case] == pytest.approx(record.lengths_m, rel=1e-6)
+
+
+def test_perceived_masks_need_a_segmenter() -> None:
+    with pytest.raises(ValueError, match="need a segmenter"):
+        measure_case(paper_cases(1)[0], CaseOptions((Masks.PERCEIVED,)))

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision.measurement.intervals import TUBE_FEATURES
+from cucumbervision_lab.benchmark.interval_fit import (
+    KEYS,
+    fit_book,
+    record_features,
+    record_truth_m,
+    with_intervals,
+)
+from cucumbervision_lab.benchmark.records import Masks, Record, Suite
+
+
+def drawn(count: int, seed: int) -> list[Record]:
+    """Fruit of 20 cm whose M6 errs by 1 %, twice as much behind leaves, and M1 by -40 %."""
+    rng = np.random.default_rng(seed)
+    records = []
+    for k in range(count):
+        hidden = float(rng.uniform(0, 0.5))
+        error = 0.01 * (1 + 2 * hidden) * rng.standard_normal()
+        features = dict.fromkeys(TUBE_FEATURES, 0.0) | {"hidden": hidden}
+        lengths = {key: 0.2 * float(np.exp(error)) for key in KEYS}
+        lengths["M1"] = 0.12 * float(np.exp(0.1 * rng.standard_normal()))
+        lengths["M6 thread"], lengths["M6 chord"] = lengths["M6"] * 1.1, lengths["M6"] * 0.97
+        records.append(
+            Record(
+                f"c{k}",
+                Suite.STRESS,
+                Masks.EXACT,
+                f"f{k}",
+                0.2,
+                0.22,
+                0.194,
+                0.5,
+                0.0,
+                None,
+                hidden,
+                1.0,
+                depth_scale=float(1 + rng.normal(0, 0.01)),
+                lengths_m=dict(lengths),
+                details={"m6_features": features},
+            )
+        )
+    return records
+
+
+def test_learnt_intervals_cover_other_fruit_known_scale_or_not() -> None:
+    book = fit_book(drawn(1200, 1))
+    others = drawn(1500, 2)
+    for key in ("M1", "M6", "M6 thread", "M6 chord"):
+        for scale in ("known", "unknown"):
+            covered = []
+            for record in others:
+                low, high = with_intervals(record, book)[key][scale]
+                truth = record_truth_m(record, key)
+                assert truth is not None
+                covered.append(low <= truth <= high)
+            assert np.mean(covered) == pytest.approx(0.90, abs=0.035), (key, scale)
+
+
+def test_hidden_fruit_get_wider_intervals() -> None:
+    book = fit_book(drawn(1200, 1))
+    seen = dict.fromkeys(TUBE_FEATURES, 0.0)
+    narrow = book.interval("M6", 0.2, seen, scale_known=True)
+    wide = book.interval("M6", 0.2, {**seen, "hidden": 0.5}, scale_known=True)
+    assert narrow is not None
+    assert wide is not None
+    assert wide[1] - wide[0] > 1.5 * (narrow[1] - narrow[0])
+
+
+def test_what_was_not_measured_teaches_nothing() -> None:
+    record = drawn(1, 3)[0]
+    refused = replace(record, lengths_m=dict.fromkeys(KEYS))
+    assert record_features(refused, "M6") is None
+    assert with_intervals(refused, fit_book(drawn(200, 4))) == {}
+
+
+def test_too_few_fruit_are_refused() -> None:
+    with pytest.raises(ValueError, match="cannot carry a level"):
+        fit_book(drawn(20, 5))

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from cucumbervision.capture.files import write_png
+from cucumbervision.errors import DataSetError
+from cucumbervision_lab.cli.data import app
+from cucumbervision_lab.datasets.coco import read_coco
+
+NAMES = "cucumber,zucchini,banana,eggplant,carrot"
+
+
+def call(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture
+def photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Twenty pictures with box labels and no data.yaml, a green bar in each."""
+    monkeypatch.setenv("COLUMNS", "160")
+    folder = tmp_path / "photos"
+    for kind in ("images", "labels"):
+        (folder / kind).mkdir(parents=True)
+    for k in range(20):
+        color = np.full((96, 128, 3), (120, 80, 50 + 10 * k), np.uint8)
+        color[30:60, 20:100] = (40, 140, 50)
+        write_png(folder / f"images/{k:02d}.png", color)
+        # Columns 20 to 99 of 128, rows 30 to 59 of 96.
+        row = f"{k % 5} 0.46875 0.46875 0.625 0.3125\n"
+        (folder / f"labels/{k:02d}.txt").write_text(row)
+    return folder
+
+
+def test_from_boxes_without_yaml_to_ultralytics(photos: Path, tmp_path: Path) -> None:
+    hub = tmp_path / "hub"
+    result = call("convert", photos, hub, "--names", NAMES, "--keep", "0=cucumber",
+                  "--source", "mine", "--licence", "CC BY 4.0")  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert result.output.strip() == f"20 pictures, 4 labels in {hub}"
+    dataset = read_coco(hub)
+    assert dataset.categories == ("cucumber",)
+    assert dataset.pictures[0].labels[0].box.tolist() == [19.5, 29.5, 99.5, 59.5]
+
+    result = call("split", hub, "--scene-pattern", r"\d\d", "--shares", "50:10:40")
+    assert result.exit_code == 0, result.output
+    assert "train │ 10" in result.output
+    assert {p.split for p in read_coco(hub).pictures} == {"train", "val", "test"}
+
+    result = call("pseudo", hub, "--runtime", "onnxruntime")
+    assert result.exit_code == 0, result.output
+    boxes = [x for p in read_coco(hub).in_split("test") for x in p.labels]
+    assert boxes
+    assert not any(x.pseudo or x.mask_code for x in boxes)
+    labels = [x for p in read_coco(hub).pictures if p.split != "test" for x in p.labels]
+    assert f"{len(labels)} masks drawn, 0 did not fit" in result.output
+    assert all(x.pseudo and x.mask_code for x in labels)
+
+    refused = call("convert", hub, tmp_path / "seg", "--to", "yolo-seg").exception
+    assert isinstance(refused, DataSetError)
+    assert "have a box but no mask" in str(refused)
+    result = call("convert", hub, tmp_path / "seg", "--to", "yolo-seg", "--splits", "train,val")
+    assert result.exit_code == 0, result.output
+    assert f"give Ultralytics {tmp_path / 'seg/data.yaml'}" in result.output
+
+    result = call("card", hub, "--title", "Bars", "--out", tmp_path / "card.md")
+    assert (result.exit_code, result.output) == (0, "")
+    text = (tmp_path / "card.md").read_text()
+    assert text.startswith("# Bars")
+    assert "| mine | 20 | 20 | 4 | 4 |" in text
+    assert call("card", hub).output.startswith("# Data set")
+
+    result = call("merge", tmp_path / "all", hub, hub)
+    assert result.exit_code == 0, result.output
+    assert f"40 pictures of 2 sets are in {tmp_path / 'all'}" in result.output
+
+
+def test_check_prints_a_table_and_exits_with_1(photos: Path) -> None:
+    (photos / "labels/03.txt").unlink()
+    (photos / "labels/04.txt").write_text("4 0.5 0.5 2 0.5\n")
+    result = call("check", photos, "--names", NAMES)
+    assert result.exit_code == 1
+    lines = " ".join(result.output.split())
+    assert "the label file is missing" in lines
+    assert "outside 0 to 1" in lines
+    assert "20 pictures, 18 labels, 2 faults." in lines
+    # What cannot be used is said wherever a set is read, and the rest goes on.
+    converted = call("convert", photos, photos.parent / "hub", "--names", NAMES)
+    assert converted.exit_code == 1
+    assert "2 could not be used" in converted.output
+    assert len(read_coco(photos.parent / "hub").pictures) == 20
+
+
+def test_check_of_a_clean_set(photos: Path) -> None:
+    result = call("check", photos, "--names", NAMES, "--no-duplicates")
+    assert (result.exit_code, result.output) == (0, "20 pictures, 20 labels, no fault.\n")
+
+
+def test_windows_of_the_train_pictures(photos: Path, tmp_path: Path) -> None:
+    hub = tmp_path / "hub"
+    call("convert", photos, hub, "--names", NAMES, "--keep", "0=cucumber")
+    call("split", hub, "--scene-pattern", r"\d\d", "--shares", "50:10:40")
+    train = read_coco(hub).in_split("train")
+    result = call("windows", hub, tmp_path / "cut", "--side", "64")
+    assert result.exit_code == 0, result.output
+    fruit = sum(len(p.labels) for p in train)
+    assert result.output.strip() == f"10 windows with {fruit} fruit are in {tmp_path / 'cut'}"
+    # The bar is 80 px long: its window is 100, as high as the picture; others are 64.
+    cut = read_coco(tmp_path / "cut").pictures
+    sizes = {(p.width, p.height) for p in cut if p.labels}
+    assert sizes == ({(100, 96)} if fruit else set())
+    assert {(p.width, p.height) for p in cut if not p.labels} == {(64, 64)}
+
+
+def test_a_split_by_file_is_a_leak(photos: Path, tmp_path: Path) -> None:
+    hub = tmp_path / "hub"
+    call("convert", photos, hub, "--names", NAMES, "--copy")
+    file = hub / "annotations.json"
+    data = json.loads(file.read_text())
+    for k, image in enumerate(data["images"]):
+        image["split"] = ("train", "val")[k % 2]
+    write_png(hub / "images/07.png", np.zeros((96, 128, 3), np.uint8))
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (96, 128, 3), np.uint8)
+    for name in ("04", "11"):
+        write_png(hub / f"images/{name}.png", noise)
+    file.write_text(json.dumps(data))
+    result = call("check", hub)
+    assert result.exit_code == 1
+    assert "in val is the same picture as images/04.png in train" in " ".join(
+        result.output.replace("│", " ").split()
+    )
+
+
+@pytest.mark.realdata
+def test_the_real_photos_become_a_hub_set(shared_data: Path, tmp_path: Path) -> None:
+    hub = tmp_path / "hub"
+    folder = shared_data / "photos/ingredients_ccby4"
+    result = call("convert", folder, hub, "--names", NAMES, "--keep", "cucumber=cucumber")
+    assert result.exit_code == 0, result.output
+    dataset = read_coco(hub)
+    assert dataset.refused == ()
+    assert len(dataset.pictures) == 173
+    # The data set's own page: 60 of them show cucumbers.
+    assert sum(bool(p.labels) for p in dataset.pictures) == 60

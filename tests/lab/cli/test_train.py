@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cucumbervision.capture.files import write_png
+from cucumbervision.errors import MissingExtraError, TrainingError
+from cucumbervision_lab.cli.train import app
+from cucumbervision_lab.cli.train_console import epoch_line
+from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.training.cards import read_card
+from cucumbervision_lab.training.train import EpochReport
+
+needs_extra = pytest.mark.skipif(
+    importlib.util.find_spec("ultralytics") is None, reason="needs the extra 'train'"
+)
+
+
+def test_help_names_both_tasks_and_export_alone() -> None:
+    text = CliRunner().invoke(app, ["--help"]).output
+    for word in ("seg", "pose", "ends", "export"):
+        assert word in text
+    assert "ship" not in text
+
+
+def test_an_epoch_is_a_line() -> None:
+    metrics = {"train/box_loss": 1.25, "train/cls_loss": 0.5, "metrics/mAP50-95(P)": 0.81}
+    report = EpochReport(2, 3, 448, 5, 6, 61.4, metrics)
+    assert epoch_line(report) == (
+        "stage 2/3  448 px  epoch 5/6  61 s  loss 1.750  points mAP 0.810"
+    )
+
+
+@needs_extra
+@pytest.mark.train
+@pytest.mark.parametrize("command", ["seg", "pose"])
+def test_errors_come_through(command: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, [command, "--out", str(tmp_path), "--resume"])
+    assert isinstance(result.exception, TrainingError)
+    assert "there is no training to go on with" in str(result.exception)
+
+
+@needs_extra
+@pytest.mark.train
+def test_ends_are_learnt_from_a_labelled_set_and_shown(tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    rng, pictures = np.random.default_rng(1), []
+    (tmp_path / "set" / "images").mkdir(parents=True)
+    for number in range(16):
+        color = rng.integers(0, 255, (64, 96, 3), np.uint8)
+        write_png(tmp_path / "set" / "images" / f"{number}.png", color)
+        points = np.column_stack([np.linspace(20, 75, 5), np.full(5, 30.0), np.full(5, 2.0)])
+        label = Label(np.array([15.0, 20.0, 80.0, 40.0]), keypoints=points)
+        name = f"images/{number}.png"
+        pictures.append(LabelledPicture(name, 96, 64, (label,), f"s{number}", "train"))
+    write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
+    words = ["ends", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--epochs", "1"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "ends told rightly" in result.output
+    card = read_card(tmp_path / "out" / "cucumber-ends.json")
+    assert card.task == "ends"
+    assert card.metrics["fruit of other scenes judged by"] == 2
+    assert (tmp_path / "out" / card.file).stat().st_size == card.size_bytes
+
+
+@needs_extra
+@pytest.mark.train
+def test_export_names_what_is_missing(tmp_path: Path) -> None:
+    words = ["export", str(tmp_path), "--out", str(tmp_path / "out"), "--name", "a"]
+    result = CliRunner().invoke(app, words)
+    assert isinstance(result.exception, TrainingError)
+    assert "no finished weights" in str(result.exception)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="the extra is there")
+def test_missing_extra_is_named(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["seg", "--out", str(tmp_path), "--resume"])
+    assert isinstance(result.exception, MissingExtraError)

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cucumbervision.errors import CaptureError, DataSetError
+from cucumbervision_lab.datasets.pictures import flat_names, list_pictures, picture_size, place_file
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
+def test_size_of_every_kind(tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(file), np.zeros((37, 91, 3), np.uint8))
+    assert picture_size(file) == (91, 37)
+    assert list_pictures(tmp_path) == [file]
+
+
+def test_size_of_a_progressive_jpeg_with_long_segments(tmp_path: Path) -> None:
+    file = tmp_path / "a.jpg"
+    flags = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]
+    cv2.imwrite(str(file), np.zeros((37, 91, 3), np.uint8), flags)
+    data = file.read_bytes()
+    # A comment that holds a start-of-frame marker, and a fill byte before the next marker.
+    comment = b"\xff\xfe\x00\x0c\xff\xc0\x00\x11\x08\x00\x01\x00\x01\x01\xff"
+    file.write_bytes(data[:2] + comment + data[2:])
+    assert picture_size(file) == (91, 37)
+
+
+def test_what_is_no_picture(tmp_path: Path) -> None:
+    for data in (b"", b"text", b"\xff\xd8\xff"):
+        (tmp_path / "a.jpg").write_bytes(data)
+        with pytest.raises(CaptureError):
+            picture_size(tmp_path / "a.jpg")
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.from_regex(r"(train/|images/|x/)?[abA]\.(jpg|png)", fullmatch=True), unique=True)
+)
+def test_flat_names_differ_even_without_ending_and_case(files: list[str]) -> None:
+    names = flat_names(files)
+    assert list(names) == files
+    assert len({Path(n).stem.lower() for n in names.values()}) == len(files)
+    assert all("/" not in n and Path(n).suffix == Path(f).suffix for f, n in names.items())
+
+
+def test_placing(tmp_path: Path) -> None:
+    source = tmp_path / "a"
+    source.write_bytes(b"1")
+    target = tmp_path / "b/c"
+    place_file(source, target, link=True)
+    place_file(source, target, link=True)
+    assert target.samefile(source)
+    place_file(source, target, link=False)
+    assert not target.samefile(source)
+    assert target.read_bytes() == b"1"
+    with pytest.raises(DataSetError, match="the file is missing"):
+        place_file(tmp_path / "none", tmp_path / "d", link=True)
+    with pytest.raises(DataSetError, match="cannot be written"):
+        place_file(source, source / "below", link=True)

@@ -1,0 +1,318 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.files import read_color, write_png
+from cucumbervision.errors import DataSetError
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.yolo import read_yolo, write_yolo
+
+pytest.importorskip("yaml")
+
+MakeSet = Callable[..., DataSet]
+
+
+def rows(file: Path) -> list[list[float]]:
+    return [[float(v) for v in line.split()] for line in file.read_text().splitlines()]
+
+
+def test_segments_read_back_as_the_same_masks(make_set: MakeSet, tmp_path: Path) -> None:
+    dataset = make_set()
+    written = write_yolo(dataset, tmp_path / "yolo")
+    assert written.pictures == {"train": 2, "val": 1, "test": 1}
+    assert (written.labels, written.painted, written.filled_holes) == (6, 0, 0)
+    back = read_yolo(tmp_path / "yolo")
+    assert back.refused == ()
+    assert back.categories == ("cucumber",)
+    by_name = {Path(p.file).name: p for p in back.pictures}
+    for picture in dataset.pictures:
+        other = by_name[Path(picture.file).name]
+        assert (other.split, other.scene, other.source, other.licence) == (
+            picture.split,
+            picture.scene,
+            picture.source,
+            picture.licence,
+        )
+        for a, b in zip(picture.labels, other.labels, strict=True):
+            assert a.mask_code == b.mask_code
+            np.testing.assert_allclose(a.box, b.box)
+
+
+def test_keypoints_read_back(make_set: MakeSet, tmp_path: Path) -> None:
+    dataset = make_set()
+    write_yolo(dataset, tmp_path / "yolo", "pose")
+    text = (tmp_path / "yolo/data.yaml").read_text()
+    assert "kpt_shape: [5, 3]" in text
+    assert "flip_idx: [0, 1, 2, 3, 4]" in text
+    label = dataset.pictures[0].labels[0]
+    back = read_yolo(tmp_path / "yolo")
+    other = next(p for p in back.pictures if p.file.endswith("000000.png")).labels[0]
+    assert label.keypoints is not None
+    assert other.keypoints is not None
+    np.testing.assert_allclose(other.keypoints[:4], label.keypoints[:4], atol=1e-3)
+    # The fifth lies outside the picture.
+    assert other.keypoints[4].tolist() == [0, 0, 0]
+    np.testing.assert_allclose(other.box, label.box, atol=1e-3)
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("task", ["segment", "pose"])
+def test_ultralytics_reads_what_is_written(
+    make_set: MakeSet, tmp_path: Path, task: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ultralytics")
+    monkeypatch.setenv("YOLO_OFFLINE", "1")
+    from ultralytics.data.utils import check_det_dataset, verify_image_label
+
+    dataset = make_set()
+    write_yolo(dataset, tmp_path / "yolo", task)
+    data = check_det_dataset(str(tmp_path / "yolo/data.yaml"), autodownload=False)
+    assert data["names"] == {0: "cucumber"}
+    image = Path(data["train"]) / "000000.png"
+    label = tmp_path / "yolo/labels/train/000000.txt"
+    arguments: list[Any] = [str(image), str(label), "", task == "pose", 1, 5, 3, False]
+    _file, labels, shape, segments, points, missing, _, empty, corrupt, message = (
+        verify_image_label(arguments)
+    )
+    assert (missing, empty, corrupt, message) == (0, 0, 0, "")
+    assert shape == (120, 160)
+    # Columns 20 to 64 of 160, rows 40 to 55 of 120, from the corner.
+    first = dataset.pictures[0].labels[0]
+    size = np.array([160, 120, 160, 120])
+    centre, extent = labels[0, 1:3] * size[:2], labels[0, 3:] * size[:2]
+    edges = np.concatenate([centre - extent / 2, centre + extent / 2]) - 0.5
+    np.testing.assert_allclose(edges, first.box, atol=1e-3)
+    if task == "pose":
+        assert points.shape == (2, 5, 3)
+    else:
+        assert len(segments) == 2
+
+
+def test_what_is_to_be_ignored_is_painted_in_training_only(
+    make_set: MakeSet, tmp_path: Path
+) -> None:
+    dataset = make_set("train val")
+    crate = Label(np.array([99.5, 9.5, 149.5, 39.5]), ignore=True)
+    kept = Label(np.array([139.5, 29.5, 159.5, 59.5]), mask_code=None)
+    pictures = [replace(p, labels=(crate, kept)) for p in dataset.pictures]
+    dataset = replace(dataset, pictures=tuple(pictures))
+    before = [read_color(dataset.path(p)) for p in dataset.pictures]
+    written = write_yolo(dataset, tmp_path / "yolo", "detect")
+    assert written.painted == 1
+    after = read_color(tmp_path / "yolo/images/train/000000.png")
+    changed = (after != before[0]).any(axis=2)
+    ys, xs = np.nonzero(changed)
+    assert (xs.min(), ys.min(), xs.max(), ys.max()) == (100, 10, 149, 39)
+    # The fruit that reaches into the crate stays as it is.
+    assert not changed[30:, 140:].any()
+    assert np.ptp(after[10:30, 100:140].astype(int), axis=2).max() == 0
+    assert (read_color(tmp_path / "yolo/images/val/000001.png") == before[1]).all()
+    for split in ("train/000000", "val/000001"):
+        assert len(rows(tmp_path / f"yolo/labels/{split}.txt")) == 1
+    # The source is never written through a link, also not at a second writing.
+    write_yolo(dataset, tmp_path / "yolo", "detect", paint_ignored=())
+    write_yolo(dataset, tmp_path / "yolo", "detect")
+    for picture, color in zip(dataset.pictures, before, strict=True):
+        assert (read_color(dataset.path(picture)) == color).all()
+
+
+def test_a_hole_is_filled_and_counted(make_set: MakeSet, tmp_path: Path) -> None:
+    dataset = make_set("train")
+    mask = np.zeros((120, 160), bool)
+    mask[20:60, 20:60] = True
+    mask[30:40, 30:40] = False
+    picture = replace(dataset.pictures[0], labels=(Label.of_mask(mask),))
+    written = write_yolo(replace(dataset, pictures=(picture,)), tmp_path / "yolo")
+    assert written.filled_holes == 1
+    (back,) = read_yolo(tmp_path / "yolo").pictures
+    code = back.labels[0].mask_code
+    assert code is not None
+    assert code.area_px == 1600
+
+
+def test_what_cannot_be_written_is_refused(make_set: MakeSet, tmp_path: Path) -> None:
+    out = tmp_path / "yolo"
+    with pytest.raises(DataSetError, match="no task is called 'obb'"):
+        write_yolo(make_set(name="a"), out, "obb")
+    with pytest.raises(DataSetError, match=r"1 pictures are in no split, first images/000001.png"):
+        write_yolo(make_set("train -", name="b"), out)
+    dataset = make_set(name="c")
+    boxed = replace(dataset.pictures[0], labels=(Label(np.array([1.0, 1, 9, 9])),))
+    with pytest.raises(DataSetError, match=r"1 labels have a box but no mask.*data pseudo"):
+        write_yolo(replace(dataset, pictures=(boxed,)), out)
+    dataset.path(dataset.pictures[0]).unlink()
+    with pytest.raises(DataSetError, match="the file is missing"):
+        write_yolo(dataset, out)
+
+
+@pytest.mark.parametrize("link", [True, False])
+def test_pictures_are_linked_or_copied(make_set: MakeSet, tmp_path: Path, link: bool) -> None:
+    dataset = make_set("train")
+    write_yolo(dataset, tmp_path / "yolo", link=link)
+    placed = tmp_path / "yolo/images/train/000000.png"
+    assert placed.samefile(dataset.path(dataset.pictures[0])) is link
+
+
+def export(folder: Path, yaml: str, splits: tuple[str, ...]) -> None:
+    """A folder as Roboflow exports it: SPLIT/images and SPLIT/labels."""
+    for k, split in enumerate(splits):
+        for kind in ("images", "labels"):
+            (folder / split / kind).mkdir(parents=True)
+        write_png(folder / split / f"images/{k}_jpg.rf.png", np.zeros((60, 80, 3), np.uint8))
+        (folder / split / f"labels/{k}_jpg.rf.txt").write_text(
+            "0 0.5 0.5 0.5 0.5\n1 0.1 0.1 0.4 0.1 0.4 0.4 0.1 0.4\n2 0.5 0.5 0.1 0.1\n"
+        )
+    (folder / "data.yaml").write_text(yaml)
+
+
+ROBOFLOW_YAML = """train: ../train/images
+val: ../valid/images
+test: ../test/images
+nc: 3
+names: ['cucumber', 'zucchini', 'leaf']
+"""
+
+
+def test_roboflow_export_with_boxes_and_polygons(tmp_path: Path) -> None:
+    export(tmp_path / "x", ROBOFLOW_YAML, ("train", "valid", "test"))
+    keep: dict[int | str, str] = {"cucumber": "cucumber", 1: "cucumber"}
+    dataset = read_yolo(tmp_path / "x/data.yaml", keep=keep, source="them", licence="CC BY 4.0")
+    assert dataset.refused == ()
+    assert dataset.categories == ("cucumber",)
+    assert sorted((p.file, p.split) for p in dataset.pictures) == [
+        ("test/images/2_jpg.rf.png", "test"),
+        ("train/images/0_jpg.rf.png", "train"),
+        ("valid/images/1_jpg.rf.png", "val"),
+    ]
+    box, polygon = dataset.pictures[0].labels
+    assert box.box.tolist() == [19.5, 14.5, 59.5, 44.5]
+    assert box.mask_code is None
+    # 0.1 to 0.4 of 80 columns and 60 rows.
+    assert polygon.mask is not None
+    wanted = np.zeros((60, 80), bool)
+    wanted[6:24, 8:32] = True
+    assert (polygon.mask == wanted).all()
+    assert (box.category, polygon.category) == (0, 0)
+    assert (dataset.pictures[0].source, dataset.pictures[0].licence) == ("them", "CC BY 4.0")
+
+
+def test_paths_lists_and_names_of_ultralytics(tmp_path: Path) -> None:
+    yaml = """path: .
+train: [train/images, more.txt]
+val: test/images
+names:
+  0: cucumber
+  1: zucchini
+  2: leaf
+"""
+    export(tmp_path / "x", yaml, ("train", "valid", "test"))
+    (tmp_path / "x/more.txt").write_text("./valid/images/1_jpg.rf.png\n")
+    dataset = read_yolo(tmp_path / "x")
+    assert {p.file: p.split for p in dataset.pictures} == {
+        "train/images/0_jpg.rf.png": "train",
+        "valid/images/1_jpg.rf.png": "train",
+        "test/images/2_jpg.rf.png": "val",
+    }
+    assert dataset.categories == ("cucumber", "zucchini", "leaf")
+
+
+def test_a_folder_without_yaml_needs_names(tmp_path: Path) -> None:
+    export(tmp_path, "", ())
+    (tmp_path / "data.yaml").unlink()
+    for kind in ("images", "labels"):
+        (tmp_path / kind).mkdir()
+    write_png(tmp_path / "images/a.png", np.zeros((60, 80, 3), np.uint8))
+    (tmp_path / "labels/a.txt").write_text("1 0.5 0.5 0.5 0.5\n")
+    with pytest.raises(DataSetError, match=r"add data\.yaml or give --names"):
+        read_yolo(tmp_path)
+    dataset = read_yolo(tmp_path, ["cucumber", "zucchini"], keep={"zucchini": "fruit"})
+    assert [(p.file, p.split) for p in dataset.pictures] == [("images/a.png", "")]
+    assert dataset.categories == ("fruit",)
+    with pytest.raises(DataSetError, match="no class is called melon"):
+        read_yolo(tmp_path, ["cucumber", "zucchini"], keep={"melon": "fruit"})
+    (tmp_path / "images/a.png").unlink()
+    with pytest.raises(DataSetError, match="holds no pictures"):
+        read_yolo(tmp_path, ["cucumber"])
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        ("0 0.5 0.5 0.5 1.5", "outside 0 to 1"),
+        ("0 0.5 0.5 0 0.5", "has no area"),
+        ("0 0.5 0.5", "neither box nor polygon"),
+        ("3 0.5 0.5 0.5 0.5", "its class 3 has no name"),
+        ("0 0.5 0.5 0.5 nan", "not finite"),
+        ("0 0.1 0.1 0.101 0.1 0.101 0.101", "covers no pixel"),
+        ("x 0.5 0.5 0.5 0.5", "could not convert"),
+    ],
+)
+def test_a_broken_line_is_refused_alone(tmp_path: Path, line: str, fault: str) -> None:
+    export(tmp_path, ROBOFLOW_YAML, ("train",))
+    file = tmp_path / "train/labels/0_jpg.rf.txt"
+    file.write_text(f"{line}\n{file.read_text()}")
+    dataset = read_yolo(tmp_path)
+    (picture,) = dataset.pictures
+    assert len(picture.labels) == 3
+    (error,) = dataset.refused
+    assert str(error).startswith(f"{file}: line 1: ")
+    assert fault in str(error)
+
+
+def test_keypoint_rows_must_have_their_length(tmp_path: Path) -> None:
+    export(tmp_path, ROBOFLOW_YAML + "kpt_shape: [5, 2]\n", ("train",))
+    file = tmp_path / "train/labels/0_jpg.rf.txt"
+    good = "0 0.5 0.5 0.5 0.5" + " 0.25 0.5" * 5
+    file.write_text(f"{good}\n{good} 0.1\n0 0.5 0.5 0.5 0.5\n")
+    dataset = read_yolo(tmp_path)
+    assert [e.message for e in dataset.refused] == [
+        "line 2: has 16 numbers, not 15 (box and 5 keypoints)",
+        "line 3: has 5 numbers, not 15 (box and 5 keypoints)",
+    ]
+    keypoints = dataset.pictures[0].labels[0].keypoints
+    assert keypoints is not None
+    assert keypoints.tolist() == [[19.5, 29.5, 2]] * 5
+    (tmp_path / "data.yaml").write_text(ROBOFLOW_YAML + "kpt_shape: [4, 2]\n")
+    with pytest.raises(DataSetError, match=r"kpt_shape is \[4, 2\]"):
+        read_yolo(tmp_path)
+
+
+def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> None:
+    export(tmp_path, ROBOFLOW_YAML, ("train", "valid"))
+    (tmp_path / "train/labels/0_jpg.rf.txt").unlink()
+    (tmp_path / "valid/images/1_jpg.rf.png").write_bytes(b"no picture")
+    dataset = read_yolo(tmp_path)
+    assert [p.labels for p in dataset.pictures] == [()]
+    assert [e.message for e in dataset.refused] == [
+        "the label file is missing",
+        "is no picture that can be read",
+    ]
+
+
+def test_yaml_faults(tmp_path: Path) -> None:
+    export(tmp_path, "names: [", ("train",))
+    with pytest.raises(DataSetError, match="is no YAML"):
+        read_yolo(tmp_path)
+    (tmp_path / "data.yaml").write_text("names: {0: a, 2: b}\ntrain: train/images")
+    with pytest.raises(DataSetError, match="do not count from 0"):
+        read_yolo(tmp_path)
+    (tmp_path / "data.yaml").write_text("just text")
+    with pytest.raises(DataSetError, match="no data set's YAML"):
+        read_yolo(tmp_path)
+
+
+def test_pictures_of_one_name_stay_apart(make_set: MakeSet, tmp_path: Path) -> None:
+    dataset = make_set("train")
+    picture = dataset.pictures[0]
+    (dataset.folder / "other").mkdir()
+    write_png(dataset.folder / "other/000000.png", np.zeros((120, 160, 3), np.uint8))
+    twin = LabelledPicture("other/000000.png", 160, 120, split="val")
+    write_yolo(replace(dataset, pictures=(picture, twin)), tmp_path / "yolo")
+    files = [p.file for p in read_yolo(tmp_path / "yolo").pictures]
+    assert files == ["images/train/000000.png", "images/val/other_000000.png"]

@@ -1,0 +1,163 @@
+"""Detections that are wrong by a known amount, and what is said of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("pycocotools")
+
+from cucumbervision.perception.instances import Instance
+from cucumbervision_lab.detection.groups import group_scores, overall
+from cucumbervision_lab.detection.outcomes import end_rows, found_rows, fruit_rows
+from cucumbervision_lab.detection.pictures import (
+    Frame,
+    SeenFruit,
+    Stage,
+    TrueFruit,
+    code_mask,
+    seen_fruit,
+)
+
+BOX = np.array([99.5, 99.5, 199.5, 119.5])
+AWAY = BOX + np.array([0, 200, 0, 200])
+LINE = np.column_stack([np.linspace(100, 200, 5), np.full(5, 110.0), np.full(5, 2.0)])
+
+
+def frame(
+    true: list[TrueFruit],
+    found: list[SeenFruit],
+    name: str = "a",
+    posed: tuple[SeenFruit, ...] = (),
+) -> Frame:
+    return Frame(name, name, 640, 480, tuple(true), (), posed, tuple(found))
+
+
+def mask(left: int, right: int) -> NDArray[np.bool_]:
+    out = np.zeros((480, 640), bool)
+    out[100:120, left:right] = True
+    return out
+
+
+def test_what_becomes_of_a_fruit() -> None:
+    true = TrueFruit(
+        BOX, code_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
+    )
+    seen = SeenFruit(BOX + np.array([20, 0, 20, 0]), 0.8, code_mask(mask(150, 200)))
+    hit, miss = fruit_rows([frame([true, replace(true, box=AWAY)], [seen])], 0.3)
+    # 80 of 120 pixels of the boxes' length are common, and half of the mask.
+    assert (hit.found, hit.score) == (True, 0.8)
+    assert hit.box_iou == pytest.approx(80 / 120)
+    assert hit.mask_iou == 0.5
+    assert (hit.long_px, hit.distance_m, hit.hidden_share, hit.cut_off) == (100, 0.6, 0.2, False)
+    assert (miss.found, miss.fruit) == (False, 1)
+    assert math.isnan(miss.mask_iou)
+
+
+def test_below_the_confidence_nothing_is_found() -> None:
+    pictures = [frame([TrueFruit(BOX)], [SeenFruit(BOX, 0.3)])]
+    assert not fruit_rows(pictures, 0.3)[0].found
+    assert found_rows(pictures, 0.3) == []
+    assert fruit_rows(pictures, 0.29)[0].found
+
+
+def test_what_becomes_of_a_detection() -> None:
+    at_edge = np.array([-0.5, 300, 80, 340])
+    true = [TrueFruit(BOX), TrueFruit(AWAY, ignore=True)]
+    found = [SeenFruit(BOX, 0.9, distance_m=0.5), SeenFruit(AWAY, 0.8), SeenFruit(at_edge, 0.7)]
+    rows = found_rows([frame(true, found)], 0.3)
+    assert [row.outcome for row in rows] == ["hit", "neutral", "false"]
+    assert [row.cut_off for row in rows] == [False, False, True]
+    assert rows[0].distance_m == 0.5
+    assert (rows[2].x1, rows[2].y2) == (-0.5, 340.0)
+
+
+def test_stages_are_judged_apart() -> None:
+    picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (SeenFruit(BOX, 0.9),), ())
+    assert fruit_rows([picture], 0.3, Stage.POSED)[0].found
+    assert not fruit_rows([picture], 0.3, Stage.KEPT)[0].found
+
+
+def test_distance_is_read_in_the_middle_of_the_box() -> None:
+    depth = np.full((480, 640), 2.0, np.float32)
+    depth[100:120, 133:167] = 0.7
+    depth[110, 150] = 0.0
+    assert seen_fruit(Instance(BOX), depth).distance_m == pytest.approx(0.7)
+    assert math.isnan(seen_fruit(Instance(BOX)).distance_m)
+    assert math.isnan(seen_fruit(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
+
+
+def posed(points: NDArray[np.float64]) -> tuple[SeenFruit, ...]:
+    return (SeenFruit(BOX, 0.9, None, points),)
+
+
+def test_ends_are_judged_in_percent_of_the_line() -> None:
+    points = LINE.copy()
+    points[0, 0] -= 3.0
+    points[4, :2] += (3.0, 4.0)
+    true = LINE.copy()
+    true[4, 2] = 1
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(points))], 0.3)
+    assert row.length_px == pytest.approx(100.0)
+    assert (row.blossom_percent, row.stem_percent) == pytest.approx((3.0, 5.0))
+    assert (row.blossom_seen, row.stem_seen, row.swapped) == (True, False, False)
+
+
+def test_bent_fruit_are_measured_along_their_line() -> None:
+    true = LINE.copy()
+    true[2, 1] += 25.0  # two of four segments become 25 * sqrt(2) long
+    points = true.copy()
+    points[0, 0] += 10.0
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(points))], 0.3)
+    assert row.length_px == pytest.approx(50 + 2 * math.hypot(25, 25))
+    assert row.blossom_percent == pytest.approx(100 * 10 / row.length_px)
+
+
+def test_swapped_ends_are_judged_as_they_are() -> None:
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=LINE)], [], posed=posed(LINE[::-1]))], 0.3)
+    assert (row.swapped, row.blossom_percent, row.stem_percent) == (True, 100.0, 100.0)
+
+
+def test_an_end_outside_the_picture_is_not_judged() -> None:
+    true = LINE.copy()
+    true[4] = (700.0, 110.0, 0.0)  # known to be outside
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(LINE))], 0.3)
+    assert row.length_px == pytest.approx(600.0)
+    assert math.isnan(row.stem_percent)
+    assert (row.blossom_percent, row.swapped) == (0.0, None)
+    true[4] = 0.0  # nobody knows where
+    assert end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(LINE))], 0.3) == []
+
+
+def test_recall_and_precision_by_group() -> None:
+    pictures = []
+    for k in range(10):
+        near = TrueFruit(BOX, hidden_share=0.0, cut_off=False, distance_m=0.4)
+        far = TrueFruit(AWAY, hidden_share=0.4, cut_off=True, distance_m=1.0)
+        found = [SeenFruit(BOX, 0.9, distance_m=0.4)]
+        # Every second far fruit is found; in every fifth picture a far leaf is taken for one.
+        found += [SeenFruit(AWAY, 0.8, distance_m=1.0)] if k % 2 else []
+        stray = SeenFruit(BOX + np.array([300, 0, 300, 0]), 0.5, distance_m=1.0)
+        pictures.append(frame([near, far], found + ([stray] if k % 5 == 0 else []), f"{k}"))
+    fruit, found_too = fruit_rows(pictures, 0.3), found_rows(pictures, 0.3)
+    whole = overall(fruit, found_too)
+    assert (whole.recall.value, whole.recall.count) == (0.75, 20)
+    assert whole.precision is not None
+    assert (whole.precision.value, whole.precision.count) == (15 / 17, 17)
+    groups = {(g.factor, g.group): g for g in group_scores(fruit, found_too)}
+    assert groups["distance (m)", "under 0.45"].recall.value == 1.0
+    far_off = groups["distance (m)", "0.9 or more"]
+    assert far_off.recall.value == 0.5
+    assert far_off.precision is not None
+    assert far_off.precision.value == 5 / 7
+    assert far_off.middle == pytest.approx(1.0)
+    assert groups["hidden share (%)", "25 to 50"].recall.value == 0.5
+    assert groups["hidden share (%)", "25 to 50"].precision is None
+    assert groups["edge", "cut by the picture's edge"].recall.value == 0.5
+    size = groups["longer side of the box (px)", "100 to 200"]
+    assert (size.recall.count, size.recall.value) == (20, 0.75)
+    assert size.recall.low < 0.75 < size.recall.high

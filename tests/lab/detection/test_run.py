@@ -1,0 +1,351 @@
+"""The whole evaluation on a few drawn frames, by networks that always give the same answer."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+pytest.importorskip("pycocotools")
+pytest.importorskip("onnx")
+
+import onnx
+
+from cucumbervision.capture.files import read_color, write_png
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.cli.app import app
+from cucumbervision.perception.instances import Instance, box_of_mask
+from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.pipeline.networks import Detectors
+from cucumbervision_lab.benchmark.records import Masks
+from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.detection.average_precision import Judged
+from cucumbervision_lab.detection.photos import score_photos
+from cucumbervision_lab.detection.picture_result import shipped
+from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
+from cucumbervision_lab.detection.report import write_eyes_report
+from cucumbervision_lab.detection.run import EyesPlan, EyesResult, evaluate_eyes
+from cucumbervision_lab.detection.summary import summarise
+from cucumbervision_lab.detection.worst_cases import WorstCase, draw_sheet, worst_cases
+from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+
+CAMERA = Intrinsics(320, 192, 300.0, 300.0, 160.0, 96.0)
+DEPTH_M = 0.4
+# Drawn pictures in the order of the set: fruit, nothing, fruit.
+NAMES = ("a", "b", "c")
+
+
+def network(path: Path, *outputs: NDArray[Any], **props: object) -> Path:
+    """Write a network that gives these arrays, whatever it sees."""
+    helper, kind = onnx.helper, onnx.TensorProto
+    images = helper.make_tensor_value_info("images", kind.FLOAT, (1, 3, 192, 320))
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+    ]
+    constants, values = [onnx.numpy_helper.from_array(np.float32(0), "zero")], []
+    for i, array in enumerate(outputs):
+        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
+        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
+        values.append(helper.make_tensor_value_info(f"output{i}", kind.FLOAT, array.shape))
+    graph = helper.make_graph(nodes, "g", [images], values, constants)
+    opset = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    given = {"names": {0: "cucumber"}, "stride": 32, "end2end": True, **props}
+    helper.set_model_props(model, {k: str(v) for k, v in given.items()})
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def rows_of(*rows: Sequence[float]) -> NDArray[np.float64]:
+    out = np.zeros((1, 300, len(rows[0])))
+    out[0, : len(rows)] = rows
+    return out
+
+
+class Scene:
+    """A fruit of 14 cm before an empty wall, as it is and as a file."""
+
+    def __init__(self, folder: Path) -> None:
+        tube = arc_tube(0.14, 0.02).moved(rotation(20.0, 0.0, 0.0), (0.0, 0.0, DEPTH_M))
+        self.tube, self.drawn = tube, render([tube], CAMERA, 0.6)
+        self.mask = self.drawn.mask(0)
+        axis = np.array([tube.axis_m[0], tube.axis_m[-1]])
+        ends = CAMERA.project(axis)
+        line = np.linspace(0, 1, 5)[:, None] * (ends[1] - ends[0]) + ends[0]
+        self.keypoints = np.column_stack([line, np.full(5, 2.0)])
+        self.folder = self._write(folder)
+
+    def _write(self, folder: Path) -> Path:
+        color = np.full((192, 320, 3), (150, 140, 130), np.uint8)
+        extras = {
+            "centreline_m": self.tube.centreline_m,
+            "thread_m": self.tube.thread_m,
+            "chord_m": self.tube.chord_m,
+        }
+        label = Label.of_mask(self.mask, keypoints=self.keypoints, hidden_share=0.0, extras=extras)
+        raw = folder / "raw"
+        (raw / "images").mkdir(parents=True)
+        (raw / "depth").mkdir()
+        pictures = []
+        for name in NAMES:
+            shown = color.copy()
+            if name != "b":
+                shown[self.mask] = (40, 120, 40)
+            depth = np.where(self.drawn.mask(0) & (name != "b"), self.drawn.depth_m, 0.6)
+            write_png(raw / "images" / f"{name}.png", shown)
+            write_png(raw / "depth" / f"{name}.png", np.rint(1000 * depth).astype(np.uint16))
+            pictures.append(
+                LabelledPicture(
+                    f"images/{name}.png",
+                    320,
+                    192,
+                    () if name == "b" else (label,),
+                    f"scene-{name}",
+                    "test",
+                    "synth",
+                    depth_file=f"depth/{name}.png",
+                    camera=CAMERA,
+                )
+            )
+        write_coco(DataSet(raw, tuple(pictures)), folder / "set")
+        return folder / "set"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return Scene(tmp_path_factory.mktemp("eyes"))
+
+
+@pytest.fixture(scope="module")
+def networks(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Give a pair of networks that see the fruit everywhere, the pose one by 3 px too low."""
+    folder = tmp_path_factory.mktemp("networks")
+    box = box_of_mask(scene.mask) + 0.5
+    prototypes = np.zeros((1, 32, 48, 80))
+    blocks = scene.mask.reshape(48, 4, 80, 4).mean(axis=(1, 3))
+    prototypes[0, 0] = 4 * (blocks - 0.5)
+    segment = network(
+        folder / "seg.onnx",
+        rows_of([*box, 0.9, 0, 1.0, *[0.0] * 31]),
+        prototypes,
+        task="segment",
+    )
+    low = scene.keypoints + np.array([0.5, 3.5, 0.0])
+    low[:, 2] = 0.95
+    pose = network(
+        folder / "pose.onnx",
+        rows_of([*box, 0.8, 0, *low.ravel()]),
+        task="pose",
+        kpt_shape=[5, 3],
+    )
+    return segment, pose
+
+
+@pytest.fixture(scope="module")
+def result(scene: Scene, networks: tuple[Path, Path]) -> EyesResult:
+    segment, pose = networks
+    # SAM on one picture only: it takes most of the time.
+    return evaluate_eyes(EyesPlan(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1))
+
+
+def test_average_precision_and_recall(result: EyesResult) -> None:
+    summary = summarise(result)
+    found = {(one.stage, one.judged): one.found for one in summary.precisions}
+    assert len(found) == 4
+    # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
+    expected = (51 + 50 * 2 / 3) / 101
+    for key in ((Stage.SEGMENTED, Judged.BOXES), (Stage.POSED, Judged.BOXES)):
+        assert found[key].at_50.value == pytest.approx(expected)
+        assert found[key].at_50_95.value == pytest.approx(expected, abs=1e-6)
+    masks = found[Stage.SEGMENTED, Judged.MASKS]
+    assert masks.at_50.value == pytest.approx(expected)
+    # All five are 3 px off: OKS = exp(-9 / (2 area 0.1²)).
+    area = _area(result)
+    similarity = math.exp(-9 / (2 * area * 0.1**2))
+    passed = sum(similarity >= t for t in np.arange(0.5, 0.96, 0.05).round(2))
+    keypoints = found[Stage.POSED, Judged.KEYPOINTS]
+    assert keypoints.at_50_95.value == pytest.approx(expected * passed / 10)
+    assert 5 <= passed <= 9
+    for _, one in summary.overall:
+        assert (one.recall.value, one.recall.count, one.recall.scenes) == (1.0, 2, 2)
+        assert one.precision is not None
+        assert one.precision.value == pytest.approx(2 / 3)
+
+
+def _area(result: EyesResult) -> int:
+    label = result.held_out.pictures[0].labels[0]
+    assert label.mask_code is not None
+    return label.mask_code.area_px
+
+
+def test_ends(result: EyesResult, scene: Scene) -> None:
+    summary = summarise(result)
+    length = float(np.linalg.norm(scene.keypoints[4, :2] - scene.keypoints[0, :2]))
+    every = {one.ends: one for one in summary.ends}["all"]
+    assert every.median_percent.count == 4
+    assert every.median_percent.value == pytest.approx(100 * 3 / length, rel=1e-3)
+    assert summary.swapped.value == 0.0
+
+
+def test_masks_and_lengths(result: EyesResult) -> None:
+    summary = summarise(result)
+    overlaps = {one.masks: one for one in summary.overlaps}
+    assert overlaps["network alone"].mean.value > 0.9  # blocks of four pixels
+    assert overlaps["SAM, box"].mean.value > 0.93
+    assert overlaps["SAM, box + centre"].mean.value > 0.93
+    assert {one.mean.count for one in overlaps.values()} == {1}
+    assert {r.masks for r in result.records} == {Masks.EXACT, Masks.PERCEIVED}
+    scores = {
+        (one.masks, one.method): one
+        for one in summary.lengths
+        if one.truth == "centreline" and one.group == "whole"
+    }
+    for masks in (Masks.EXACT, Masks.PERCEIVED):
+        best = scores[masks, "selector best"]
+        assert (best.missed, best.metrics.measured, best.metrics.count) == (0, 1.0, 1)
+        assert best.metrics.mape_percent < 5
+    assert scores[Masks.PERCEIVED, "M4"].metrics.measured == 1.0
+
+
+def test_missed_fruit_count_in_full(scene: Scene, tmp_path: Path) -> None:
+    blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
+    plan = EyesPlan(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
+    summary = summarise(evaluate_eyes(plan))
+    assert summary.overall[0][1].recall.value == 0.0
+    found = [one for one in summary.lengths if one.group == "whole" and one.truth == "thread"]
+    perceived = [one for one in found if one.masks is Masks.PERCEIVED]
+    assert {one.missed for one in perceived} == {2}
+    assert [one.metrics.mape_percent for one in perceived] == pytest.approx(
+        [100.0] * len(perceived)
+    )
+    assert {one.measured_percent.count for one in perceived} == {0}
+    assert all(one.missed == 0 for one in found if one.masks is Masks.EXACT)
+
+
+def test_only_drawn_pictures_are_ever_shown(result: EyesResult) -> None:
+    summary = summarise(result)
+    cases = worst_cases(result, summary)
+    assert {case.kind for case in cases} == {"false", "masks", "keypoints"}
+    assert [case.picture for case in cases if case.kind == "false"] == ["images/b.png"]
+    assert draw_sheet(cases[:1], result).startswith(b"\x89PNG")
+    real = tuple(replace(p, source="photo") for p in result.held_out.pictures)
+    photos = replace(result, held_out=replace(result.held_out, pictures=real))
+    assert worst_cases(photos, summary) == []
+    with pytest.raises(ValueError, match="no drawn picture"):
+        draw_sheet([WorstCase("false", "images/b.png", (0, 0, 9, 9), "")], photos)
+
+
+def test_a_sheet_shows_truth_in_green_and_finds_in_orange(
+    result: EyesResult, tmp_path: Path
+) -> None:
+    cases = [case for case in worst_cases(result, summarise(result)) if case.kind == "keypoints"]
+    (tmp_path / "sheet.png").write_bytes(draw_sheet(cases, result))
+    sheet = read_color(tmp_path / "sheet.png").astype(int)
+    assert sheet.shape == (244, 2 * 324, 3)
+    for ink in ((0, 200, 140), (255, 110, 0)):
+        assert (np.abs(sheet - ink).sum(axis=2) < 30).sum() > 40
+
+
+def test_the_command_writes_everything(
+    scene: Scene, networks: tuple[Path, Path], tmp_path: Path
+) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    out = tmp_path / "out"
+    arguments = ["evaluate", "models", str(scene.folder), "--out", str(out)]
+    arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]
+    arguments += ["--runtime", "onnxruntime", "--segmenter", "none"]
+    found = CliRunner().invoke(app, arguments)
+    assert found.exit_code == 0, found.output
+    assert "Average precision" in found.output
+    numbers = json.loads((out / "results.json").read_text())
+    assert numbers["overall"]["what is reported"]["recall"]["value"] == 1.0
+    assert numbers["overall"]["what is reported"]["recall"]["n"] == 2
+    assert [one["file"] for one in numbers["networks"]] == ["seg.onnx", "pose.onnx"]
+    (best,) = (
+        one
+        for one in numbers["lengths"]
+        if (one["truth"], one["group"], one["masks"], one["method"])
+        == ("thread", "whole", "perceived", "M6 thread")
+    )
+    assert (best["error_percent"]["n"], best["missed"]) == (2, 0)
+    assert best["error_percent"]["value"] < 10
+    with (out / "detections.csv").open(encoding="utf-8") as stream:
+        outcomes = [row["outcome"] for row in csv.DictReader(stream)]
+    assert outcomes == ["hit", "false", "hit"]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "The worst cases" in page
+    assert "results.json" in page
+    assert page.count("data:image/png") == 5  # recall, ends, and three sheets
+
+
+def test_of_photos_only_figures_are_written(result: EyesResult, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    boxes = np.array([[0.0, 0, 50, 10], [0, 40, 50, 50]])
+    seen = tuple(SeenFruit(box, 0.9) for box in boxes)
+    photo = Frame("web/leaf.jpg", "s1", 60, 60, (TrueFruit(boxes[0]),), kept=seen)
+    judged = replace(result, photos=score_photos([photo], ["plant"], 0.3))
+    summary = summarise(judged)
+    pages = [
+        write_eyes_report(one, summary, tmp_path / name).read_text(encoding="utf-8")
+        for name, one in (("with", judged), ("without", result))
+    ]
+    assert pages[0].count("data:image/png") == pages[1].count("data:image/png")
+    assert "web/leaf.jpg" in pages[0]
+    text = (tmp_path / "with" / "results.json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert json.loads(text)["photos"]["false"][0]["picture"] == "web/leaf.jpg"
+    with (tmp_path / "with" / "photo_detections.csv").open(encoding="utf-8") as stream:
+        assert [row["outcome"] for row in csv.DictReader(stream)] == ["hit", "false"]
+
+
+class Replay:
+    """A detector that has looked already."""
+
+    def __init__(self, *found: Instance) -> None:
+        self._found = found
+
+    def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+        return self._found
+
+
+@pytest.mark.parametrize("with_pose", [True, False])
+def test_reported_is_what_detect_reports(with_pose: bool) -> None:
+    """Two pieces of one fruit and a double find, put together as `Detectors` does."""
+    left, right = np.zeros((40, 120), bool), np.zeros((40, 120), bool)
+    left[10:20, 10:50] = right[10:20, 60:110] = True
+    points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
+    pieces = [Instance(box_of_mask(m), 0.8, detector_mask=m) for m in (left, right, left)]
+    pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)] * with_pose
+    ours = shipped(pieces, pose, 0.3)
+    loaded = [cast(YoloDetector, Replay(*found)) for found in (pieces, pose)]
+    theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(
+        np.zeros((40, 120, 3), np.uint8)
+    )
+    assert len(ours) == len(theirs) == (1 if with_pose else 2)
+    for a, b in zip(ours, theirs, strict=True):
+        assert (a.score, a.box.tolist()) == (b.score, b.box.tolist())
+        assert (a.keypoints is None) == (b.keypoints is None)
+
+
+def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
+    points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
+    pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)]
+    loaded = [cast(YoloDetector, Replay(*found)) for found in ([], pose)]
+    assert Detectors(*loaded).find(np.zeros((40, 120, 3), np.uint8)) == ()
+    assert shipped([], pose, 0.3) == ()
+    # Without a detector the pose network stands in.
+    assert len(shipped(None, pose, 0.3)) == 1

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision_lab.synthesis.arrange import cover, hang, trellis
+from cucumbervision_lab.synthesis.bodies import random_fruit
+from cucumbervision_lab.synthesis.occluders import (
+    Leaf,
+    Plane,
+    Stem,
+    cast_leaf,
+    cast_stem,
+    plane_depth,
+)
+from cucumbervision_lab.synthesis.raycast import ray_grid
+from cucumbervision_lab.synthesis.scenes import Kind, Scene, look, truth_of
+from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+BENT = Intrinsics(
+    640, 480, 600.0, 600.0, 320.0, 240.0,
+    distortion=Distortion.BROWN_CONRADY, coefficients=(0.1, -0.05, 1e-3, -1e-3, 0),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BENT])
+@pytest.mark.parametrize("bend", [(0.0, 0.0), (3.0, -2.0), (5.0, 5.0)])
+def test_points_of_a_leaf_lie_on_its_blade(camera: Intrinsics, bend: tuple[float, float]) -> None:
+    frame = rotation(20, 30, 40)
+    leaf = Leaf(np.array([0.05, -0.03, 0.5]), frame, 0.08, 0.05, bend, 0.15)
+    hit = cast_leaf(leaf, camera)
+    assert hit is not None
+    grid = ray_grid(camera)
+    z = hit.depth_m[hit.mask]
+    x, y = grid.x[hit.window][hit.mask] * z, grid.y[hit.window][hit.mask] * z
+    s, t, n = leaf.frame @ (np.stack([x, y, z]) - leaf.centre_m[:, None])
+    assert len(z) > 3000
+    assert np.abs(n - (bend[0] * s**2 + bend[1] * t**2) / 2).max() < 1e-12
+    angle = np.arctan2(t / 0.05, s / 0.08)
+    assert (np.hypot(s / 0.08, t / 0.05) <= 1 + 0.15 * np.cos(5 * angle) + 1e-9).all()
+
+
+def test_a_flat_leaf_has_its_ellipse_area() -> None:
+    leaf = Leaf(np.array([0.0, 0.0, 0.5]), np.eye(3), 0.06, 0.04)
+    hit = cast_leaf(leaf, CAMERA)
+    assert hit is not None
+    by_hand = np.pi * 0.06 * 0.04 * (600 / 0.5) ** 2
+    assert hit.mask.sum() == pytest.approx(by_hand, rel=0.01)
+
+
+def test_points_of_a_stem_lie_at_its_radius() -> None:
+    stem = Stem(np.array([[-0.1, -0.1, 0.4], [0.02, 0.0, 0.5], [0.03, 0.15, 0.45]]), 0.006)
+    hit = cast_stem(stem, CAMERA)
+    assert hit is not None
+    grid = ray_grid(CAMERA)
+    z = hit.depth_m[hit.mask]
+    points = np.stack(
+        [grid.x[hit.window][hit.mask] * z, grid.y[hit.window][hit.mask] * z, z], axis=1
+    )
+    gaps = []
+    for a, b in zip(stem.vertices_m[:-1], stem.vertices_m[1:], strict=True):
+        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[:, None]
+        gaps.append(np.linalg.norm(points - a - share * (b - a), axis=1))
+    assert np.min(gaps, axis=0) == pytest.approx(np.full(len(points), 0.006), abs=1e-9)
+
+
+def test_points_of_a_plane_lie_in_it() -> None:
+    plane = Plane.facing(0.7, 25.0, -10.0)
+    grid, z = ray_grid(BENT), plane_depth(plane, BENT)
+    points = np.stack([grid.x * z, grid.y * z, z], axis=2)
+    assert np.abs((points - plane.point_m) @ plane.normal).max() < 1e-12
+    # 25 degrees up and away: the upper rows are farther.
+    assert z[0, 320] > z[-1, 320]
+
+
+def test_moving_the_scene_is_moving_the_camera() -> None:
+    rng = np.random.default_rng(4)
+    scene = trellis(rng, CAMERA, (hang(random_fruit(rng, 0.2), (0.0, 0.0, 0.5)),))
+    turn, by = rotation(2, -1, 3), np.array([0.01, -0.02, 0.03])
+    back = scene.moved(turn, by).moved(turn.T, -turn.T @ by)
+    first, again = look(scene, CAMERA), look(back, CAMERA)
+    same = first.kind == again.kind
+    assert same.mean() > 0.9999
+    assert np.abs(first.depth_m - again.depth_m)[same & (first.body == again.body)].max() < 1e-6
+
+
+def test_masks_and_hidden_share() -> None:
+    tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0, 0, 0.5))
+    rod = Stem(np.array([[0.04, -0.3, 0.4], [0.04, 0.3, 0.4]]), 0.01)
+    scene = Scene((tube,), stems=(rod,), planes=(Plane.facing(0.9),))
+    view = look(scene, CAMERA)
+    (truth,) = truth_of(scene, CAMERA, view)
+    alone = look(Scene((tube,)), CAMERA).mask(0)
+    assert (truth.amodal == alone).all()
+    assert (truth.visible == (alone & (view.kind != Kind.STEM))).all()
+    # The rod at 0.4 m spans 2 * 0.01 / 0.4 * 600 = 30 px of the fruit's 0.2 / 0.5 * 600 = 240.
+    assert truth.hidden_share == pytest.approx(30 / 240, abs=0.015)
+    assert not truth.cut_off
+    # KP0 to KP4 stand at x = -0.1, -0.05 ... at 0.5 m; the rod is seen at 365 to 395 px.
+    assert truth.keypoints_px[:, 0] == pytest.approx([200, 260, 320, 380, 440], abs=1e-6)
+    assert truth.keypoint_visibility.tolist() == [2, 2, 2, 1, 2]
+    assert truth.axis_m.shape == (len(truth.radius_m), 3)
+    assert truth.radius_m[[0, -1]].tolist() == [0.0, 0.0]
+
+
+def test_a_cut_off_fruit_says_so() -> None:
+    tube = arc_tube(0.3, 0.02).moved(np.eye(3), (0.3, 0, 0.5))
+    (truth,) = truth_of(Scene((tube,)), CAMERA)
+    assert truth.cut_off
+    assert truth.keypoint_visibility.tolist() == [2, 2, 0, 0, 0]
+
+
+def test_an_end_behind_the_fruits_own_body_is_hidden() -> None:
+    # Tilted by 70 degrees, the near end covers most of the rest: the far pole is out of sight.
+    tube = hang(arc_tube(0.12, 0.02), (0.0, 0.0, 0.5), roll_deg=0, tilt_deg=75)
+    (truth,) = truth_of(Scene((tube,)), CAMERA)
+    assert tube.poles_m[1, 2] > tube.poles_m[0, 2]
+    assert truth.keypoint_visibility[4] == 1
+    assert truth.keypoint_visibility[0] == 2
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.55])
+@pytest.mark.parametrize("tilt_deg", [0.0, 45.0])
+def test_cover_hides_the_share_asked_and_leaves_the_ends(share: float, tilt_deg: float) -> None:
+    rng = np.random.default_rng(12)
+    for length_m in (0.15, 0.30):
+        fruit = hang(random_fruit(rng, length_m), (0.0, 0.0, 0.55), tilt_deg=tilt_deg)
+        scene = cover(Scene((fruit,)), CAMERA, 0, share, rng)
+        (truth,) = truth_of(scene, CAMERA)
+        assert truth.hidden_share == pytest.approx(share, abs=0.03)
+        whole = truth.amodal
+        ends = (whole & ~truth.visible)[np.flatnonzero(whole.any(axis=1))[[2, -3]]]
+        assert not ends.any()
+
+
+def test_cover_of_an_end_hides_one_end() -> None:
+    rng = np.random.default_rng(3)
+    fruit = hang(random_fruit(rng, 0.25), (0.0, 0.0, 0.55))
+    (truth,) = truth_of(cover(Scene((fruit,)), CAMERA, 0, 0.3, rng, ends_free=False), CAMERA)
+    assert truth.hidden_share == pytest.approx(0.3, abs=0.03)
+    assert sorted(truth.keypoint_visibility[[0, 4]].tolist()) == [1, 2]
+
+
+def test_a_trellis_hides_no_fruit() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        fruit = tuple(
+            hang(
+                random_fruit(rng, 0.2), (x, 0.0, 0.55), tilt_deg=20.0, spin_deg=rng.uniform(0, 360)
+            )
+            for x in (-0.12, 0.12)
+        )
+        scene = trellis(rng, CAMERA, fruit)
+        view = look(scene, CAMERA)
+        assert [t.hidden_share for t in truth_of(scene, CAMERA, view)] == [0.0, 0.0]
+        assert (view.kind == Kind.LEAF).mean() > 0.4
+        assert (view.depth_m > 0).all()
+
+
+def test_a_leaf_behind_the_camera_is_refused() -> None:
+    with pytest.raises(ValueError, match="behind the camera"):
+        cast_leaf(Leaf(np.array([0.0, 0.0, 0.02]), rotation(tilt_deg=90), 0.05, 0.05), CAMERA)

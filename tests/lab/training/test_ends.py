@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("ultralytics")
+
+from cucumbervision.capture.files import write_png  # noqa: E402
+from cucumbervision.errors import TrainingError  # noqa: E402
+from cucumbervision.perception.ends import STRIP_PX, EndTeller  # noqa: E402
+from cucumbervision.perception.instances import Instance  # noqa: E402
+from cucumbervision.perception.registry import file_sha256  # noqa: E402
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
+from cucumbervision_lab.training.cards import read_card  # noqa: E402
+from cucumbervision_lab.training.ends import (  # noqa: E402
+    COPIES,
+    collect_strips,
+    make_network,
+    train_ends,
+    write_ends_card,
+)
+
+pytestmark = pytest.mark.train
+
+
+def drawn(rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Draw a green bar with a thin stalk at its last point."""
+    angle = rng.uniform(0, 2 * np.pi)
+    ahead = np.array([np.cos(angle), np.sin(angle)])
+    points = 64 + np.linspace(-0.5, 0.5, 5)[:, None] * 70 * ahead
+    picture = np.full((128, 128, 3), 110, np.uint8)
+    picture += rng.integers(0, 40, picture.shape, np.uint8)
+    first, last = (tuple(np.rint(p).astype(int).tolist()) for p in (points[0], points[-1]))
+    tip = tuple(np.rint(points[-1] + 14 * ahead).astype(int).tolist())
+    cv2.line(picture, last, tip, (60, 160, 40), 3)
+    cv2.line(picture, first, last, (40, 130, 40), 14)
+    return picture, points
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    folder, rng = tmp_path_factory.mktemp("set"), np.random.default_rng(4)
+    (folder / "images").mkdir()
+    found = []
+    for number in range(80):
+        color, points = drawn(rng)
+        write_png(folder / f"images/{number}.png", color)
+        keypoints = np.column_stack([points, np.full(5, 2.0)])
+        box = np.concatenate([points.min(axis=0), points.max(axis=0)])
+        label = Label(box, keypoints=keypoints)
+        found.append(
+            LabelledPicture(f"images/{number}.png", 128, 128, (label,), f"s{number}", "train")
+        )
+    return DataSet(folder, tuple(found))
+
+
+def test_a_fruit_turned_round_gives_the_opposite_answer() -> None:
+    network = make_network().eval()
+    fruit = torch.rand(5, 3, *STRIP_PX)
+    with torch.no_grad():
+        ahead, turned = network(fruit), network(torch.flip(fruit, (2, 3)))
+    assert ahead.shape == (5,)
+    assert torch.allclose(ahead, -turned, atol=1e-6)
+
+
+def test_strips_hold_every_fruit_and_whole_scenes_are_held_out(pictures: DataSet) -> None:
+    strips = collect_strips([pictures])
+    assert strips.pictures.shape == (80 * COPIES, *STRIP_PX, 3)
+    assert strips.held_out.sum() == 10 * COPIES
+    assert strips.held_out.reshape(-1, COPIES).all(axis=1).sum() == 10
+    assert (strips.seen == 2).all()
+
+
+def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
+    pictures: DataSet, tmp_path: Path
+) -> None:
+    result = train_ends(collect_strips([pictures]), tmp_path / "ends.onnx", epochs=25)
+    assert result.right["all"] > 0.9
+    assert result.right["2 ends in sight"] == result.right["all"]
+    assert (result.strips, result.judged) == (70, 10)
+    teller, rng = EndTeller(tmp_path / "ends.onnx"), np.random.default_rng(99)
+    right = 0
+    for number in range(30):
+        color, points = drawn(rng)
+        given = points[::-1] if number % 2 else points
+        (told,) = teller.tell(color, [Instance(np.zeros(4), keypoints=np.c_[given, np.ones(5)])])
+        assert told.keypoints is not None
+        right += bool(np.allclose(told.keypoints[-1, :2], points[-1]))
+    assert right >= 26
+    card = write_ends_card(result, "ends", epochs=25, seed=0, credits=("Ann",))
+    again = read_card(tmp_path / "ends.json")
+    assert again == card
+    assert again.sha256 == file_sha256(tmp_path / "ends.onnx")
+    assert again.metrics["right, all"] == result.right["all"]
+
+
+def test_too_few_scenes_are_refused(pictures: DataSet) -> None:
+    few = DataSet(pictures.folder, pictures.pictures[:3])
+    with pytest.raises(TrainingError, match="too few scenes"):
+        collect_strips([few])
+
+
+def test_nothing_is_learnt_from_test_pictures(pictures: DataSet) -> None:
+    from dataclasses import replace
+
+    tests = tuple(replace(p, split="test") for p in pictures.pictures)
+    with pytest.raises(TrainingError, match="too few scenes"):
+        collect_strips([DataSet(pictures.folder, tests)])
+
+
+def test_strips_are_drawn_with_the_stem_to_the_right(pictures: DataSet) -> None:
+    strips = collect_strips([pictures])
+    # The stalk has less red than the ground, and grows at the right only.
+    red = strips.pictures[:, STRIP_PX[0] // 2 - 1 : STRIP_PX[0] // 2 + 1, :, 0].astype(int)
+    left, right = red[..., :2].mean(axis=(1, 2)), red[..., -2:].mean(axis=(1, 2))
+    assert np.median(left - right) > 30

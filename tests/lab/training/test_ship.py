@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.errors import ModelHashError, TrainingError
+from cucumbervision.perception.registry import load_registry
+from cucumbervision_lab.training.cards import ModelCard, card_markdown, read_card, write_card
+from cucumbervision_lab.training.publish import MOST_BYTES, ship, with_entry
+
+OTHER = """# Read this.
+
+[[models]]
+name = "other"
+task = "pose"
+licence = "MIT"
+title = "Another"
+origin = "Elsewhere"
+embedded = true
+
+[[models.files]]
+role = "network"
+file = "other.onnx"
+sha256 = "00"
+"""
+
+
+def exported(folder: Path, content: bytes, name: str = "c-seg") -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.onnx").write_bytes(content)
+    sha256 = hashlib.sha256(content).hexdigest()
+    write_card(
+        ModelCard(
+            name, "segment", f"{name}.onnx", sha256, len(content), "ab", data="# Data\n\nten"
+        ),
+        folder,
+    )
+    return folder
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    folder = tmp_path / "package"
+    (folder / "weights").mkdir(parents=True)
+    (folder / "models.toml").write_text(OTHER)
+    return folder
+
+
+def test_a_network_is_added_and_then_replaced(tmp_path: Path, package: Path) -> None:
+    ship(exported(tmp_path / "a", b"first"), "c-seg", package)
+    ship(exported(tmp_path / "b", b"second", "d-seg"), "d-seg", package)
+    ship(exported(tmp_path / "c", b"third"), "c-seg", package)
+    text = (package / "models.toml").read_text()
+    assert text.startswith(OTHER)
+    registry = load_registry(package / "models.toml", tmp_path / "user")
+    assert [m.name for m in registry.models] == ["other", "c-seg", "d-seg"]
+    assert registry.resolve("c-seg")["network"].read_bytes() == b"third"
+    assert registry.resolve("d-seg")["network"].read_bytes() == b"second"
+    model = registry.get("c-seg")
+    assert (model.task, model.licence, model.embedded) == ("segment", "AGPL-3.0-only", True)
+    assert (package / "weights" / model.card).read_text().startswith("# c-seg\n")
+    assert registry.default("segment") == model
+
+
+def test_the_packages_own_registry_keeps_its_text() -> None:
+    path = Path(load_registry().embedded).parent / "models.toml"
+    text = path.read_text()
+    card = ModelCard("zz-new", "pose", "zz-new.onnx", "ab", 5, "cd")
+    once = with_entry(text, card)
+    assert once.startswith(text)
+    assert with_entry(once, card) == once
+
+
+def test_another_file_than_the_cards_is_refused(tmp_path: Path, package: Path) -> None:
+    folder = exported(tmp_path / "a", b"first")
+    (folder / "c-seg.onnx").write_bytes(b"forged")
+    with pytest.raises(ModelHashError, match="is not the file that its card tells of"):
+        ship(folder, "c-seg", package)
+    assert list((package / "weights").iterdir()) == []
+
+
+def test_too_heavy_a_package_is_refused(tmp_path: Path, package: Path) -> None:
+    with (package / "weights" / "other.onnx").open("wb") as file:
+        file.truncate(MOST_BYTES - 3)
+    with pytest.raises(TrainingError, match=r"would be 45\.0 MB together; stay under 45 MB"):
+        ship(exported(tmp_path / "a", b"four"), "c-seg", package)
+    ship(exported(tmp_path / "a", b"abc"), "c-seg", package)
+    assert (package / "models.toml").read_text() != OTHER
+
+
+def test_cards_survive_the_disk(tmp_path: Path) -> None:
+    card = read_card(exported(tmp_path / "a", b"first") / "c-seg.json")
+    assert card.credits == ("Network and its first weights: Ultralytics YOLO26, AGPL-3.0",)
+    assert card_markdown(card).endswith("## Data\n\nten\n")
+    (tmp_path / "bad.json").write_text('{"name": "a"}')
+    for name in ("bad.json", "none.json"):
+        with pytest.raises(TrainingError, match="the card cannot be read"):
+            read_card(tmp_path / name)

@@ -1,0 +1,318 @@
+"""Real trainings of a network with random weights on eight little pictures."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+if importlib.util.find_spec("ultralytics") is None:
+    pytest.skip("needs the extra 'train'", allow_module_level=True)
+
+from cucumbervision.errors import ModelError, TrainingError
+from cucumbervision.perception.runtime import open_network
+from cucumbervision_lab.training.export_trained import best_metrics, export_trained
+from cucumbervision_lab.training.export_yolo import import_ultralytics
+from cucumbervision_lab.training.learn_from import prepare_data
+from cucumbervision_lab.training.settings import stage_settings
+from cucumbervision_lab.training.stages import RunState, Stage, parse_stages
+from cucumbervision_lab.training.train import EpochReport, TrainOptions, train
+from cucumbervision_lab.training.trainer import make_trainer
+
+pytestmark = pytest.mark.train
+
+QUICK = TrainOptions(batch=4, device="cpu", precision="f32", cache="none", threads=1)
+
+
+class Notes:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.epochs: list[EpochReport] = []
+        self.fractions: list[float] = []
+
+    def batch(self, fraction: float, stage: Stage) -> None:
+        self.fractions.append(fraction)
+
+    def epoch(self, report: EpochReport) -> None:
+        self.epochs.append(report)
+
+
+class Deaf:
+    def batch(self, done: int, total: int) -> None:
+        pass
+
+    def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
+        return False
+
+
+@pytest.fixture(scope="module")
+def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Train two stages in two calls: the first ends a plan of one stage, the second prolongs it."""
+    run = tmp_path_factory.mktemp("run") / "seg"
+    notes = Notes()
+    train("seg", seg_set, run, init="yolo26n-seg.yaml", stages="64x2", options=QUICK, watcher=notes)
+    assert [(r.stage, r.size_px, r.epoch, r.epochs) for r in notes.epochs] == [
+        (1, 64, 1, 2),
+        (1, 64, 2, 2),
+    ]
+    # Six pictures, four at a time.
+    assert notes.fractions == [0.5, 1.0, 0.5, 1.0]
+    other = TrainOptions(**{**vars(QUICK), "batch": 2, "learning_rate": 0.1})
+    train("seg", None, run, resume=True, stages="64x2,96x1", options=other)
+    return run
+
+
+def rows(run: Path) -> list[tuple[int, ...]]:
+    with (run / "metrics.csv").open() as file:
+        return [
+            tuple(int(row[key]) for key in ("stage", "size_px", "epoch"))
+            for row in csv.DictReader(file)
+        ]
+
+
+def test_stages_follow_each_other(seg_run: Path) -> None:
+    assert rows(seg_run) == [(1, 64, 1), (1, 64, 2), (2, 96, 1)]
+    state = RunState.load(seg_run)
+    assert [stage.status for stage in state.stages] == ["done", "done"]
+    assert (seg_run / "stage1-64px/weights/last.pt").is_file()
+    assert (seg_run / "best.pt").stat().st_size < 7e6  # stripped of its optimiser
+    assert list(seg_run.rglob("*.part")) == []
+    second = json.loads((seg_run / "state.json").read_text())["stages"][1]
+    assert second["fitness"] == pytest.approx(best_fitness(seg_run, 2))
+
+
+def best_fitness(run: Path, stage: int) -> float:
+    with (run / "metrics.csv").open() as file:
+        found = [float(r["fitness"]) for r in csv.DictReader(file) if r["stage"] == str(stage)]
+    return max(found)
+
+
+def test_a_run_keeps_how_it_learns(seg_run: Path) -> None:
+    assert RunState.load(seg_run).learning == {
+        "batch": 4,
+        "freeze": 0,
+        "patience": 20,
+        "learning_rate": 0.001,
+        "by_place": True,
+        "overrides": None,
+    }
+    used = (seg_run / "stage2-96px" / "args.yaml").read_text().splitlines()
+    # The second stage came by --resume with other options.
+    for line in ("batch: 4", "imgsz: 96", "lr0: 0.0005", "optimizer: AdamW", "nms: false"):
+        assert line in used
+
+
+def test_a_finished_plan_has_nothing_to_do(seg_run: Path) -> None:
+    before = (seg_run / "metrics.csv").read_bytes()
+    assert train("seg", None, seg_run, resume=True, options=QUICK) == seg_run / "best.pt"
+    assert (seg_run / "metrics.csv").read_bytes() == before
+
+
+def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    words = ["train", "seg", str(seg_set), "--out", str(run), "--init", "yolo26n-seg.yaml"]
+    words += ["--stages", "64x40,96x1", "--batch", "4", "--threads", "1", "--precision", "f32"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", "from cucumbervision.cli.app import main; main()", *words]
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
+        try:
+            end = time.monotonic() + 240
+            # The second epoch's row: the first epoch's checkpoint is whole by then.
+            while not (run / "metrics.csv").is_file() or len(rows(run)) < 2:
+                assert process.poll() is None
+                assert time.monotonic() < end
+                time.sleep(0.05)
+        finally:
+            process.send_signal(signal.SIGKILL)
+    done = len(rows(run))
+    assert RunState.load(run).stages[0].status == "running"
+    short = TrainOptions(**{**vars(QUICK), "minutes": 0.0})
+    notes = Notes()
+    train("seg", None, run, resume=True, options=short, watcher=notes)
+    # The row follows the checkpoint: a kill between the two leaves an epoch without its row.
+    assert [r.epoch for r in notes.epochs] in ([done + 1], [done + 2])
+    assert notes.epochs[0].epochs == 40
+    assert RunState.load(run).stages[0].status == "running"
+    assert not (run / "best.pt").exists()
+
+
+def backbone(network: object) -> dict[str, object]:
+    state = network.state_dict()  # type: ignore[attr-defined]
+    return {key: value for key, value in state.items() if not key.startswith("model.23.")}
+
+
+def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_path: Path) -> None:
+    import_ultralytics()
+    import torch
+    from ultralytics.nn.tasks import load_checkpoint
+
+    data = prepare_data(pose_set, "pose", tmp_path)
+    init = str(seg_run / "best.pt")
+    state = RunState("pose", str(data), init, parse_stages("64x1"))
+    settings = stage_settings(state, 0, tmp_path, QUICK, "cpu", None)
+    assert (settings["model"], settings["pretrained"]) == ("yolo26n-pose.yaml", init)
+    trainer = make_trainer(
+        "pose", settings, Deaf(), threads=1, workers=0, bfloat16=False, span=(0, 1)
+    )
+    trainer.setup_model()
+    ours, theirs = backbone(trainer.model), backbone(load_checkpoint(init)[0].float())
+    assert ours.keys() == theirs.keys()
+    assert len(ours) > 300
+    assert all(torch.equal(ours[key], theirs[key]) for key in ours)
+    # The boxes' branch of the head too; the points' own is new.
+    head = trainer.model.model[-1]
+    taken = load_checkpoint(init)[0].float().model[-1]
+    assert torch.equal(head.cv2[0][0].conv.weight, taken.cv2[0][0].conv.weight)
+
+
+def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: Path) -> None:
+    import_ultralytics()
+    data = prepare_data(pose_set, "pose", tmp_path)
+    state = RunState("pose", str(data), "yolo26n-pose.yaml", parse_stages("64x1,64x1"))
+    options = TrainOptions(**{**vars(QUICK), "precision": "bf16"})
+    settings = stage_settings(state, 0, tmp_path, options, "cpu", None)
+    trainer = make_trainer(
+        "pose", settings, Deaf(), threads=1, workers=0, bfloat16=True, span=(0.0, 0.5)
+    )
+    seen = {}
+
+    def look(t: object) -> None:
+        loss = t.model.criterion  # type: ignore[attr-defined]
+        seen["loss"] = loss.one2one.keypoint_loss.sigmas.tolist()
+        seen["share"] = [loss.o2m_copy, loss.final_o2m, loss.o2m]
+        seen["narrowed"] = ["predict" in vars(t.model)]  # type: ignore[attr-defined]
+
+    trainer.add_callback("on_train_batch_end", look)
+    trainer.train()
+    # Kindly at the plan's beginning, strictly in validation.
+    assert seen["loss"] == pytest.approx([0.2] * 5)
+    assert trainer.validator.sigma.tolist() == pytest.approx([0.05] * 5)
+    # Half of the plan: the one-to-many head's share falls from 0.8 half way to 0.1.
+    assert seen["share"] == pytest.approx([0.8, 0.45, 0.8])
+    assert seen["narrowed"] == [True]
+    assert "predict" not in vars(trainer.model)
+    assert trainer.validator.end2end
+    assert 0 < trainer.metrics["val/pose_loss"] < 1e4
+
+
+def test_small_batches_leave_the_norms(seg_run: Path, seg_set: Path, tmp_path: Path) -> None:
+    import_ultralytics()
+    import torch
+    from ultralytics.nn.tasks import load_checkpoint
+
+    init = seg_run / "best.pt"
+    options = TrainOptions(**{**vars(QUICK), "batch": 3})
+    train("seg", seg_set, tmp_path / "run", init=str(init), stages="64x1", options=options)
+    before, after = (
+        load_checkpoint(str(path))[0].float().state_dict()
+        for path in (init, tmp_path / "run/best.pt")
+    )
+    means = [key for key in before if key.endswith("running_mean")]
+    assert len(means) > 100
+    assert all(torch.equal(before[key], after[key]) for key in means)
+    assert not torch.equal(before["model.0.conv.weight"], after["model.0.conv.weight"])
+
+
+def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:
+    losses = {}
+    for precision in ("f32", "bf16"):
+        notes = Notes()
+        options = TrainOptions(**{**vars(QUICK), "precision": precision, "learning_rate": 0.002})
+        train(
+            "seg",
+            seg_set,
+            tmp_path / precision,
+            init="yolo26n-seg.yaml",
+            stages="64x3",
+            options=options,
+            watcher=notes,
+        )
+        losses[precision] = [
+            sum(v for k, v in r.metrics.items() if k.startswith("train/")) for r in notes.epochs
+        ]
+    assert losses["bf16"] == pytest.approx(losses["f32"], rel=0.1)
+    assert losses["bf16"] != losses["f32"]
+
+
+def test_what_cannot_be_trained_is_named(seg_set: Path, seg_run: Path, tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="there is a training already"):
+        train("seg", seg_set, seg_run)
+    with pytest.raises(TrainingError, match="is a training for seg, not pose"):
+        train("pose", None, seg_run, resume=True)
+    with pytest.raises(TrainingError, match="no data set is given"):
+        train("seg", None, tmp_path / "new")
+    with pytest.raises(TrainingError, match=r"gone\.pt: there are no such weights"):
+        train("seg", seg_set, tmp_path / "new", init=str(tmp_path / "gone.pt"))
+    with pytest.raises(TrainingError, match="no task is called"):
+        train("detect", seg_set, tmp_path / "new")
+    bad = tmp_path / "bad.pt"
+    bad.write_bytes(b"none")
+    with pytest.raises(TrainingError, match=r"bad\.pt: Ultralytics cannot load these weights"):
+        train("seg", seg_set, tmp_path / "new", init=str(bad), stages="64x1")
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_exported_file_computes_as_the_network(
+    runtime: str, seg_run: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    pytest.importorskip(runtime)
+    import numpy as np
+
+    ultralytics = import_ultralytics()
+    import torch
+
+    out = tmp_path_factory.mktemp("out")
+    card = export_trained(seg_run, out, "tiny-seg")
+    network = open_network(out / card.file, runtime, full_precision=True)
+    model = ultralytics.YOLO(str(seg_run / "best.pt")).model.float().eval()
+    model.end2end = True
+    head = model.model[-1]
+    head.postprocess = lambda rows: rows  # all anchors, as corners
+    for height, width in ((64, 96), (96, 64), (160, 160)):
+        picture = np.random.default_rng(height).random((1, 3, height, width), np.float32)
+        with torch.no_grad():
+            rows, masks = model(torch.from_numpy(picture))[0]
+        given = network.run({"images": picture})
+        found = given["output0"][0]
+        low, high = rows[0, :, :2].T.numpy(), rows[0, :, 2:4].T.numpy()
+        # Weights are stored in half precision after batch norm was folded into them.
+        assert np.abs(found[:2] - (low + high) / 2).max() < 0.5
+        assert np.abs(found[2:4] - (high - low)).max() < 0.5
+        assert np.abs(found[4] - rows[0, :, 4].numpy()).max() < 0.005
+        assert np.abs(given["output1"] - masks.numpy()).max() < 0.05
+
+
+def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
+    judged = tmp_path / "judged.json"
+    judged.write_text('{"command": "evaluate", "recall": 0.9}')
+    card = export_trained(seg_run, tmp_path, "tiny-seg", evaluation=judged, credits=["Photos: A"])
+    assert card.plan == "64x2,96x1"
+    assert card.began_with == "yolo26n-seg.yaml"
+    assert card.metrics["size_px"] == 96
+    assert card.metrics["mAP50(M)"] == best_metrics(seg_run / "metrics.csv", 2)["mAP50(M)"]
+    page = (tmp_path / "tiny-seg.md").read_text()
+    for word in ("AGPL-3.0", "Photos: A", card.sha256, "--stages 64x2,96x1", '"recall": 0.9'):
+        assert word in page
+    assert "| train | 6 |" in page
+    assert str(seg_run) not in page
+    assert str(tmp_path) not in page
+
+
+def test_what_cannot_be_exported_is_named(seg_run: Path, tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="cannot name a network"):
+        export_trained(seg_run, tmp_path, "Tiny Seg")
+    with pytest.raises(TrainingError, match="no finished weights"):
+        export_trained(tmp_path, tmp_path, "tiny")
+    (tmp_path / "bad.pt").write_bytes(b"none")
+    with pytest.raises((TrainingError, ModelError), match=r"bad\.pt: Ultralytics cannot load it"):
+        export_trained(tmp_path / "bad.pt", tmp_path, "tiny")

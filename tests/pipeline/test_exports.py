@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import openpyxl
+
+from cucumbervision.pipeline.exports import CsvSink, write_workbook
+from cucumbervision.pipeline.rows import COLUMNS
+
+
+def row(**cells: Any) -> dict[str, Any]:
+    return {column.name: cells.get(column.name) for column in COLUMNS}
+
+
+def test_csv_rows_are_on_disk_before_the_file_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    with CsvSink(path, ["capture", "length_cm"]) as sink:
+        sink.write({"capture": "a", "length_cm": 12.5})
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            assert list(csv.DictReader(stream)) == [{"capture": "a", "length_cm": "12.5"}]
+
+
+def test_csv_cells(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    with CsvSink(path, ["a", "b", "c", "d"]) as sink:
+        sink.write({"a": "=HYPERLINK(1)", "b": None, "c": True, "d": -1.5})
+        sink.write({"a": 'say "é", b', "b": 0, "c": False, "d": "-1.5"})
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        rows = list(csv.reader(stream))
+    assert rows[1] == ["'=HYPERLINK(1)", "", "true", "-1.5"]
+    assert rows[2] == ['say "é", b', "0", "false", "'-1.5"]
+
+
+def test_workbook_holds_rows_units_and_summary(tmp_path: Path) -> None:
+    path = tmp_path / "a.xlsx"
+    rows = [
+        row(capture="=1+1", fruit=1, length_cm=25.1234, length_kind="surface-arc"),
+        row(capture="https://example.org", fruit=2),
+    ]
+    write_workbook(path, rows, [("Fruit", 2), ("Note", "=2+2")])
+    book = openpyxl.load_workbook(path)
+    assert book.sheetnames == ["Summary", "Fruit", "Columns"]
+    sheet = book["Fruit"]
+    head = [cell.value for cell in sheet[1]]
+    assert head[0] == "capture"
+    length = head.index("length [cm]")
+    assert "position [m]" in head
+    assert sheet.freeze_panes == "D2"
+    assert sheet.cell(2, length + 1).value == 25.1234
+    assert sheet.cell(2, length + 1).number_format == "0.00"
+    first = sheet.cell(2, 1)
+    assert (first.value, first.data_type) == ("'=1+1", "s")
+    assert sheet.cell(3, 1).hyperlink is None
+    assert sheet.cell(3, length + 1).value is None
+    assert book["Summary"]["B1"].value == 2
+    assert book["Summary"]["B2"].data_type == "s"
+    assert next(c.value for c in book["Columns"][2]) == "capture"

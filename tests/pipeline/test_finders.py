@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.measurement.result import Method, Reason
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.instances import MaskSource, box_iou, box_of_mask
+from cucumbervision.perception.registry import Registry, load_registry
+from cucumbervision.pipeline.finders import demo_options, make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+
+
+@pytest.fixture
+def plain(row_a: Capture) -> Capture:
+    """The capture without the data set's masks."""
+    return replace(row_a, masks=())
+
+
+def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
+    row_a: Capture, own_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    found = finder.find(row_a).instances
+    # The half that was found once more is the first fruit.
+    assert len(found) == len(row_a.masks)
+    for one, mask in zip(found, row_a.masks, strict=True):
+        assert box_iou(one.box, box_of_mask(mask)) > 0.95
+        assert one.mask_source is MaskSource.SAM
+        assert one.detector_mask is not None
+        assert one.keypoints is not None
+        assert one.keypoints[0, 1] > one.keypoints[4, 1]  # the blossom end hangs
+    assert [m["name"] for m in finder.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+    known = own_registry.hashes("tiny-seg")
+    assert finder.models[0]["sha256"] == known["tiny-seg.onnx"]
+
+
+def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
+    row_a: Capture, plain: Capture, own_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(segmenter=None), own_registry)
+    given = finder.find(row_a).instances
+    assert [one.mask_source for one in given] == [MaskSource.DATASET] * 3
+    assert finder.models == []
+    assert len(finder.find(plain).instances) == 3
+    assert len(finder.models) == 3
+    finder.find(plain)
+    assert len(finder.models) == 3
+
+
+def test_auto_without_any_detector_still_takes_a_data_sets_masks(
+    row_a: Capture, plain: Capture, bare_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(), bare_registry)
+    assert len(finder.find(row_a).instances) == 3
+    with pytest.raises(ModelError, match="without a cucumber detector"):
+        finder.find(plain)
+
+
+def test_models_that_are_not_there_stop_the_run(bare_registry: Registry) -> None:
+    with pytest.raises(ModelError, match=r"--instances models: this version comes without"):
+        make_finder(MeasureOptions(instances="models"), bare_registry)
+
+
+def test_a_damaged_network_stops_the_run(own_registry: Registry, tmp_path: Path) -> None:
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "weights" / "tiny-seg.onnx").write_bytes(b"\x08")
+    broken = Registry(own_registry.models, tmp_path / "weights", tmp_path)
+    with pytest.raises(ModelHashError, match=r"tiny-seg\.onnx"):
+        make_finder(MeasureOptions(instances="models"), broken)
+
+
+def test_a_pose_network_of_ones_own_gives_keypoints_to_the_data_sets_masks(
+    row_a: Capture, own_networks: dict[str, Path], bare_registry: Registry
+) -> None:
+    options = MeasureOptions(instances="dataset", pose=own_networks["pose"])
+    found = make_finder(options, bare_registry).find(row_a).instances
+    assert all(one.keypoints is not None for one in found)
+    assert all(one.mask_source is MaskSource.DATASET for one in found)
+
+
+def test_a_pose_network_must_be_one(own_networks: dict[str, Path], own_registry: Registry) -> None:
+    options = MeasureOptions(instances="models", pose=own_networks["segment"])
+    with pytest.raises(ModelError, match=r"seg\.onnx: it is a segment network .*--pose"):
+        make_finder(options, own_registry)
+
+
+def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Registry) -> None:
+    options = MeasureOptions(instances="models", segmenter="none")
+    for one in make_finder(options, own_registry).find(row_a).instances:
+        fruit = measure_fruit(row_a, one)
+        m4, m3 = fruit.measurements[Method.M4], fruit.measurements[Method.M3]
+        # From the outermost pixels' middles along a hanging fruit: M3's extent, about.
+        assert m4.reason is Reason.OK
+        assert m4.own
+        assert m4.length_m is not None
+        assert m3.length_m is not None
+        assert m4.length_m == pytest.approx(m3.length_m, rel=0.06)
+        assert "keypoints-logged" in fruit.flags
+
+
+def test_the_demo_takes_the_packages_own_networks_when_there_are_some(
+    own_registry: Registry, bare_registry: Registry
+) -> None:
+    options, line = demo_options(own_registry)
+    assert options.instances == "models"
+    assert line == "Fruit by tiny-seg, keypoints by tiny-pose, masks by mobile-sam."
+    options, line = demo_options(bare_registry)
+    assert (options.instances, options.segmenter) == ("dataset", "mobile-sam")
+    assert "boxes of the captures' own masks" in line
+
+
+def test_the_packages_own_networks_come_with_a_card() -> None:
+    registry = load_registry()
+    for model in registry.models:
+        if model.task in ("segment", "pose"):
+            assert model.embedded
+            assert model.licence == "AGPL-3.0-only"
+            assert model.card
+            assert list(registry.resolve(model.name)) == ["network"]

@@ -104,15 +104,15 @@ def test_points_run_to_the_stem_whichever_way_they_came(redness: Path) -> None:
         assert one.keypoints is not None
         assert one.keypoints[-1, :2] == pytest.approx(points[-1])
         assert one.keypoints[-1, 2] == seen_at_stem
-        assert one.ends_known is not None
-        assert one.ends_known > 0.9
+        assert one.end_confidence is not None
+        assert one.end_confidence > 0.9
     assert teller.tell(picture, []) == ()
 
 
 def test_a_fruit_of_one_colour_is_unsure(redness: Path) -> None:
     _, points = bar(0)
     (told,) = EndTeller(redness).tell(np.full((240, 240, 3), 90, np.uint8), [fruit_at(points)])
-    assert told.ends_known == pytest.approx(0.5, abs=0.01)
+    assert told.end_confidence == pytest.approx(0.5, abs=0.01)
 
 
 def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
@@ -122,7 +122,7 @@ def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
     (posed,) = EndTeller(redness).tell(picture, [fruit_at(points)])
     found = Instance(box_of_mask(mask), detector_mask=mask)
     for (one,) in (with_keypoints([found], [posed]), each_once([found], [posed])):
-        assert one.ends_known == posed.ends_known
+        assert one.end_confidence == posed.end_confidence
 
 
 def test_another_network_is_refused(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def test_coco_box_moves_to_pixel_centres(tmp_path: Path) -> None:
     found = get(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
     (fruit,) = found.instances
     assert fruit.box.tolist() == [1.5, 0.5, 6.5, 4.5]
-    assert (fruit.label, fruit.score, fruit.mask) == ("cucumber", 1.0, None)
+    assert (fruit.class_name, fruit.confidence, fruit.mask) == ("cucumber", 1.0, None)
     assert (found.clipped, found.refused) == ((False,), ())
 
 
@@ -115,7 +115,7 @@ def test_coco_results_by_file_name(tmp_path: Path) -> None:
     results = [{"file_name": "a.png", "category_id": 0, "bbox": [1, 1, 2, 2], "score": 0.5}]
     path.write_text(json.dumps(results), encoding="utf-8")
     (fruit,) = get(path, "folder/a.png").instances
-    assert (fruit.score, fruit.label) == (0.5, "0")
+    assert (fruit.confidence, fruit.class_name) == (0.5, "0")
 
 
 def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
         "fewer than three",
         "covers no pixel",
         "crowd",
-        "score 7",
+        "confidence 7",
         "neither box nor mask",
     ]
     assert len(found.refused) == len(faults)
@@ -184,8 +184,8 @@ def test_yolo_folder(tmp_path: Path) -> None:
     first, second = get(folder, "a.png").instances
     # 20x10: centre (10, 5), 4 by 4, so 8 to 12 and 3 to 7 from the corner.
     assert first.box.tolist() == pytest.approx([7.5, 2.5, 11.5, 6.5])
-    assert (first.label, first.score) == ("cucumber", 1.0)
-    assert (second.label, second.score) == ("leaf", 0.75)
+    assert (first.class_name, first.confidence) == ("cucumber", 1.0)
+    assert (second.class_name, second.confidence) == ("leaf", 0.75)
     assert get(folder, "empty").instances == ()
     with pytest.raises(InstancesError, match="an empty file"):
         get(folder, "b")

@@ -37,14 +37,14 @@ def test_two_boxes_of_one_fruit_are_one() -> None:
     # Shifted by 6 of 100 and as wide: IoU 94/106.
     a, b = found(bar(100, 80, 100, 20), 0.9), found(bar(106, 80, 100, 20), 0.8)
     (one,) = merge_instances([b, a])
-    assert one.score == 0.9
+    assert one.confidence == 0.9
 
 
 def test_a_box_in_a_box_leaves_the_whole_with_the_better_score() -> None:
     whole, part = bar(100, 80, 120, 20), bar(80, 80, 50, 20)
     (one,) = merge_instances([found(part, 0.9), found(whole, 0.5)])
     assert one.box.tolist() == box_of_mask(whole).tolist()
-    assert one.score == 0.9
+    assert one.confidence == 0.9
 
 
 def test_a_whole_that_is_hardly_believed_does_not_replace_a_part() -> None:
@@ -65,7 +65,7 @@ def test_a_box_around_two_fruit_goes() -> None:
     upper, lower = bar(120, 70, 140, 20), bar(120, 90, 140, 20)
     kept = merge_instances([found(upper, 0.9), found(upper | lower, 0.6), found(lower, 0.8)])
     assert masks_of(kept) == {upper.tobytes(), lower.tobytes()}
-    assert [one.score for one in kept] == [0.9, 0.8]
+    assert [one.confidence for one in kept] == [0.9, 0.8]
 
 
 def test_a_speck_in_two_fruit_makes_them_no_single_one() -> None:
@@ -117,7 +117,7 @@ def test_shifted_repeats_change_no_count_and_order_no_result(data: st.DataObject
     merged = merge_instances(fruit)
     assert len(merged) == 3
     assert masks_of(merged) <= masks_of(fruit)
-    assert max(one.score for one in merged) == max(one.score for one in fruit)
+    assert max(one.confidence for one in merged) == max(one.confidence for one in fruit)
     again = merge_instances(data.draw(st.permutations(fruit)))
     assert [one.box.tolist() for one in again] == [one.box.tolist() for one in merged]
     assert masks_of(merge_instances(merged)) == masks_of(merged)
@@ -158,7 +158,7 @@ def test_pieces_without_a_whole_are_joined_by_the_pose() -> None:
     pose = Instance(np.array([29.0, 69, 201, 91]), 0.7, keypoints=line((30, 80), (200, 80)))
     kept = join_pieces([other, *pieces], [pose])
     assert len(kept) == 2
-    assert kept[1].score == 0.8
+    assert kept[1].confidence == 0.8
     assert kept[1].keypoints is pose.keypoints
     assert kept[1].box.tolist() == box_of_mask(PIECES[0] | PIECES[1]).tolist()
     assert masks_of(kept[1:]) == {(PIECES[0] | PIECES[1]).tobytes()}

@@ -64,7 +64,7 @@ def test_a_drawn_fruit_is_found(segmenter: Segmenter, size: tuple[int, int]) -> 
     assert found.mask_source is MaskSource.SAM
     assert found.mask_failure == ""
     assert found.detector_mask is truth
-    assert (found.score, found.label) == (0.8, "cucumber")
+    assert (found.confidence, found.class_name) == (0.8, "cucumber")
 
 
 def test_several_fruit_equal_one_by_one(segmenter: Segmenter) -> None:

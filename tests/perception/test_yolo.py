@@ -61,7 +61,7 @@ def test_end_to_end_segments(runtime: str) -> None:
     props = CUCUMBER | {"task": "segment", "end2end": True}
     detector = YoloDetector(network(rows, prototypes, props=props), runtime)
     (fruit,) = detector.detect(PICTURE)
-    assert (fruit.label, fruit.score, fruit.mask) == ("leaf", 0.75, None)
+    assert (fruit.class_name, fruit.confidence, fruit.mask) == ("leaf", 0.75, None)
     # The picture is not scaled: 16 rows come off, and half a pixel for the centres.
     assert fruit.box.tolist() == [7.5, 3.5, 39.5, 13.5]
     # The prototype's edge is at column 32; the box cuts the rest.
@@ -107,7 +107,7 @@ def test_raw_head_is_suppressed_unless_one_to_one(one_to_one: bool, count: int) 
     props |= {"one2one": True} if one_to_one else {}
     found = YoloDetector(network(output, props=props)).detect(PICTURE)
     assert len(found) == count
-    assert found[0].label == "leaf"
+    assert found[0].class_name == "leaf"
     assert found[0].box.tolist() == [15.5, 11.5, 31.5, 19.5]
     assert found[0].detector_mask is None
 
@@ -116,7 +116,7 @@ def test_export_without_metadata_still_works() -> None:
     output = np.zeros((1, 5, 84), np.float32)
     output[0, :, 0] = [24, 32, 16, 8, 0.9]
     (fruit,) = YoloDetector(network(output)).detect(PICTURE)
-    assert fruit.label == "0"
+    assert fruit.class_name == "0"
 
 
 def test_embedded_suppression_is_read_as_rows() -> None:

@@ -147,7 +147,7 @@ def test_a_view_that_shows_less_scores_less(measured: MeasuredCapture) -> None:
     fruit: Fruit = measured.fruit[0]
     row = {**measured.rows[0], "fill": 0.9, "hidden_share": 0.0, "flags": ""}
     best = view_score(fruit, row)
-    assert best == pytest.approx(0.9 * fruit.instance.score)
+    assert best == pytest.approx(0.9 * fruit.instance.confidence)
     assert view_score(fruit, {**row, "hidden_share": 0.25}) == pytest.approx(0.75 * best)
     assert view_score(fruit, {**row, "flags": "cut-by-frame"}) == pytest.approx(best / 2)
     assert view_score(fruit, {**row, "flags": "cut-by-frame end-hidden"}) == pytest.approx(best / 4)

@@ -246,7 +246,7 @@ def measure_fruit(
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
-    if instance.ends_known is not None and instance.ends_known < SURE:
+    if instance.end_confidence is not None and instance.end_confidence < SURE:
         flags.append("ends-unsure")
     if chosen is None:
         choice = _why_nothing(capture, instance.box)

@@ -163,7 +163,7 @@ class EndTeller:
         Returns
         -------
         tuple of Instance
-            In the same order; `ends_known` says how probable it is that the ends are right.
+            In the same order; `end_confidence` says how probable it is that the ends are right.
         """
         strips = [
             None if one.keypoints is None else straighten(color_rgb, one.keypoints[:, :2])
@@ -185,4 +185,4 @@ def _ordered(instance: Instance, logit: float) -> Instance:
     points = instance.keypoints
     if points is not None and logit < 0:
         points = points[::-1].copy()
-    return replace(instance, keypoints=points, ends_known=float(1 / (1 + np.exp(-abs(logit)))))
+    return replace(instance, keypoints=points, end_confidence=float(1 / (1 + np.exp(-abs(logit)))))

@@ -46,9 +46,9 @@ class Record:
     ----------
     where : str
         Place in the file, for errors: 'annotation 7', 'line 3'.
-    label : str
+    class_name : str
         Class name.
-    score : float
+    confidence : float
         Confidence, 0 to 1.
     box : ndarray, shape (4,), optional
         x1, y1, x2, y2 from the picture's corner.
@@ -63,8 +63,8 @@ class Record:
     """
 
     where: str
-    label: str
-    score: float = 1.0
+    class_name: str
+    confidence: float = 1.0
     box: NDArray[np.float64] | None = None
     polygons: tuple[NDArray[np.float64], ...] = ()
     rle: Mapping[str, Any] | None = None
@@ -164,8 +164,8 @@ def _coco_record(
     category = item.get("category_id", 0)
     return Record(
         where=where,
-        label=names.get(category, str(category)),
-        score=float(_finite([item.get("score", 1.0)])[0]),
+        class_name=names.get(category, str(category)),
+        confidence=float(_finite([item.get("score", 1.0)])[0]),
         box=box,
         polygons=polygons,
         rle=shape if isinstance(shape, dict) else None,
@@ -211,16 +211,16 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
         raise ValueError("is neither box nor polygon")
     number, rest = int(values[0]), values[1:]
     pose = 4 + 3 * _KEYPOINTS
-    keypoints, score = None, 1.0
+    keypoints, confidence = None, 1.0
     polygons: tuple[NDArray[np.float64], ...] = ()
     if len(rest) in (pose, pose + 1) and np.isin(rest[6:pose:3], (0, 1, 2)).all():
-        score = float(rest[pose]) if len(rest) > pose else 1.0
+        confidence = float(rest[pose]) if len(rest) > pose else 1.0
         keypoints = _keypoints(rest[4:pose], 2.0)
         shares = np.concatenate([rest[:4], keypoints[:, :2].ravel()])
         rest = rest[:4]
     else:
         if len(rest) % 2:
-            rest, score = rest[:-1], float(rest[-1])
+            rest, confidence = rest[:-1], float(rest[-1])
         shares = rest
     if (shares < -_SLACK).any() or (shares > 1 + _SLACK).any():
         raise ValueError("has numbers outside 0 to 1, which must be shares of width and height")
@@ -230,8 +230,8 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
         box = np.concatenate([rest[:2] - half, rest[:2] + half])
     else:
         polygons = (_polygon(rest),)
-    label = names[number].strip() if number < len(names) else str(number)
-    return Record(where, label, score, box, polygons, None, keypoints, normalised=True)
+    class_name = names[number].strip() if number < len(names) else str(number)
+    return Record(where, class_name, confidence, box, polygons, None, keypoints, normalised=True)
 
 
 def _finite(values: Any) -> NDArray[np.float64]:
@@ -441,12 +441,12 @@ def _instance(record: Record, width: int, height: int) -> tuple[Instance, bool]:
     if record.keypoints is not None:
         keypoints = record.keypoints.copy()
         keypoints[:, :2] = keypoints[:, :2] * scale - 0.5
-    if not 0 <= record.score <= 1:
-        raise ValueError(f"has the score {record.score:g}, outside 0 to 1")
+    if not 0 <= record.confidence <= 1:
+        raise ValueError(f"has the confidence {record.confidence:g}, outside 0 to 1")
     return Instance(
         box=box,
-        score=record.score,
-        label=record.label,
+        confidence=record.confidence,
+        class_name=record.class_name,
         mask=mask,
         mask_source=None if mask is None else MaskSource.DATASET,
         keypoints=keypoints,

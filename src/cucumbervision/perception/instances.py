@@ -45,9 +45,9 @@ class Instance:
     box : ndarray of float64, shape (4,)
         x1, y1, x2, y2 of the box's edges in pixels; a mask's box runs from half a pixel outside
         its first pixel centre to half a pixel outside its last.
-    score : float
+    confidence : float
         The detector's confidence, 0 to 1; 1 for boxes and masks given by people.
-    label : str
+    class_name : str
         Class name.
     mask : ndarray of bool, shape (H, W), optional
         The mask to measure: SAM's or the data set's own.
@@ -60,20 +60,20 @@ class Instance:
     mask_failure : str
         Why SAM's mask was refused ('mask-empty', 'mask-small', 'mask-off-box',
         'mask-off-detector'); empty if not.
-    ends_known : float, optional
+    end_confidence : float, optional
         How probable it is that `keypoints` run from blossom to stem and not the other way; None
         where the pose network itself is said to know.
     """
 
     box: NDArray[np.float64]
-    score: float = 1.0
-    label: str = "cucumber"
+    confidence: float = 1.0
+    class_name: str = "cucumber"
     mask: NDArray[np.bool_] | None = None
     mask_source: MaskSource | None = None
     detector_mask: NDArray[np.bool_] | None = None
     keypoints: NDArray[np.float64] | None = None
     mask_failure: str = ""
-    ends_known: float | None = None
+    end_confidence: float | None = None
 
 
 def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -42,7 +42,8 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     smaller mask lies in the larger; without masks, when their boxes have an IoU of at least 0.7.
     Fruit that cross share their crossing only: about the thickness over the length of the thinner
     one. An instance that holds two or more others which are not one fruit is the fruit that they
-    are pieces of if its score is at least their mean, else a box around several fruit, and goes.
+    are pieces of if its confidence is at least their mean, else a box around several fruit, and
+    goes.
 
     Parameters
     ----------
@@ -53,8 +54,8 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     -------
     tuple of Instance
         Best first. Of those that are one fruit the one with the largest mask stays, unless its
-        score is below half of the best one's; it gets the best score, and, if it has none, the
-        keypoints of the best that has some.
+        confidence is below half of the best one's; it gets the best confidence, and, if it has
+        none, the keypoints of the best that has some.
 
     Examples
     --------
@@ -62,10 +63,10 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     >>> whole, part, other = (np.zeros((20, 60), bool) for _ in range(3))
     >>> whole[5:15, 5:45] = part[5:15, 5:25] = other[5:15, 46:56] = True
     >>> found = [
-    ...     Instance(box_of_mask(m), score, detector_mask=m)
-    ...     for m, score in ((part, 0.8), (whole, 0.6), (other, 0.7))
+    ...     Instance(box_of_mask(m), c, detector_mask=m)
+    ...     for m, c in ((part, 0.8), (whole, 0.6), (other, 0.7))
     ... ]
-    >>> [(one.score, one.box.tolist()) for one in merge_instances(found)]
+    >>> [(one.confidence, one.box.tolist()) for one in merge_instances(found)]
     [(0.8, [4.5, 4.5, 44.5, 14.5]), (0.7, [45.5, 4.5, 55.5, 14.5])]
     """
     found = sorted((_Region.of(one) for one in instances), key=_best_first)
@@ -79,7 +80,7 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
             own.append(one)
         else:
             groups.append([one])
-    return tuple(sorted(map(_kept, groups), key=lambda one: -one.score))
+    return tuple(sorted(map(_kept, groups), key=lambda one: -one.confidence))
 
 
 def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -99,7 +100,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
     Returns
     -------
     tuple of Instance
-        Best first. Joined: the common box and mask, the best score, the pose's keypoints.
+        Best first. Joined: the common box and mask, the best confidence, the pose's keypoints.
 
     Examples
     --------
@@ -124,7 +125,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
             continue
         left = [one for one in left if one not in pieces]
         left.append(_joined(pieces, box, pose))
-    return tuple(sorted(left, key=lambda one: -one.score))
+    return tuple(sorted(left, key=lambda one: -one.confidence))
 
 
 def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -174,7 +175,7 @@ def _mask(instance: Instance) -> NDArray[np.bool_] | None:
 
 
 def _best_first(one: _Region) -> tuple[float, float]:
-    return -one.instance.score, -one.area
+    return -one.instance.confidence, -one.area
 
 
 def _shared(a: _Region, b: _Region) -> float:
@@ -219,18 +220,20 @@ def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
             parts.append(other)
     if len(parts) < 2:
         return False
-    return float(np.mean([part.instance.score for part in parts])) > one.instance.score
+    return float(np.mean([part.instance.confidence for part in parts])) > one.instance.confidence
 
 
 def _kept(group: Sequence[_Region]) -> Instance:
     members = sorted(group, key=_best_first)
-    best = members[0].instance.score
-    trusted = [one for one in members if one.instance.score >= TRUSTED * best]
+    best = members[0].instance.confidence
+    trusted = [one for one in members if one.instance.confidence >= TRUSTED * best]
     kept = max(trusted, key=lambda one: one.area).instance
     posed = [one for one in (kept, *(m.instance for m in members)) if one.keypoints is not None]
     if not posed:
-        return replace(kept, score=best)
-    return replace(kept, score=best, keypoints=posed[0].keypoints, ends_known=posed[0].ends_known)
+        return replace(kept, confidence=best)
+    return replace(
+        kept, confidence=best, keypoints=posed[0].keypoints, end_confidence=posed[0].end_confidence
+    )
 
 
 def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
@@ -256,7 +259,7 @@ def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:
 
 
 def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance) -> Instance:
-    best = max(pieces, key=lambda one: one.score)
+    best = max(pieces, key=lambda one: one.confidence)
     masks = [mask for one in pieces if (mask := _mask(one)) is not None]
     mask = np.logical_or.reduce(masks)
     return replace(
@@ -264,5 +267,5 @@ def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance
         box=box,
         detector_mask=mask,
         keypoints=pose.keypoints,
-        ends_known=pose.ends_known,
+        end_confidence=pose.end_confidence,
     )

@@ -263,7 +263,7 @@ class YoloDetector:
         if not layout.by_place:
             return found
         if self.ends is None:
-            return tuple(replace(one, ends_known=0.5) for one in found)
+            return tuple(replace(one, end_confidence=0.5) for one in found)
         return self.ends.tell(color_rgb, found)
 
     def _instances(
@@ -276,7 +276,7 @@ class YoloDetector:
                 continue
             label = int(row[5])
             instance = Instance(
-                box=edges, score=float(row[4]), label=self.names.get(label, str(label))
+                box=edges, confidence=float(row[4]), class_name=self.names.get(label, str(label))
             )
             if prototypes is not None:
                 mask = box.mask_back(prototypes, row[6:], edges)
@@ -332,6 +332,6 @@ def with_keypoints(
     for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
         if overlaps[i, j] > 0 and poses[j].keypoints is not None:
             out[i] = replace(
-                instances[i], keypoints=poses[j].keypoints, ends_known=poses[j].ends_known
+                instances[i], keypoints=poses[j].keypoints, end_confidence=poses[j].end_confidence
             )
     return tuple(out)

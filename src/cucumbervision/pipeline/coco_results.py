@@ -63,7 +63,7 @@ def coco_results(
     ([0.0, 0.0, 2.0, 2.0], {'size': [2, 3], 'counts': '123'})
     """
     return [
-        _entry(one, image_id, file_name, categories[one.label], keypoints=keypoints)
+        _entry(one, image_id, file_name, categories[one.class_name], keypoints=keypoints)
         for one in instances
     ]
 
@@ -105,7 +105,7 @@ def _entry(
         "file_name": file_name,
         "category_id": category_id,
         "bbox": [round(value, 3) for value in box],
-        "score": round(one.score, 5),
+        "score": round(one.confidence, 5),
     }
     mask = one.detector_mask if one.mask is None else one.mask
     if mask is not None:

@@ -223,7 +223,7 @@ class _Folder:
     def add(
         self, picture: Picture, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]
     ) -> None:
-        self._labels += sorted({one.label for one in found} - set(self._labels))
+        self._labels += sorted({one.class_name for one in found} - set(self._labels))
         numbers = {label: k for k, label in enumerate(self._labels, start=1)}
         height, width = color_rgb.shape[:2]
         number, name = len(self._images) + 1, picture.name
@@ -273,7 +273,7 @@ def _look_at_all(
                 folder.failures,
             )
         else:
-            scores = tuple(one.score for one in found)
+            scores = tuple(one.confidence for one in found)
             result.looked.append(Looked(picture.name, scores, time.perf_counter() - start))
         if report is not None:
             report(done, len(listed.pictures))

@@ -61,7 +61,7 @@ def draw_detections(
         if one.keypoints is not None:
             _draw_keypoints(picture, one.keypoints, color, size)
     for one in instances:
-        draw_label(picture, f"{one.label} {one.score:.2f}", one.box, size)
+        draw_label(picture, f"{one.class_name} {one.confidence:.2f}", one.box, size)
     return picture
 
 

@@ -224,7 +224,7 @@ def fruit_record(
     keypoints = fruit.instance.keypoints
     return FruitRecord(
         number=number,
-        score=round(fruit.instance.score, 4),
+        score=round(fruit.instance.confidence, 4),
         reason=str(row.get("reason") or ""),
         fallback=str(row.get("fallback") or ""),
         flags=str(row.get("flags") or ""),
@@ -266,7 +266,7 @@ def view_score(fruit: Fruit, row: Mapping[str, Cell]) -> float:
     if fruit.selected is None:
         return 0.0
     fill, hidden = row.get("fill"), row.get("hidden_share")
-    score = fruit.instance.score
+    score = fruit.instance.confidence
     score *= float(fill) if isinstance(fill, int | float) else 0.0
     score *= 1.0 - (float(hidden) if isinstance(hidden, int | float) else 0.0)
     halved = len(_DOUBTS & set(str(row.get("flags") or "").split()))

@@ -190,10 +190,10 @@ def shipped(
         A score must exceed it.
     """
     first = posed if segmented is None else segmented
-    found = merge_instances([one for one in first if one.score > confidence])
+    found = merge_instances([one for one in first if one.confidence > confidence])
     if segmented is None or not posed or not found:
         return found
-    return each_once(found, [one for one in posed if one.score > confidence])
+    return each_once(found, [one for one in posed if one.confidence > confidence])
 
 
 def found_of(looked: Looked, confidence: float) -> dict[int, Instance]:

@@ -212,7 +212,7 @@ def seen_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = None) -
     mask = instance.detector_mask
     code = None if mask is None else code_mask(mask)
     distance = math.nan if depth_m is None else _middle_depth(instance.box, depth_m)
-    return SeenFruit(instance.box, instance.score, code, instance.keypoints, distance)
+    return SeenFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
 
 
 def _middle_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:

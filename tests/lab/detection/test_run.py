@@ -337,7 +337,7 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
     )
     assert len(ours) == len(theirs) == (1 if with_pose else 2)
     for a, b in zip(ours, theirs, strict=True):
-        assert (a.score, a.box.tolist()) == (b.score, b.box.tolist())
+        assert (a.confidence, a.box.tolist()) == (b.confidence, b.box.tolist())
         assert (a.keypoints is None) == (b.keypoints is None)
 
 

@@ -155,8 +155,8 @@ def compare(found: tuple[Instance, ...], theirs: Any) -> int:
         i = kept[np.abs(boxes[kept] - fruit.box - 0.5).max(axis=1).argmin()]
         taken.add(int(i))
         assert np.abs(fruit.box + 0.5 - boxes[i]).max() < TOLERANCE_PX
-        assert abs(fruit.score - float(theirs.boxes.conf[i])) < TOLERANCE
-        assert fruit.label == theirs.names[int(theirs.boxes.cls[i])]
+        assert abs(fruit.confidence - float(theirs.boxes.conf[i])) < TOLERANCE
+        assert fruit.class_name == theirs.names[int(theirs.boxes.cls[i])]
         if theirs.masks is not None:
             mask = theirs.masks.data[i].numpy() > 0
             assert fruit.detector_mask is not None
@@ -212,8 +212,8 @@ def test_ultralytics_reads_our_form(exports: dict[str, Path]) -> None:
     ours = YoloDetector(exports["one-to-one"], "onnxruntime", CONFIDENCE).detect(color)
     if os.environ.get("CUCUMBERVISION_WEIGHTS"):
         pytest.skip("trained weights see nothing in a drawn picture")
-    best = max(ours, key=lambda f: f.score)
-    assert abs(best.score - float(theirs.boxes.conf.max())) < 1e-4
+    best = max(ours, key=lambda f: f.confidence)
+    assert abs(best.confidence - float(theirs.boxes.conf.max())) < 1e-4
     assert theirs.names == {0: "cucumber"}
 
 
@@ -245,4 +245,4 @@ def test_the_order_of_the_points_goes_into_the_file(tmp_path: Path) -> None:
     assert orders == {"": False, "place": True}
     # Without the network that tells the ends apart nobody knows them.
     detector = YoloDetector(tmp_path / "pose-place.onnx", "onnxruntime", 0.05)
-    assert {one.ends_known for one in detector.detect(picture(160, 160))} == {0.5}
+    assert {one.end_confidence for one in detector.detect(picture(160, 160))} == {0.5}

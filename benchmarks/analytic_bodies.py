@@ -16,8 +16,8 @@ from rich.table import Table
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
 from cucumbervision.perception.instances import box_of_mask
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 LENGTH_M, RADIUS_M, DEPTH_M = 0.20, 0.018, 0.5

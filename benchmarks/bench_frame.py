@@ -38,8 +38,8 @@ from cucumbervision.perception.letterbox import fit
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.rows import fruit_row
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

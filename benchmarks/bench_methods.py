@@ -24,9 +24,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception.instances import box_of_mask
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 from cucumbervision_lab.synthesis.sensor import noisy_depth
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,9 +18,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.perception.instances import box_of_mask
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 from cucumbervision_lab.synthesis.sensor import noisy_depth
-from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 # The paper's seven protocol fruit (three sizes, 6.9 to 25 cm) and its validation table's five.

@@ -22,12 +22,12 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision_lab.synthesis.arrange import hang, trellis
-from cucumbervision_lab.synthesis.bodies import random_fruit
-from cucumbervision_lab.synthesis.d4xx import D4xx, sense
-from cucumbervision_lab.synthesis.occluders import Plane, plane_depth
-from cucumbervision_lab.synthesis.scenes import Scene, look
-from cucumbervision_lab.synthesis.statistics import (
+from cucumbervision_lab.synthesis.bodies import Tube, random_fruit
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.placing import hang, trellis
+from cucumbervision_lab.synthesis.raycast import Plane, plane_depth
+from cucumbervision_lab.synthesis.scene import Scene, look
+from cucumbervision_lab.synthesis.sensor_statistics import (
     WINDOW_PX,
     EdgeProfile,
     edge_profile,
@@ -37,7 +37,6 @@ from cucumbervision_lab.synthesis.statistics import (
     residual_at,
     surface_residual,
 )
-from cucumbervision_lab.synthesis.tube import Tube
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision_lab.synthesis.bodies import Tube
 from cucumbervision_lab.synthesis.render import Rendering, render
-from cucumbervision_lab.synthesis.tube import Tube
 
 
 @pytest.fixture

@@ -20,8 +20,8 @@ from cucumbervision.errors import CalibrationError
 from cucumbervision.measurement.result import Length, Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 CAMERA = Intrinsics(640, 360, 460.0, 460.0, 320.0, 180.0)
 M3 = MeasureOptions(methods=(Method.M3,))

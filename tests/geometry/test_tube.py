@@ -13,7 +13,7 @@ from cucumbervision.geometry.tube import (
     thread_length,
     volume_of_profile,
 )
-from cucumbervision_lab.synthesis.tube import arc_tube
+from cucumbervision_lab.synthesis.bodies import arc_tube
 
 
 def straight(long_m: float, radii: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,8 +7,8 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.m1 import measure_m1, window_depths
 from cucumbervision.measurement.result import LengthKind, Reason
 from cucumbervision.perception.instances import box_of_mask
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 LENGTH_M, RADIUS_M, DEPTH_M = 0.20, 0.018, 0.5
 

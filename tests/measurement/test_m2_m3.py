@@ -9,8 +9,8 @@ from cucumbervision.measurement.m2 import measure_m2
 from cucumbervision.measurement.m3 import measure_m3
 from cucumbervision.measurement.result import Reason
 from cucumbervision.perception.instances import box_of_mask
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 
 def visible_extent_m(length_m: float, radius_m: float, depth_m: float) -> float:

@@ -8,8 +8,8 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.m5 import measure_m5
 from cucumbervision.measurement.result import LengthKind, Reason
+from cucumbervision_lab.synthesis.bodies import arc_tube, helix_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, helix_tube, rotation
 
 
 def line_cloud(length_m: float, points: int = 2000) -> NDArray[np.float64]:

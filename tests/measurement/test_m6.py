@@ -14,9 +14,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit, TubeLengths
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 from cucumbervision_lab.synthesis.sensor import noisy_depth
-from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 Picture = tuple[NDArray[np.float32], NDArray[np.bool_]]
 BACK_M = 1.1

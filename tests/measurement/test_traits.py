@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.measurement.traits import tube_traits
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 
 
 def test_traits_of_a_drawn_fruit_are_its_truth() -> None:

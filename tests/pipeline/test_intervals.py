@@ -20,8 +20,8 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
 from cucumbervision.pipeline.intervals import with_simulated_interval
 from cucumbervision.pipeline.rows import Cell, fruit_row
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 ONE_PERCENT = np.log(0.01)
 

@@ -17,9 +17,9 @@ from cucumbervision.rounds.poses import PoseLine
 from cucumbervision.rounds.service import fruit_table, merge_round
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 from cucumbervision_lab.synthesis.sensor import noisy_depth
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 CAMERA = Intrinsics(424, 240, 308.2, 308.1, 212.1, 119.8)
 MORNING = key_of("rounds", "morning")

@@ -296,7 +296,7 @@ def measure_m6(
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> from cucumbervision_lab.synthesis.render import render
-    >>> from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+    >>> from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     >>> fruit = arc_tube(0.20, 0.02, 0.30).moved(rotation(tilt_deg=40), (0, 0, 0.5))
     >>> scene = render([fruit], camera)

@@ -15,15 +15,15 @@ from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision_lab.benchmark.protocol import CAMERA
 from cucumbervision_lab.benchmark.records import Masks, Record, Suite
 from cucumbervision_lab.benchmark.table import Cell, Table
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.synthesis.tube import Tube
+    from cucumbervision_lab.synthesis.bodies import Tube
 
 __all__ = [
     "burst_sizes",

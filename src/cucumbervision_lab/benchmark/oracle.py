@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.synthesis.scenes import FruitTruth
+    from cucumbervision_lab.synthesis.scene import FruitTruth
 
 __all__ = ["end_shift_px", "oracle_length_m"]
 

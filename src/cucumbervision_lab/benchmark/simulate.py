@@ -10,11 +10,10 @@ import numpy as np
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.frames import Capture
 from cucumbervision_lab.benchmark.protocol import CAMERA, Case
-from cucumbervision_lab.synthesis.bodies import random_fruit, variety_of
-from cucumbervision_lab.synthesis.d4xx import D4xx, sense
-from cucumbervision_lab.synthesis.occluders import Leaf, Plane
-from cucumbervision_lab.synthesis.scenes import FruitTruth, Scene, View, look, truth_of
-from cucumbervision_lab.synthesis.tube import Tube, rotation
+from cucumbervision_lab.synthesis.bodies import Tube, random_fruit, rotation, variety_of
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane
+from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, View, look, truth_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

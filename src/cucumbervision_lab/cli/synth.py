@@ -49,7 +49,7 @@ def synth(
 ) -> None:
     """Draw cucumbers on plants, benches and in crates: colour, depth, masks, keypoints, lengths."""
     from cucumbervision_lab.cli.synth_console import run_and_show
-    from cucumbervision_lab.synthesis.options import parse_options
+    from cucumbervision_lab.synthesis.generate import parse_options
 
     options = parse_options(
         frames=frames,

@@ -12,18 +12,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision_lab.synthesis.arrange import cover, hang, trellis
-from cucumbervision_lab.synthesis.bodies import Variety, random_fruit
-from cucumbervision_lab.synthesis.lay import NEAREST_M, Ground, crate_rods, lay
-from cucumbervision_lab.synthesis.occluders import Leaf, Stem
-from cucumbervision_lab.synthesis.scenes import Scene
-from cucumbervision_lab.synthesis.tube import rotation
+from cucumbervision_lab.synthesis.bodies import Variety, random_fruit, rotation
+from cucumbervision_lab.synthesis.placing import (
+    NEAREST_M,
+    Ground,
+    cover,
+    crate_rods,
+    hang,
+    lay,
+    trellis,
+)
+from cucumbervision_lab.synthesis.raycast import Leaf, Stem
+from cucumbervision_lab.synthesis.scene import Scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.synthesis.tube import Tube
+    from cucumbervision_lab.synthesis.bodies import Tube
 
 __all__ = ["MOST_FRUIT", "Setting", "Staged", "compose"]
 
@@ -233,7 +239,7 @@ def _in_front(leaf: Leaf) -> bool:
 
 
 def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, ...]:
-    from cucumbervision_lab.synthesis.arrange import string
+    from cucumbervision_lab.synthesis.placing import string
 
     count = int(rng.random() < 0.3) + int(rng.random() < 0.1)
     return tuple(

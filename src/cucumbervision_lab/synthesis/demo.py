@@ -13,10 +13,10 @@ import numpy as np
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.writer import write_native
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.paint import bench_backdrop, leafy_backdrop, paint
 from cucumbervision_lab.synthesis.render import Rendering, render
 from cucumbervision_lab.synthesis.sensor import noisy_depth
-from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,21 +10,20 @@ import numpy as np
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.tube import arc_positions, points_along
+from cucumbervision_lab.synthesis.appearance import random_style
+from cucumbervision_lab.synthesis.color_camera import expose, random_exposure
 from cucumbervision_lab.synthesis.compose import Setting, Staged, compose
-from cucumbervision_lab.synthesis.d4xx import D4xx, sense
-from cucumbervision_lab.synthesis.optics import expose, random_exposure
-from cucumbervision_lab.synthesis.scenes import look, truth_of
-from cucumbervision_lab.synthesis.shade import paint_scene
-from cucumbervision_lab.synthesis.style import random_style
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.scene import look, truth_of
+from cucumbervision_lab.synthesis.shading import paint_scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.synthesis.assets import Assets
-    from cucumbervision_lab.synthesis.scenes import FruitTruth
+    from cucumbervision_lab.synthesis.appearance import Assets, Style
+    from cucumbervision_lab.synthesis.bodies import Tube
+    from cucumbervision_lab.synthesis.scene import FruitTruth
     from cucumbervision_lab.synthesis.skin import Skin
-    from cucumbervision_lab.synthesis.style import Style
-    from cucumbervision_lab.synthesis.tube import Tube
 
 __all__ = ["Frame", "FrameOptions", "draw_frame", "extras_of"]
 
@@ -216,8 +215,8 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from cucumbervision_lab.synthesis.scenes import Scene, truth_of
-    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> from cucumbervision_lab.synthesis.scene import Scene, truth_of
+    >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> truth, = truth_of(Scene((tube,)), Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0))
     >>> extras = extras_of(tube, truth)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision_lab.synthesis.render import Rendering
-    from cucumbervision_lab.synthesis.scenes import View
+    from cucumbervision_lab.synthesis.scene import View
 
 __all__ = ["bench_backdrop", "leafy_backdrop", "paint", "paint_view"]
 
@@ -138,7 +138,7 @@ def paint_view(view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
     ndarray of uint8, shape (H, W, 3)
         RGB, with a camera's blur and noise.
     """
-    from cucumbervision_lab.synthesis.scenes import Kind
+    from cucumbervision_lab.synthesis.scene import Kind
 
     height, width = view.kind.shape
     picture = paint(view, leafy_backdrop(width, height, rng), rng).astype(np.float64)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cucumbervision.perception.instances import box_of_mask
 from cucumbervision_lab.datasets.labels import Label
-from cucumbervision_lab.synthesis.scenes import reaches_border
+from cucumbervision_lab.synthesis.scene import reaches_border
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

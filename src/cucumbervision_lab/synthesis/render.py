@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.synthesis.tube import Tube
+    from cucumbervision_lab.synthesis.bodies import Tube
 
 __all__ = ["Rendering", "render"]
 
@@ -68,7 +68,7 @@ def render(
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+    >>> from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
     >>> tube = arc_tube(0.2, 0.02).moved(rotation(), (0.0, 0.0, 0.5))
     >>> seen = render([tube], Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0))
     >>> round(float(seen.depth_m[120, 160]), 6)  # 0.5 m less the radius

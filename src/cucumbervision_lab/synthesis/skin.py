@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.tones import (
+from cucumbervision_lab.synthesis.textures import (
     dimmed,
     jitter,
     mix,
@@ -20,7 +20,7 @@ from cucumbervision_lab.synthesis.tones import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.synthesis.assets import Assets
+    from cucumbervision_lab.synthesis.appearance import Assets
 
     Color = tuple[float, float, float]
 
@@ -195,7 +195,7 @@ def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
 
     Examples
     --------
-    >>> from cucumbervision_lab.synthesis.assets import Assets
+    >>> from cucumbervision_lab.synthesis.appearance import Assets
     >>> skin = random_skin(np.random.default_rng(1), "slicing", Assets())
     >>> skin.warts_per_cm2 > 0.5, skin.texture
     (True, -1)

@@ -6,8 +6,8 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.benchmark.disturb import Disturbance, disturb_mask
 from cucumbervision_lab.benchmark.oracle import end_shift_px, oracle_length_m
-from cucumbervision_lab.synthesis.scenes import FruitTruth, Scene, truth_of
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
+from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, truth_of
 
 
 class NoRounding(np.random.Generator):

@@ -17,8 +17,8 @@ from cucumbervision_lab.benchmark.baselines import (
     plantcv_length,
     skan_length,
 )
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 CAMERA = Intrinsics(1280, 720, 900.0, 900.0, 640.0, 360.0)
 RADIUS_M = 0.018

@@ -3,9 +3,9 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.datasets.mask_axis import keypoints_of_mask
-from cucumbervision_lab.synthesis.arrange import hang
 from cucumbervision_lab.synthesis.bodies import random_fruit
-from cucumbervision_lab.synthesis.scenes import Scene, truth_of
+from cucumbervision_lab.synthesis.placing import hang
+from cucumbervision_lab.synthesis.scene import Scene, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 

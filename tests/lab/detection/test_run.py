@@ -37,8 +37,8 @@ from cucumbervision_lab.detection.report import write_eyes_report
 from cucumbervision_lab.detection.run import EyesPlan, EyesResult, evaluate_eyes
 from cucumbervision_lab.detection.summary import summarise
 from cucumbervision_lab.detection.worst_cases import WorstCase, draw_sheet, worst_cases
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
 
 CAMERA = Intrinsics(320, 192, 300.0, 300.0, 160.0, 96.0)
 DEPTH_M = 0.4

@@ -5,7 +5,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.compose import MOST_FRUIT, Setting, compose
-from cucumbervision_lab.synthesis.scenes import Kind, look, truth_of
+from cucumbervision_lab.synthesis.scene import Kind, look, truth_of
 
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 

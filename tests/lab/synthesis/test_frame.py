@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.geometry.curve import polyline_length
-from cucumbervision_lab.synthesis.assets import load_assets
+from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
 
 SMALL = FrameOptions(width=320, height=180, depth=False)

@@ -14,8 +14,7 @@ from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco_read import read_coco
 from cucumbervision_lab.datasets.labels import DataSet
 from cucumbervision_lab.synthesis.frame import FrameOptions
-from cucumbervision_lab.synthesis.generate import SynthOptions, generate
-from cucumbervision_lab.synthesis.options import parse_options
+from cucumbervision_lab.synthesis.generate import SynthOptions, generate, parse_options
 
 OPTIONS = SynthOptions(frames=4, seed=3, frame=FrameOptions(width=256, height=144))
 

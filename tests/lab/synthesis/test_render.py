@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.tube import Tube, arc_tube, rotation
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 

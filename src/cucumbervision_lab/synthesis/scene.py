@@ -9,23 +9,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.tube import points_along
-from cucumbervision_lab.synthesis.occluders import (
+from cucumbervision_lab.synthesis.raycast import (
     Leaf,
     Plane,
     Stem,
     cast_leaf,
     cast_stem,
+    cast_tube,
     plane_depth,
+    ray_grid,
 )
-from cucumbervision_lab.synthesis.raycast import cast_tube, ray_grid
 from cucumbervision_lab.synthesis.render import Rendering
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.raycast import Hit
-    from cucumbervision_lab.synthesis.tube import Tube
 
 __all__ = ["FruitTruth", "Kind", "Scene", "View", "look", "reaches_border", "truth_of"]
 
@@ -153,7 +154,7 @@ def look(scene: Scene, camera: Intrinsics) -> View:
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> string = Stem(np.array([[0.0, -0.3, 0.45], [0.0, 0.3, 0.45]]), 0.002)
     >>> camera = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
@@ -247,7 +248,7 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> truth, = truth_of(Scene((tube,)), Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0))
     >>> truth.keypoints_px.round(1)[:, 0].tolist(), truth.keypoint_visibility.tolist()

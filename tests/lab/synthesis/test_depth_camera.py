@@ -7,12 +7,11 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.geometry.camera import align_depth_to_color
-from cucumbervision_lab.synthesis.d4xx import D4xx, color_sources, sense
-from cucumbervision_lab.synthesis.matcher import Matcher
-from cucumbervision_lab.synthesis.occluders import Leaf, Plane
-from cucumbervision_lab.synthesis.scenes import Scene, look
-from cucumbervision_lab.synthesis.statistics import noise_split
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
+from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, color_sources, sense
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane
+from cucumbervision_lab.synthesis.scene import Scene, look
+from cucumbervision_lab.synthesis.sensor_statistics import noise_split
 
 COLOR = Intrinsics(640, 360, 462.0, 462.0, 320.0, 180.0)
 CAMERA = D4xx.like(COLOR)

@@ -1,29 +1,182 @@
-"""How a scene looks: the skins of its fruit, its light, its leaves, what it lies on or before."""
+"""How a scene looks: skins, light, leaves and materials, and pictures to take them from."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.ground import material_color
-from cucumbervision_lab.synthesis.light import Light, random_light
+from cucumbervision.errors import CaptureError
+from cucumbervision_lab.synthesis.lighting import Light, random_light
 from cucumbervision_lab.synthesis.skin import LOOKS, Skin, random_skin
-from cucumbervision_lab.synthesis.tones import jitter
+from cucumbervision_lab.synthesis.textures import jitter, material_color
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
-    from cucumbervision_lab.synthesis.assets import Assets
-    from cucumbervision_lab.synthesis.light import Vector
-    from cucumbervision_lab.synthesis.scenes import Scene
+    from numpy.typing import NDArray
+
+    from cucumbervision_lab.synthesis.lighting import Vector
+    from cucumbervision_lab.synthesis.scene import Scene
     from cucumbervision_lab.synthesis.skin import Color
 
-__all__ = ["FAR", "ROLES", "SETTINGS", "Style", "random_style"]
+__all__ = [
+    "FAR",
+    "ROLES",
+    "SETTINGS",
+    "SHOWS_FRUIT",
+    "Assets",
+    "Style",
+    "load_assets",
+    "random_style",
+]
+
+SHOWS_FRUIT = ("fruit", "rot_")
+
+_PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
+
+_LIGHTS = {".hdr", ".exr"}
+
+_SKIN_PX = 512
+
+_LEAF_PX = 512
+
+_BACKGROUND_PX = 1600
+
+_LIGHT_SIZE = (128, 64)
+
+
+@dataclass(frozen=True, eq=False)
+class Assets:
+    """Pictures to paint with; all may be empty, then everything is drawn.
+
+    Parameters
+    ----------
+    skins : tuple of ndarray of uint8, shape (H, W, 3)
+        Close-ups of skin, RGB, the longer side at most 512 px.
+    backgrounds : tuple of ndarray of uint8, shape (H, W, 3)
+        What may stand far behind, RGB, the longer side at most 1600 px.
+    environments : tuple of ndarray of float32, shape (64, 128, 3)
+        Light from all around, linear RGB, equirectangular, the top row up.
+    leaves : tuple of ndarray of uint8, shape (H, W, 3)
+        Close-ups of leaves, RGB, the longer side at most 512 px.
+    """
+
+    skins: tuple[NDArray[np.uint8], ...] = ()
+    backgrounds: tuple[NDArray[np.uint8], ...] = ()
+    environments: tuple[NDArray[np.float32], ...] = ()
+    leaves: tuple[NDArray[np.uint8], ...] = ()
+
+
+def load_assets(folder: Path | None, without: Sequence[str] = SHOWS_FRUIT) -> Assets:
+    """Find pictures by the names of the folders they lie in.
+
+    Pictures below `textures` are skins, those below `backgrounds` backgrounds, those in a folder
+    named `leaves` leaves as well, and `.hdr` files below a folder whose name begins with `hdri`
+    environments. Each kind comes in the order of its paths.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where to look; nothing is loaded without one.
+    without : sequence of str
+        Backgrounds and leaves whose file names hold one of these, in whatever case, are passed
+        over: by default those that say they show fruit, which would stand behind a scene without
+        a label.
+
+    Returns
+    -------
+    Assets
+        Downscaled. A file that cannot be read is left out, with one warning that names them all.
+
+    Raises
+    ------
+    CaptureError
+        If the folder is missing or holds none of these.
+
+    Examples
+    --------
+    >>> load_assets(None)
+    Assets(skins=(), backgrounds=(), environments=(), leaves=())
+    """
+    if folder is None:
+        return Assets()
+    if not folder.is_dir():
+        raise CaptureError(
+            "there is no such folder", source=folder, remedy="give a folder of assets, or none"
+        )
+    bad: list[str] = []
+    assets = Assets(
+        _pictures(folder, "textures/**/*", _SKIN_PX, (), bad),
+        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, without, bad),
+        _environments(folder, bad),
+        _pictures(folder, "**/leaves/**/*", _LEAF_PX, without, bad),
+    )
+    if bad:
+        names = ", ".join(sorted(set(bad)))
+        warnings.warn(f"{folder}: pictures left out, unreadable: {names}", stacklevel=2)
+    if not (assets.skins or assets.backgrounds or assets.environments or assets.leaves):
+        raise CaptureError(
+            "holds no textures, backgrounds or environment maps",
+            source=folder,
+            remedy="put pictures below textures/, backgrounds/ or hdri/",
+        )
+    return assets
+
+
+def _files(folder: Path, pattern: str, endings: set[str]) -> list[Path]:
+    return sorted(p for p in set(folder.glob(pattern)) if p.suffix.lower() in endings)
+
+
+def _pictures(
+    folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
+) -> tuple[NDArray[np.uint8], ...]:
+    found = []
+    for path in _files(folder, pattern, _PICTURES):
+        if any(word.lower() in path.name.lower() for word in without):
+            continue
+        picture = _read(path, cv2.IMREAD_COLOR)
+        if picture is None:
+            bad.append(str(path.relative_to(folder)))
+            continue
+        scale = min(longest_px / max(picture.shape[:2]), 1.0)
+        if scale < 1:
+            picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        found.append(np.ascontiguousarray(picture[..., ::-1], np.uint8))
+    return tuple(found)
+
+
+def _environments(folder: Path, bad: list[str]) -> tuple[NDArray[np.float32], ...]:
+    found = []
+    for path in _files(folder, "**/hdri*/**/*", _LIGHTS):
+        light = _read(path, cv2.IMREAD_UNCHANGED)
+        if light is None or light.ndim != 3 or not np.isfinite(light).all():
+            bad.append(str(path.relative_to(folder)))
+            continue
+        small = cv2.resize(
+            light[..., :3].astype(np.float32), _LIGHT_SIZE, interpolation=cv2.INTER_AREA
+        )
+        found.append(np.ascontiguousarray(small[..., ::-1], np.float32))
+    return tuple(found)
+
+
+def _read(path: Path, flag: int) -> NDArray[Any] | None:
+    # An empty file makes OpenCV raise, a broken one makes it give nothing.
+    try:
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), flag)
+    except (OSError, cv2.error):
+        return None
+    return None if picture is None or picture.size == 0 else np.asarray(picture)
+
 
 SETTINGS = ("hanging", "bench", "crate")
+
 ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
+
 FAR = "far"
 
 _LEAVES = (
@@ -33,7 +186,9 @@ _LEAVES = (
     (84.0, 136.0, 46.0),
     (112.0, 152.0, 60.0),
 )
+
 _FADED = ((150.0, 150.0, 66.0), (128.0, 104.0, 60.0))
+
 _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
     "blossom": (
         (222.0, 180.0, 40.0),
@@ -58,6 +213,7 @@ _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
         (170.0, 50.0, 40.0),
     ),
 }
+
 _PLANES: dict[str, tuple[str, ...]] = {
     "bench": ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil"),
     "crate": ("plastic", "mesh", "wood", "cardboard"),
@@ -157,9 +313,9 @@ def random_style(
 
     Examples
     --------
-    >>> from cucumbervision_lab.synthesis.assets import Assets
-    >>> from cucumbervision_lab.synthesis.occluders import Plane
-    >>> from cucumbervision_lab.synthesis.scenes import Scene
+    >>> from cucumbervision_lab.synthesis.appearance import Assets
+    >>> from cucumbervision_lab.synthesis.raycast import Plane
+    >>> from cucumbervision_lab.synthesis.scene import Scene
     >>> bench = Scene((), planes=(Plane.facing(0.6),))
     >>> style = random_style(np.random.default_rng(1), bench, Assets(), "bench")
     >>> len(style.materials), style.light.up

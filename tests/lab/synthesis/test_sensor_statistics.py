@@ -7,10 +7,10 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision_lab.synthesis.d4xx import D4xx, sense
-from cucumbervision_lab.synthesis.occluders import Plane
-from cucumbervision_lab.synthesis.scenes import Scene
-from cucumbervision_lab.synthesis.statistics import (
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.raycast import Plane
+from cucumbervision_lab.synthesis.scene import Scene
+from cucumbervision_lab.synthesis.sensor_statistics import (
     edge_profile,
     fill_inside,
     noise_split,

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.synthesis.bodies import random_fruit
-from cucumbervision_lab.synthesis.lay import Ground, crate_rods, lay
-from cucumbervision_lab.synthesis.tube import arc_tube
+from cucumbervision_lab.synthesis.bodies import arc_tube, random_fruit
+from cucumbervision_lab.synthesis.placing import Ground, crate_rods, lay
 
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 

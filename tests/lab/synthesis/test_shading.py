@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.synthesis.arrange import hang, string, trellis
-from cucumbervision_lab.synthesis.assets import Assets
-from cucumbervision_lab.synthesis.light import Light
-from cucumbervision_lab.synthesis.occluders import Leaf, Plane, Stem
-from cucumbervision_lab.synthesis.scenes import Kind, Scene, View, look
-from cucumbervision_lab.synthesis.shade import paint_scene
+from cucumbervision_lab.synthesis.appearance import Assets, Style, random_style
+from cucumbervision_lab.synthesis.bodies import arc_tube
+from cucumbervision_lab.synthesis.lighting import Light
+from cucumbervision_lab.synthesis.placing import hang, string, trellis
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane, Stem
+from cucumbervision_lab.synthesis.scene import Kind, Scene, View, look
+from cucumbervision_lab.synthesis.shading import paint_scene
 from cucumbervision_lab.synthesis.skin import Skin
-from cucumbervision_lab.synthesis.style import Style, random_style
-from cucumbervision_lab.synthesis.tube import arc_tube
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 NONE = Assets()

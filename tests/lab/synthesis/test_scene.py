@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
-from cucumbervision_lab.synthesis.arrange import cover, hang, trellis
-from cucumbervision_lab.synthesis.bodies import random_fruit
-from cucumbervision_lab.synthesis.occluders import (
+from cucumbervision_lab.synthesis.bodies import arc_tube, random_fruit, rotation
+from cucumbervision_lab.synthesis.placing import cover, hang, trellis
+from cucumbervision_lab.synthesis.raycast import (
     Leaf,
     Plane,
     Stem,
     cast_leaf,
     cast_stem,
     plane_depth,
+    ray_grid,
 )
-from cucumbervision_lab.synthesis.raycast import ray_grid
-from cucumbervision_lab.synthesis.scenes import Kind, Scene, look, truth_of
-from cucumbervision_lab.synthesis.tube import arc_tube, rotation
+from cucumbervision_lab.synthesis.scene import Kind, Scene, look, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 BENT = Intrinsics(

@@ -8,32 +8,37 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.blade import (
+from cucumbervision_lab.synthesis.appearance import FAR, Style, random_style
+from cucumbervision_lab.synthesis.lighting import corners, light_maps, spots, sun_shadow
+from cucumbervision_lab.synthesis.raycast import ray_grid
+from cucumbervision_lab.synthesis.scene import Kind
+from cucumbervision_lab.synthesis.skin import skin_maps
+from cucumbervision_lab.synthesis.textures import (
     BLADES,
+    TILE_M,
     blade_level,
     blade_photo,
     blade_pixel,
     blade_texture,
+    dimmed,
+    far_view,
+    material_tile,
+    mix,
+    sample,
+    smooth_noise,
+    to_linear,
 )
-from cucumbervision_lab.synthesis.ground import TILE_M, far_view, material_tile
-from cucumbervision_lab.synthesis.light import light_maps
-from cucumbervision_lab.synthesis.raycast import ray_grid
-from cucumbervision_lab.synthesis.scenes import Kind
-from cucumbervision_lab.synthesis.shadow import corners, spots, sun_shadow
-from cucumbervision_lab.synthesis.skin import skin_maps
-from cucumbervision_lab.synthesis.style import FAR, Style, random_style
-from cucumbervision_lab.synthesis.tones import dimmed, mix, sample, smooth_noise, to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.synthesis.assets import Assets
-    from cucumbervision_lab.synthesis.light import Light
-    from cucumbervision_lab.synthesis.occluders import Leaf, Plane, Stem
-    from cucumbervision_lab.synthesis.scenes import Scene, View
+    from cucumbervision_lab.synthesis.appearance import Assets
+    from cucumbervision_lab.synthesis.bodies import Tube
+    from cucumbervision_lab.synthesis.lighting import Light
+    from cucumbervision_lab.synthesis.raycast import Leaf, Plane, Stem
+    from cucumbervision_lab.synthesis.scene import Scene, View
     from cucumbervision_lab.synthesis.skin import Skin
-    from cucumbervision_lab.synthesis.tube import Tube
 
     Array = NDArray[np.float32]
 
@@ -93,10 +98,10 @@ def paint_scene(
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.synthesis.assets import Assets
-    >>> from cucumbervision_lab.synthesis.occluders import Plane
-    >>> from cucumbervision_lab.synthesis.scenes import Scene, look
-    >>> from cucumbervision_lab.synthesis.tube import arc_tube
+    >>> from cucumbervision_lab.synthesis.appearance import Assets
+    >>> from cucumbervision_lab.synthesis.raycast import Plane
+    >>> from cucumbervision_lab.synthesis.scene import Scene, look
+    >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> camera, rng = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0), np.random.default_rng(1)
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> scene = Scene((tube,), planes=(Plane.facing(0.52),))

@@ -1,0 +1,575 @@
+"""Colour spaces and noise, and the textures of leaves, surfaces and far views."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Grain = float | tuple[float, float]
+    from collections.abc import Callable
+
+    from cucumbervision_lab.synthesis.appearance import Assets
+
+__all__ = [
+    "BLADES",
+    "MATERIALS",
+    "TILE_M",
+    "blade_level",
+    "blade_photo",
+    "blade_pixel",
+    "blade_texture",
+    "dimmed",
+    "far_view",
+    "jitter",
+    "material_color",
+    "material_tile",
+    "mix",
+    "sample",
+    "smooth_noise",
+    "smoothstep",
+    "to_linear",
+    "to_srgb",
+]
+
+_SRGB_LEVELS = 4096
+
+_ROW = 1024  # OpenCV's remap takes no row of 32767 pixels or more
+
+
+def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
+    """Turn sRGB of 0 to 255 to linear light of 0 to 1 (IEC 61966-2-1).
+
+    Examples
+    --------
+    >>> to_linear([0, 128, 255]).round(3).tolist()
+    [0.0, 0.2160000056028366, 1.0]
+    """
+    values = np.asarray(srgb)
+    if values.dtype == np.uint8:
+        return np.asarray(_linear(np.arange(256, dtype=np.float32) / 255)[values])
+    return _linear(values.astype(np.float32) / 255)
+
+
+def _linear(c: NDArray[Any]) -> NDArray[np.float32]:
+    bent = ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4
+    return np.where(c <= 0.04045, c / 12.92, bent).astype(np.float32)
+
+
+def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Turn linear light to sRGB, cut off at 0 and 1.
+
+    Parameters
+    ----------
+    linear : ndarray of float32
+        Any shape.
+
+    Returns
+    -------
+    ndarray of uint8
+        0 to 255, the same shape.
+
+    Examples
+    --------
+    >>> to_srgb(np.array([-1.0, 0.0, 0.216, 1.0, 9.0], np.float32)).tolist()
+    [0, 0, 128, 255, 255]
+    """
+    light = np.arange(_SRGB_LEVELS) / (_SRGB_LEVELS - 1)
+    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    table = np.rint(255 * curve).astype(np.uint8)
+    level = np.clip(linear * np.float32(_SRGB_LEVELS - 1) + np.float32(0.5), 0, _SRGB_LEVELS - 1)
+    return np.asarray(table[level.astype(np.uint16)])
+
+
+def mix(a: ArrayLike, b: ArrayLike, share: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mix colours: `a` where the share is 0, `b` where it is 1.
+
+    Parameters
+    ----------
+    a, b : array_like
+        One colour of shape (3,), or one for each place, shape (..., 3).
+    share : ndarray of float32, shape (...)
+        0 to 1.
+
+    Returns
+    -------
+    ndarray of float32, shape (..., 3)
+
+    Examples
+    --------
+    >>> mix((0, 0, 0), (4, 4, 8), np.array([0.0, 0.5], np.float32)).tolist()
+    [[0.0, 0.0, 0.0], [2.0, 2.0, 4.0]]
+    """
+    return _spread(a, 1 - share) + _spread(b, share)
+
+
+def _spread(color: ArrayLike, weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    values = np.asarray(color, np.float32)
+    if values.ndim > 1:
+        return dimmed(values, weight)
+    return np.asarray(weight.reshape(-1, 1) @ values[None]).reshape(*weight.shape, 3)
+
+
+def dimmed(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
+    """Multiply each colour of shape (..., 3) by its own factor, shape (...).
+
+    Examples
+    --------
+    >>> dimmed(np.ones((1, 3), np.float32), np.array([0.5], np.float32)).tolist()
+    [[0.5, 0.5, 0.5]]
+    """
+    # NumPy would loop over three numbers at a time, which takes five times as long.
+    flat = factor.reshape(-1, 1)
+    threefold = cv2.merge([flat, flat, flat]).reshape(picture.shape)
+    return np.asarray(picture * threefold)
+
+
+def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
+    """Rise smoothly from 0 at `low` to 1 at `high`; falls where `high` is the lower.
+
+    Examples
+    --------
+    >>> smoothstep(0.0, 2.0, np.array([-1.0, 1.0, 3.0])).tolist()
+    [0.0, 0.5, 1.0]
+    """
+    t = np.clip((np.asarray(x, np.float32) - low) / (high - low), 0, 1)
+    return np.asarray(t * t * (3 - 2 * t))
+
+
+def jitter(
+    rng: np.random.Generator, color: ArrayLike, spread: float = 0.12
+) -> tuple[float, float, float]:
+    """Draw a colour near another: brightness and each channel vary by a factor.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    color : array_like, shape (3,)
+        sRGB, 0 to 255.
+    spread : float
+        Standard deviation of the brightness; each channel's own is a third of it.
+    """
+    factor = 1 + spread * rng.standard_normal() + spread / 3 * rng.standard_normal(3)
+    red, green, blue = np.clip(np.asarray(color, float) * factor, 2, 253).tolist()
+    return red, green, blue
+
+
+def smooth_noise(
+    rng: np.random.Generator, shape: tuple[int, int], grain_px: Grain, *, wrap: bool = False
+) -> NDArray[np.float32]:
+    """Draw noise of mean 0 and a spread of about 0.7, smooth over `grain_px`.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    shape : tuple of int
+        Rows and columns.
+    grain_px : float or tuple of float
+        Size of a grain in pixels, one for both directions or (along rows, along columns).
+    wrap : bool
+        Whether the last column goes over into the first.
+
+    Returns
+    -------
+    ndarray of float32, shape `shape`
+    """
+    down, right = (grain_px, grain_px) if isinstance(grain_px, int | float) else grain_px
+    rows = max(int(np.ceil(shape[0] / max(down, 1.0))), 2)
+    columns = max(int(np.ceil(shape[1] / max(right, 1.0))), 2)
+    small = rng.standard_normal((rows, columns), dtype=np.float32)
+    if not wrap:
+        return np.asarray(cv2.resize(small, shape[::-1], interpolation=cv2.INTER_CUBIC))
+    y = (np.arange(shape[0], dtype=np.float32) + 0.5) * rows / shape[0] - 0.5
+    x = (np.arange(shape[1], dtype=np.float32) + 0.5) * columns / shape[1] - 0.5
+    across, along = np.meshgrid(x, y)
+    noise = cv2.remap(small, across, along, cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(noise)
+
+
+def sample(
+    texture: NDArray[np.float32], x_px: NDArray[np.float32], y_px: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Look up a texture between its pixels; beyond its borders it repeats.
+
+    Parameters
+    ----------
+    texture : ndarray of float32, shape (H, W) or (H, W, C)
+        C at most 4.
+    x_px, y_px : ndarray of float32, shape (N,)
+        Column and row.
+
+    Returns
+    -------
+    ndarray of float32, shape (N,) or (N, C)
+
+    Examples
+    --------
+    >>> row = np.array([[0.0, 2.0]], np.float32)
+    >>> sample(row, np.array([0.5, 1.5], np.float32), np.zeros(2, np.float32)).tolist()
+    [1.0, 1.0]
+    """
+    count = len(x_px)
+    size = -(-count // _ROW) * _ROW
+    x, y = (np.zeros(size, np.float32) for _ in range(2))
+    x[:count], y[:count] = x_px, y_px
+    found = cv2.remap(
+        texture,
+        x.reshape(-1, _ROW),
+        y.reshape(-1, _ROW),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_WRAP,
+    )
+    return np.asarray(found.reshape(size, *texture.shape[2:])[:count])
+
+
+BLADES = 16  # as many there are to choose from
+
+_BLADE_PX = 192
+
+_BLADE_LEVELS = 3
+
+_REACH = 1.3  # the texture spans that many half axes to each side
+
+_BASE = -0.8  # where the stalk meets the blade
+
+_MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
+
+
+@lru_cache(maxsize=4 * BLADES)
+def blade_texture(number: int, level: int = 0) -> NDArray[np.float32]:
+    """Draw a leaf's blade.
+
+    Parameters
+    ----------
+    number : int
+        Which of them, from 0 to `BLADES` - 1; each is drawn once and kept.
+    level : int
+        How coarse, as `blade_level` says.
+
+    Returns
+    -------
+    ndarray of float32, shape (192, 192, 4)
+        Tone about 1; vein, 0 to 1; slope along and across the blade, for relief 1. Rows run
+        across the blade, columns along it to its tip, over 1.3 half axes to each side.
+    """
+    if level:
+        return _coarser(blade_texture(number), level)
+    rng = np.random.default_rng(number)
+    line = ((np.arange(_BLADE_PX, dtype=np.float32) + 0.5) * (2 / _BLADE_PX) - 1) * _REACH
+    s, t = np.meshgrid(line, line)
+    ahead, aside = s - _BASE, np.abs(t)
+    reach = np.hypot(ahead, aside)
+    angle = np.arctan2(aside, ahead)
+    wobble = 0.09 * smooth_noise(rng, s.shape, 30)
+    main = np.zeros_like(s)
+    side = np.full_like(s, 9.0)
+    for degrees in _MAIN_DEG:
+        away = angle + wobble - np.deg2rad(degrees)
+        wide = 0.024 - 0.009 * np.clip(reach, 0, 2)
+        off = reach * np.sin(np.clip(np.abs(away), 0, np.pi / 2))
+        main = np.maximum(main, np.exp(-((off / wide) ** 2)))
+        side = np.minimum(side, np.abs(away))
+    # Side veins leave the main ones forward, each pair a step farther out.
+    often = rng.uniform(3.5, 6.0)
+    step = (often * reach * (1 - 0.8 * side) + 0.5 * smooth_noise(rng, s.shape, 30)) % 1.0
+    branch = np.exp(-(((step - 0.5) / 0.07) ** 2)) * smoothstep(0.05, 0.4, reach)
+    branch *= smoothstep(0.75, 0.1, side) * (0.7 + 0.5 * smooth_noise(rng, s.shape, 30))
+    net = np.exp(-((smooth_noise(rng, s.shape, 13) / 0.14) ** 2))
+    vein = np.clip(np.maximum(main, 0.5 * branch) + 0.22 * net, 0, 1)
+    blisters = -0.8 * vein + 0.4 * smooth_noise(rng, s.shape, 11)
+    height = cv2.GaussianBlur(blisters.astype(np.float32), (0, 0), 1.8)
+    across, along = np.gradient(height)
+    patches = smooth_noise(rng, s.shape, 50)
+    grain = smooth_noise(rng, s.shape, 3)
+    tone = 1 + 0.14 * patches + 0.09 * grain + 0.22 * blisters
+    return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
+
+
+def blade_photo(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
+    """Cut a piece of a leaf out of a photo.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    assets : Assets
+        Whose `leaves` to cut from.
+
+    Returns
+    -------
+    tuple of ndarray of float32, shape (192, 192, 3)
+        Linear RGB over its own mean, a third to half of the photo, for each `blade_level`; empty
+        without leaves.
+    """
+    if not assets.leaves:
+        return ()
+    picture = assets.leaves[rng.integers(len(assets.leaves))]
+    rows, columns = picture.shape[:2]
+    size = int(rng.uniform(0.30, 0.5) * min(rows, columns))
+    top = int(rng.uniform(0.35, 0.65) * (rows - size))
+    left = int(rng.uniform(0.35, 0.65) * (columns - size))
+    piece: NDArray[Any] = np.rot90(
+        picture[top : top + size, left : left + size], int(rng.integers(4))
+    )
+    piece = cv2.resize(
+        np.ascontiguousarray(piece), (_BLADE_PX, _BLADE_PX), interpolation=cv2.INTER_AREA
+    )
+    light = to_linear(piece)
+    drawing = np.asarray(np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0), np.float32)
+    return tuple(_coarser(drawing, level) for level in range(_BLADE_LEVELS + 1))
+
+
+def blade_level(half_px: float) -> int:
+    """Say how often a texture must be halved for a leaf of so many pixels from middle to tip.
+
+    Without it veins would flicker on small leaves.
+
+    Examples
+    --------
+    >>> [blade_level(half_px) for half_px in (200.0, 74.0, 37.0, 1.0)]
+    [0, 0, 1, 3]
+    """
+    fine = _BLADE_PX / (2 * _REACH)
+    return min(max(round(float(np.log2(fine / max(half_px, 1.0)))), 0), _BLADE_LEVELS)
+
+
+def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+    # Blurred as much as halving it so often would; its size stays.
+    if level == 0:
+        return texture
+    return np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.5 * 2.0**level))
+
+
+def blade_pixel(place: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Turn a place on the blade, in half axes from its middle, to the texture's pixel."""
+    return (place / np.float32(_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
+
+
+TILE_M = 0.6  # what a tile of material spans
+
+_TILE_PX = 512
+
+_COLORS: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "wood": ((176, 140, 98), (120, 86, 56), (205, 180, 145), (150, 130, 112)),
+    "steel": ((170, 172, 174), (120, 124, 128), (200, 202, 204)),
+    "plastic": (
+        (40, 42, 44),
+        (235, 236, 234),
+        (40, 90, 60),
+        (30, 80, 150),
+        (120, 124, 128),
+        (196, 60, 44),
+    ),
+    "cloth": ((225, 220, 210), (96, 110, 134), (60, 66, 60), (170, 60, 60), (214, 196, 140)),
+    "concrete": ((150, 148, 142), (110, 108, 104), (186, 184, 178)),
+    "cardboard": ((176, 142, 100), (196, 164, 120)),
+    "paper": ((242, 242, 240), (224, 226, 230)),
+    "soil": ((86, 66, 48), (120, 98, 74), (60, 52, 44)),
+    "mesh": ((34, 36, 38), (50, 120, 70), (40, 100, 170)),
+    "film": ((228, 230, 232), (190, 196, 198), (160, 166, 168)),
+}
+
+MATERIALS = tuple(_COLORS)
+
+
+def material_color(rng: np.random.Generator, material: str) -> tuple[float, float, float]:
+    """Draw a colour that a material comes in, sRGB, 0 to 255."""
+    choices = _COLORS[material]
+    return jitter(rng, choices[rng.integers(len(choices))], 0.08)
+
+
+def material_tile(
+    rng: np.random.Generator,
+    material: str,
+    color: tuple[float, float, float],
+    pixel_m: float = 0.0,
+) -> NDArray[np.float32]:
+    """Draw a material.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    material : str
+        One of `MATERIALS`.
+    color : tuple of float
+        sRGB, 0 to 255.
+    pixel_m : float
+        What a pixel of the picture spans on it, metres: finer grain would flicker, and is blurred.
+
+    Returns
+    -------
+    ndarray of float32, shape (512, 512, 3)
+        Linear RGB over 0.6 m.
+
+    Raises
+    ------
+    ValueError
+        If there is no such material.
+    """
+    if material not in _COLORS:
+        raise ValueError(f"no material {material!r}: choose one of {', '.join(MATERIALS)}")
+    draw = _TONES.get(material, _even)
+    tone = draw(rng)
+    stain = smooth_noise(rng, (_TILE_PX, _TILE_PX), 120, wrap=True)
+    tone = tone * (1 + 0.06 * stain)
+    tile = to_linear(color) * tone[..., None]
+    tile = np.asarray(np.clip(tile, 0.003, 0.95), np.float32)
+    sigma_px = 0.5 * pixel_m * _TILE_PX / TILE_M
+    return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px)) if sigma_px > 0.3 else tile
+
+
+def _even(rng: np.random.Generator) -> NDArray[np.float32]:
+    fine = smooth_noise(rng, (_TILE_PX, _TILE_PX), 2, wrap=True)
+    tone = 1 + 0.02 * fine
+    for _ in range(int(rng.integers(0, 12))):  # scratches
+        a, b = rng.integers(0, _TILE_PX, (2, 2)).tolist()
+        cv2.line(tone, a, b, float(rng.uniform(0.8, 1.25)), 1, cv2.LINE_AA)
+    return tone
+
+
+def _boards(rng: np.random.Generator) -> NDArray[np.float32]:
+    grain = smooth_noise(rng, (_TILE_PX, _TILE_PX), (3, 90), wrap=True)
+    broad = smooth_noise(rng, (_TILE_PX, _TILE_PX), (14, 300), wrap=True)
+    knots = smooth_noise(rng, (_TILE_PX, _TILE_PX), (2, 40), wrap=True)
+    tone = 1 + 0.12 * grain + 0.10 * broad + 0.05 * knots
+    count = int(rng.integers(1, 9))
+    board = np.arange(_TILE_PX) * count // _TILE_PX
+    tone = tone * rng.uniform(0.8, 1.15, count).astype(np.float32)[board][:, None]
+    if count > 1:
+        edge = np.flatnonzero(np.diff(board))
+        tone[edge] *= 0.35
+        tone[np.minimum(edge + 1, _TILE_PX - 1)] *= 0.6
+    return np.asarray(tone, np.float32)
+
+
+def _brushed(rng: np.random.Generator) -> NDArray[np.float32]:
+    lines = smooth_noise(rng, (_TILE_PX, _TILE_PX), (1, 200), wrap=True)
+    return np.asarray(1 + 0.05 * lines + 0.05 * smooth_noise(rng, (_TILE_PX, _TILE_PX), (200, 90)))
+
+
+def _woven(rng: np.random.Generator) -> NDArray[np.float32]:
+    period = float(rng.uniform(4, 9))
+    line = np.arange(_TILE_PX, dtype=np.float32)
+    weave = np.sin(2 * np.pi * line / period)[:, None] * np.sin(2 * np.pi * line / period)
+    tone = 1 + 0.12 * weave + 0.06 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 2)
+    if rng.random() < 0.5:  # checks
+        wide = float(rng.uniform(30, 90))
+        check = 0.5 * ((line // wide) % 2)
+        tone *= 1 - 0.35 * (check[:, None] + check)
+    return np.asarray(tone * (1 + 0.1 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 90)), np.float32)
+
+
+def _rough(rng: np.random.Generator) -> NDArray[np.float32]:
+    layers = [(60, 0.12), (12, 0.10), (3, 0.10)]
+    tone = np.ones((_TILE_PX, _TILE_PX), np.float32)
+    for grain, spread in layers:
+        tone += spread * smooth_noise(rng, (_TILE_PX, _TILE_PX), grain, wrap=True)
+    return np.clip(tone, 0.2, 2)
+
+
+def _clods(rng: np.random.Generator) -> NDArray[np.float32]:
+    clod = smooth_noise(rng, (_TILE_PX, _TILE_PX), 14, wrap=True)
+    crumb = smooth_noise(rng, (_TILE_PX, _TILE_PX), 4, wrap=True)
+    return np.clip(1 + 0.4 * clod + 0.35 * crumb, 0.12, 2.2)
+
+
+def _holes(rng: np.random.Generator) -> NDArray[np.float32]:
+    period, share = float(rng.uniform(20, 60)), float(rng.uniform(0.45, 0.75))
+    line = np.arange(_TILE_PX, dtype=np.float32)
+    row, column = np.abs((line / period) % 1 - 0.5)[:, None], np.abs((line / period) % 1 - 0.5)
+    slanted = rng.random() < 0.5
+    far = row + column if slanted else np.maximum(row, column)
+    hole = smoothstep(0.5 * share + 0.03, 0.5 * share - 0.03, far)
+    return np.asarray((1 - 0.9 * hole) * (1 + 0.03 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 3)))
+
+
+_TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
+    "wood": _boards,
+    "steel": _brushed,
+    "cloth": _woven,
+    "concrete": _rough,
+    "cardboard": _rough,
+    "soil": _clods,
+    "mesh": _holes,
+}
+
+
+def far_view(
+    rng: np.random.Generator, kind: str, width: int, height: int, assets: Assets
+) -> NDArray[np.float32]:
+    """Draw what lies far behind, its own light included.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        The source of chance.
+    kind : str
+        "photo" (of the assets; leaves without any), "leaves", "film" (a pale wall of plastic or
+        glass), "dark".
+    width, height : int
+        Pixels.
+    assets : Assets
+        For their backgrounds.
+
+    Returns
+    -------
+    ndarray of float32, shape (height, width, 3)
+        Linear RGB.
+    """
+    if kind == "photo" and assets.backgrounds:
+        return _photo(rng, assets.backgrounds, width, height)
+    if kind in ("film", "dark"):
+        return _pale(rng, width, height, float(rng.uniform(0.3, 1.6)) if kind == "film" else 0.03)
+    return _blurred_leaves(rng, width, height)
+
+
+def _photo(
+    rng: np.random.Generator, pictures: tuple[NDArray[np.uint8], ...], width: int, height: int
+) -> NDArray[np.float32]:
+    picture = pictures[rng.integers(len(pictures))]
+    rows, columns = picture.shape[:2]
+    scale = rng.uniform(0.5, 1.0) * min(columns / width, rows / height)
+    wide, tall = max(int(scale * width), 2), max(int(scale * height), 2)
+    top, left = int(rng.integers(rows - tall + 1)), int(rng.integers(columns - wide + 1))
+    piece: NDArray[Any] = picture[top : top + tall, left : left + wide]
+    if rng.random() < 0.5:
+        piece = piece[:, ::-1]
+    piece = cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=cv2.INTER_LINEAR)
+    tone = np.exp(rng.normal(0, 0.3)) * (1 + 0.08 * rng.standard_normal(3))
+    light = to_linear(piece) * tone.astype(np.float32)
+    blur = rng.uniform(0, 2.5) * width / 1280
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), blur) if blur > 0.3 else light)
+
+
+def _pale(rng: np.random.Generator, width: int, height: int, level: float) -> NDArray[np.float32]:
+    tone = 1 + 0.12 * smooth_noise(rng, (height, width), width / 3)
+    tone += 0.25 * rng.normal() * np.linspace(-1, 1, height, dtype=np.float32)[:, None]
+    tone = np.clip(tone, 0.1, 3).astype(np.float32)
+    for _ in range(int(rng.integers(0, 7))):  # bars, gutters, posts
+        x = int(rng.integers(width))
+        thick = int(rng.integers(1, max(width // 60, 2) + 1))
+        lean = int(rng.normal(0, width / 40))
+        cv2.line(tone, (x, 0), (x + lean, height), float(rng.uniform(0.3, 1.3)), thick, cv2.LINE_AA)
+    hue = 1 + 0.05 * rng.standard_normal(3)
+    return np.asarray(level * tone[..., None] * hue, np.float32)
+
+
+def _blurred_leaves(rng: np.random.Generator, width: int, height: int) -> NDArray[np.float32]:
+    shape = height // 4 + 1, width // 4 + 1
+    tone = smooth_noise(rng, shape, width / 40) + 0.6 * smooth_noise(rng, shape, width / 110)
+    dark = to_linear(jitter(rng, (30.0, 44.0, 26.0)))
+    light = to_linear(jitter(rng, (104.0, 136.0, 66.0)))
+    view: NDArray[Any] = mix(dark, light, smoothstep(-1.2, 1.4, tone))
+    gap = smoothstep(1.0, 1.3, smooth_noise(rng, shape, width / 60) + rng.uniform(-0.4, 0.3))
+    view = mix(view, (0.8, 0.85, 0.9), gap)
+    view = cv2.GaussianBlur(view, (0, 0), rng.uniform(0.6, 3.0))
+    level = np.float32(rng.uniform(0.15, 0.8))
+    return np.asarray(level * cv2.resize(view, (width, height), interpolation=cv2.INTER_LINEAR))

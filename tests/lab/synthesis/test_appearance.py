@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.errors import CaptureError
+from cucumbervision_lab.synthesis.appearance import FAR, Assets, load_assets, random_style
+from cucumbervision_lab.synthesis.bodies import arc_tube
+from cucumbervision_lab.synthesis.placing import hang, trellis
+from cucumbervision_lab.synthesis.raycast import Plane
+from cucumbervision_lab.synthesis.scene import Scene
+
+RED = np.zeros((60, 80, 3), np.uint8)
+
+
+RED[..., 2] = 200  # OpenCV writes BGR
+
+
+def write(path: Path, picture: np.ndarray = RED) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), picture)
+
+
+def test_pictures_are_sorted_by_the_folders_they_lie_in(tmp_path: Path) -> None:
+    write(tmp_path / "textures/skin/a.png")
+    write(tmp_path / "backgrounds/canopy/b.png", np.zeros((900, 3200, 3), np.uint8))
+    write(tmp_path / "backgrounds/leaves/c.png")
+    write(tmp_path / "photos/d.png")
+    write(tmp_path / "hdri_mine/e.hdr", np.full((32, 64, 3), (0.5, 1.0, 8.0), np.float32))
+    (tmp_path / "textures/skin/LICENSE").write_text("free")
+    assets = load_assets(tmp_path)
+    assert [len(assets.skins), len(assets.backgrounds), len(assets.leaves)] == [1, 2, 1]
+    assert assets.skins[0][0, 0].tolist() == [200, 0, 0]
+    assert assets.backgrounds[0].shape == (450, 1600, 3)
+    (light,) = assets.environments
+    assert light.shape == (64, 128, 3)
+    assert np.allclose(light[10, 10], (8.0, 1.0, 0.5), rtol=0.02)
+
+
+def test_backgrounds_that_say_they_show_fruit_are_passed_over(tmp_path: Path) -> None:
+    write(tmp_path / "backgrounds/Pythium_Fruit_Rot_1.png")
+    write(tmp_path / "backgrounds/row.png")
+    write(tmp_path / "textures/fruit.png")
+    assert len(load_assets(tmp_path).backgrounds) == 1
+    assert len(load_assets(tmp_path).skins) == 1
+    assert len(load_assets(tmp_path, without=()).backgrounds) == 2
+
+
+def test_unreadable_files_are_named_and_the_rest_is_kept(tmp_path: Path) -> None:
+    write(tmp_path / "textures/good.png")
+    (tmp_path / "textures/empty.png").write_bytes(b"")
+    (tmp_path / "textures/torn.jpg").write_bytes(b"\xff\xd8\xff\xe0 no more")
+    with pytest.warns(UserWarning, match=r"textures/empty\.png, textures/torn\.jpg"):
+        assets = load_assets(tmp_path)
+    assert len(assets.skins) == 1
+
+
+def test_a_folder_that_is_missing_or_holds_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="no such folder"):
+        load_assets(tmp_path / "none")
+    with pytest.raises(CaptureError, match="holds no textures"):
+        load_assets(tmp_path)
+
+
+@pytest.mark.realdata
+def test_real_assets_load(shared_data: Path) -> None:
+    assets = load_assets(shared_data)
+    assert len(assets.skins) == 15
+    assert len(assets.environments) == 8
+    # Four of the 59 say by their names that they show fruit.
+    assert (len(assets.backgrounds), len(assets.leaves)) == (55, 17)
+    assert all(np.isfinite(light).all() and light.max() > 1 for light in assets.environments)
+
+
+CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
+
+
+FRUIT = (hang(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5)), hang(arc_tube(0.15, 0.02), (0.1, 0.0, 0.5)))
+
+
+def test_every_body_gets_a_look() -> None:
+    scene = trellis(np.random.default_rng(1), CAMERA, FRUIT)
+    style = random_style(np.random.default_rng(2), scene, Assets(), "hanging")
+    assert len(style.skins) == 2
+    assert len(style.leaf_colors) == len(style.leaf_roles) == len(scene.leaves)
+    # Of the four rods two are strings of 1.5 mm.
+    assert style.stem_roles == ("string", "string", "stem", "stem")
+    assert style.materials == (FAR,)
+    assert style == random_style(np.random.default_rng(2), scene, Assets(), "hanging")
+
+
+def test_fruit_on_a_bench_are_lit_from_off_it() -> None:
+    planes = (Plane.facing(0.6, tilt_deg=30.0), Plane.facing(2.0))
+    style = random_style(np.random.default_rng(1), Scene(FRUIT, planes=planes), Assets(), "bench")
+    assert style.materials[0] != FAR
+    assert style.materials[1] == FAR
+    # Its upper part leans away: off it is up and towards the camera, at 30 degrees.
+    assert style.light.up == pytest.approx((0.0, -0.5, -np.sqrt(0.75)))
+    own = random_style(
+        np.random.default_rng(1), Scene(FRUIT), Assets(), "bench", up=(1.0, 0.0, 0.0)
+    )
+    assert own.light.up == (1.0, 0.0, 0.0)
+
+
+def test_fruit_of_one_plant_are_alike() -> None:
+    apart = []
+    for seed in range(40):
+        skins = random_style(np.random.default_rng(seed), Scene(FRUIT), Assets(), "bench").skins
+        apart.append(np.abs(np.subtract(skins[0].base, skins[1].base)).max())
+    assert 2 < np.median(apart) < 20
+    named = random_style(
+        np.random.default_rng(1), Scene(FRUIT), Assets(), "bench", varieties=("pickling", "long")
+    )
+    assert named.skins[0].warts_per_cm2 >= 1.0 > named.skins[1].warts_per_cm2
+
+
+def test_planes_of_a_role_are_of_one_make() -> None:
+    scene = Scene((), planes=tuple(Plane.facing(z) for z in (0.6, 0.7, 0.8, 3.0)))
+    style = random_style(
+        np.random.default_rng(3),
+        scene,
+        Assets(),
+        "crate",
+        plane_roles=("crate", "crate", "floor", "far"),
+    )
+    assert style.materials[0] == style.materials[1]
+    assert style.material_colors[0] == style.material_colors[1]
+    assert style.materials[3] == FAR
+
+
+def test_unknown_settings_and_roles_are_refused() -> None:
+    rng = np.random.default_rng(1)
+    with pytest.raises(ValueError, match="no setting 'field'"):
+        random_style(rng, Scene(()), Assets(), "field")
+    with pytest.raises(ValueError, match="no role of a leaf or stem 'rope'"):
+        random_style(rng, Scene(()), Assets(), "bench", stem_roles=("rope",))
+    with pytest.raises(ValueError, match="no role of a plane 'roof'"):
+        random_style(rng, Scene(()), Assets(), "bench", plane_roles=("roof",))

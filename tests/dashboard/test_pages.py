@@ -13,7 +13,7 @@ pytest.importorskip("streamlit")
 import streamlit as st
 from streamlit.testing.v1 import AppTest
 
-from cucumbervision.dashboard import shared
+from cucumbervision.dashboard import resources
 from cucumbervision.store.records import StopRecord, key_of
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
@@ -34,9 +34,9 @@ def _fresh() -> Iterator[None]:
 
 def app(page: str, **state: Any) -> AppTest:
     script = (
-        "from cucumbervision.dashboard import parts\n"
+        "from cucumbervision.dashboard import page_elements\n"
         f"from cucumbervision.dashboard.pages import {page}\n"
-        f"parts.keep_inputs()\n{page}.page()\n"
+        f"page_elements.keep_inputs()\n{page}.page()\n"
     )
     test = AppTest.from_string(script, default_timeout=60)
     for name, value in state.items():
@@ -50,7 +50,7 @@ def said(test: AppTest) -> str:
 
 
 def wait_for_jobs() -> None:
-    for job in shared.worker().unfinished():
+    for job in resources.worker().unfinished():
         assert job.finished.wait(60)
 
 
@@ -125,7 +125,7 @@ def test_before_and_next_walk_through_the_fruit(house: Path) -> None:
 
 
 def test_a_capture_from_the_replay_becomes_a_stop(house: Path) -> None:
-    shared.save_settings(shared.settings().model_copy(update={"fruit_from": "dataset"}))
+    resources.save_settings(resources.settings().model_copy(update={"fruit_from": "dataset"}))
     test = app("capture", source="replay", row="9", side="right", position_m=2.0, step_m=0.4)
     next(button for button in test.button if button.label == "Capture").click().run()
     wait_for_jobs()
@@ -146,7 +146,7 @@ def test_the_absent_camera_is_told_and_the_replay_offered(
     if len(rs.context().query_devices()):
         pytest.skip("a camera is connected")
     until = time.monotonic() + 20
-    while shared.camera().look().state != "absent" and time.monotonic() < until:
+    while resources.camera().look().state != "absent" and time.monotonic() < until:
         time.sleep(0.05)
     test = app("capture", source="camera", source_chosen=True)
     assert "No camera was found" in said(test)
@@ -172,7 +172,7 @@ def test_a_round_is_written_as_files(house: Path) -> None:
     wait_for_jobs()
     test.run()
     assert not test.error
-    job = shared.worker().get(test.session_state[f"export_{WALK}"])
+    job = resources.worker().get(test.session_state[f"export_{WALK}"])
     assert job is not None
     with zipfile.ZipFile(job.result) as archive:
         names = archive.namelist()
@@ -185,7 +185,7 @@ def test_inches_are_shown_where_chosen(house: Path) -> None:
     test = app("settings")
     control = next(c for c in test.segmented_control if c.label == "Lengths in")
     control.set_value("in").run()
-    assert shared.settings().unit == "in"
+    assert resources.settings().unit == "in"
     shown = {metric.label: metric.value for metric in app("results").metric}
     assert shown["Mean length"].endswith(" in")
 
@@ -200,7 +200,7 @@ def test_the_pick_list_marks_its_fruit_as_picked(house: Path) -> None:
 
 
 def test_the_source_is_offered_on_every_page(house: Path) -> None:
-    script = "from cucumbervision.dashboard import parts\nparts.footer()\n"
+    script = "from cucumbervision.dashboard import page_elements\npage_elements.footer()\n"
     test = AppTest.from_string(script).run()
     assert "AGPL-3.0-only" in test.caption[0].value
     assert "source code" in test.caption[0].value

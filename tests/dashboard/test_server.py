@@ -30,7 +30,7 @@ def test_a_login_that_is_asked_for_must_be_there(
     monkeypatch.setenv("CUCUMBERVISION_PASSWORD_FILE", str(tmp_path / "hash"))
     monkeypatch.setenv("CUCUMBERVISION_LOGIN", "")
     monkeypatch.chdir(tmp_path)
-    from cucumbervision.dashboard.login import login_of
+    from cucumbervision.dashboard.access import login_of
 
     with pytest.raises(AccessError, match="no login set up"):
         serve(str(tmp_path / "house.db"), browser=False, login=True)

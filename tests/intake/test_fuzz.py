@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.intake.accepted import AcceptedSource
 from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.staging import AcceptedSource
 from cucumbervision.intake.uploads import accept_uploads
 
 LIMITS = Limits(unpacked_bytes=3_000_000, file_bytes=1_000_000, pixels=100_000, members=50)

@@ -14,9 +14,8 @@ import pytest
 
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.errors import CaptureError
-from cucumbervision.intake.guarded import open_guarded
 from cucumbervision.intake.limits import Limits, RecordingLimits
-from cucumbervision.intake.recordings import play_apart
+from cucumbervision.intake.recordings import open_guarded, play_apart
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import count_captures

@@ -14,8 +14,8 @@ import pytest
 
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError, UploadError
-from cucumbervision.intake.accepted import AcceptedUploads
 from cucumbervision.intake.limits import Limits
+from cucumbervision.intake.staging import AcceptedUploads
 from cucumbervision.intake.uploads import accept_uploads
 
 OWN = re.compile(r"[a-z0-9_./-]+")

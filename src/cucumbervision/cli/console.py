@@ -18,7 +18,7 @@ from rich.progress import (
 from rich.table import Table
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.intake.guarded import open_guarded
+from cucumbervision.intake.recordings import open_guarded
 from cucumbervision.pipeline.run import count_captures, measure_inputs
 
 if TYPE_CHECKING:

@@ -45,8 +45,7 @@ def dashboard(
     """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'."""
     if context.invoked_subcommand is not None:
         return
-    from cucumbervision.dashboard.server import serve
-    from cucumbervision.dashboard.variables import default_store
+    from cucumbervision.dashboard.server import default_store, serve
 
     serve(
         store or default_store(),

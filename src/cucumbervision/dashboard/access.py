@@ -18,6 +18,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import streamlit as st
+
+from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.errors import AccessError
 
 if TYPE_CHECKING:
@@ -31,21 +34,32 @@ __all__ = [
     "has_oidc",
     "hash_password",
     "is_loopback",
+    "login_of",
     "password_file",
     "read_password_hash",
+    "require_login",
+    "secrets_files",
     "verify_password",
     "write_password_hash",
 ]
 
 _SET_UP = "run `cucumbervision dashboard set-password`, set up [auth] in Streamlit's secrets.toml"
+
 LOGIN_REMEDY = f"{_SET_UP}, or bind to 127.0.0.1"
+
 SHORTEST = 10  # characters of a password
+
 _FILE = "dashboard-password"
+
 # OWASP's password storage cheat sheet: scrypt with n = 2**17, r = 8, p = 1, some 128 MB.
 _LOG2_N, _R, _P = 17, 8, 1
+
 _MOST_MEMORY = 512 * 1024 * 1024
+
 _SALT_BYTES, _KEY_BYTES = 16, 32
+
 _OIDC_KEYS = ("client_id", "client_secret", "server_metadata_url")
+
 _OIDC_SHARED = ("redirect_uri", "cookie_secret")
 
 
@@ -400,3 +414,75 @@ class Attempts:
             return 0.0
         doublings = min(count - self.free - 1, 60)
         return float(min(self.longest_s, self.first_s * 2.0**doublings))
+
+
+def secrets_files() -> tuple[Path, ...]:
+    """Give the files that Streamlit's login is set up in."""
+    return (
+        Path.home() / ".streamlit" / "secrets.toml",
+        Path.cwd() / ".streamlit" / "secrets.toml",
+    )
+
+
+def login_of(address: str) -> Login:
+    """Decide how people log in to a server at this address; by its variable always.
+
+    Raises
+    ------
+    AccessError
+        If others could reach it and there is no login.
+    """
+    kept = read_password_hash(password_file())
+    return decide_login(
+        address,
+        oidc=has_oidc(secrets_files()),
+        password=kept is not None,
+        always=bool(os.environ.get(LOGIN_VARIABLE)),
+    )
+
+
+@st.cache_resource(show_spinner=False)
+def _attempts() -> Attempts:
+    return Attempts()
+
+
+def require_login(address: str) -> None:
+    """Draw the login and end the script, unless the viewer is in or needs none.
+
+    Parameters
+    ----------
+    address : str
+        What the server listens on.
+
+    Raises
+    ------
+    AccessError
+        If others could reach it and there is no login.
+    """
+    login = login_of(address)
+    if login is Login.NONE or st.session_state.get("inside"):
+        return
+    if login is Login.OIDC:
+        if st.user.is_logged_in:
+            return
+        st.button("Log in", type="primary", on_click=st.login)
+        st.stop()
+    with st.form("login"):
+        password = st.text_input("Password", type="password")
+        if st.form_submit_button("Log in", type="primary") and _right(password):
+            st.session_state["inside"] = True
+            st.rerun()
+    st.stop()
+
+
+def _right(password: str) -> bool:
+    client = st.context.ip_address or "unknown"
+    kept = read_password_hash(password_file()) or ""
+    try:
+        right = _attempts().check(client, password, kept)
+    except AccessError as error:
+        st.error(str(error))
+        return False
+    if not right:
+        st.error("That is not the password.")
+    return right

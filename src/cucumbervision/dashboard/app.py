@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import streamlit as st
 
-from cucumbervision.dashboard import parts, shared
-from cucumbervision.dashboard.login import require_login
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.access import require_login
 from cucumbervision.dashboard.pages import (
     accuracy,
     capture,
@@ -23,13 +23,13 @@ __all__ = ["main"]
 def main() -> None:
     """Draw the page that the viewer chose."""
     st.set_page_config(page_title="CucumberVision", page_icon="🥒", layout="wide")
-    parts.style()
+    page_elements.style()
     try:
         require_login(st.get_option("server.address") or "")
     except CucumberVisionError as error:
         st.error(str(error), icon=":material/lock:")
         st.stop()
-    parts.keep_inputs()
+    page_elements.keep_inputs()
     chosen = st.navigation(
         [
             st.Page(
@@ -58,11 +58,11 @@ def main() -> None:
         position="top",
     )
     try:
-        parts.progress(shared.prepare())
+        page_elements.progress(resources.prepare())
         chosen.run()
     except CucumberVisionError as error:
         st.error(str(error), icon=":material/error:")
-    parts.footer()
+    page_elements.footer()
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.agronomy.forecast import Forecast
-    from cucumbervision.dashboard.units import Units
+    from cucumbervision.dashboard.settings import Units
 
 __all__ = [
     "class_colors",

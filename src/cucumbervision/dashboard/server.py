@@ -1,4 +1,4 @@
-"""Start the dashboard's server: on this machine only, without telemetry."""
+"""Start the dashboard's server, and tell its pages by the environment what to show."""
 
 from __future__ import annotations
 
@@ -8,7 +8,37 @@ from pathlib import Path
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 
-__all__ = ["serve", "server_arguments"]
+__all__ = [
+    "IMAGES_VARIABLE",
+    "LOGIN_VARIABLE",
+    "REPLAY_VARIABLE",
+    "STORE_VARIABLE",
+    "default_store",
+    "serve",
+    "server_arguments",
+]
+
+STORE_VARIABLE = "CUCUMBERVISION_STORE"
+
+IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
+
+REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
+
+LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
+
+
+def default_store() -> str:
+    """Give where the store is unless somebody says otherwise.
+
+    Examples
+    --------
+    >>> default_store().endswith("rounds.db")
+    True
+    """
+    import platformdirs
+
+    return str(Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "rounds.db")
+
 
 APP = Path(__file__).with_name("app.py")
 
@@ -77,16 +107,9 @@ def serve(
     CucumberVisionError
         If the replay is not there.
     """
-    from cucumbervision.dashboard.variables import (
-        IMAGES_VARIABLE,
-        LOGIN_VARIABLE,
-        REPLAY_VARIABLE,
-        STORE_VARIABLE,
-    )
-
     if find_spec("streamlit") is None:
         raise MissingExtraError("streamlit", "dashboard")
-    from cucumbervision.dashboard.login import login_of
+    from cucumbervision.dashboard.access import login_of
 
     os.environ.update({LOGIN_VARIABLE: "always"} if login else {})
     login_of(address)

@@ -10,21 +10,24 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, BinaryIO
 
 from cucumbervision.errors import CucumberVisionError, UploadError
-from cucumbervision.intake.accepted import AcceptedUploads
-from cucumbervision.intake.archives import Budget, unpack, write_chunk
-from cucumbervision.intake.items import check_item
+from cucumbervision.intake.archives import Budget, clean_name, unpack, write_chunk
+from cucumbervision.intake.file_checks import HEAD_BYTES, Kind, check_item, sniff
+from cucumbervision.intake.layouts import (
+    sort_arrays,
+    sort_native,
+    sort_pairs,
+    sort_recordings,
+    sort_rest,
+    sort_scenes,
+    sort_snapshots,
+)
 from cucumbervision.intake.limits import Limits
-from cucumbervision.intake.names import clean_name
-from cucumbervision.intake.pairs import sort_arrays, sort_pairs, sort_rest, sort_snapshots
-from cucumbervision.intake.played import sort_recordings
-from cucumbervision.intake.scenes import sort_native, sort_scenes
-from cucumbervision.intake.sniff import HEAD_BYTES, Kind, sniff
-from cucumbervision.intake.staging import Desk, Sorted
+from cucumbervision.intake.staging import AcceptedUploads, Desk, Sorted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from cucumbervision.intake.items import Item
+    from cucumbervision.intake.file_checks import Item
 
 __all__ = ["accept_uploads"]
 

@@ -91,7 +91,7 @@ def measure_inputs(
         Called after each capture with the capture (None if it could not be read), its fruit and
         the failures; for progress bars.
     opener : callable
-        Opens each input; `intake.guarded.open_guarded` for recordings from strangers.
+        Opens each input; `intake.recordings.open_guarded` for recordings from strangers.
 
     Returns
     -------

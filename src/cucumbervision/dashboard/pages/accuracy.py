@@ -11,7 +11,7 @@ from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
-from cucumbervision.dashboard import parts, shared
+from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.hand_truth import (
     hand_file,
     hand_lengths,
@@ -22,7 +22,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Length
 
 if TYPE_CHECKING:
-    from cucumbervision.dashboard.lists import RoundLists
+    from cucumbervision.dashboard.round_tables import RoundLists
     from cucumbervision.store.views import FruitView, RoundView
 
 __all__ = ["page"]
@@ -32,11 +32,11 @@ LINES = 30
 
 def page() -> None:
     """Draw the page."""
-    one = parts.pick_round()
+    one = page_elements.pick_round()
     if one is None:
         st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
         return
-    lists = shared.lists_of(one)
+    lists = resources.lists_of(one)
     fruit = [view for view in lists.fruit if view.record.length_m is not None]
     if not fruit:
         st.info("This round has no measured fruit yet.", icon=":material/straighten:")
@@ -46,14 +46,14 @@ def page() -> None:
         "off each method is on your fruit. Measure some of them twice, without looking at the "
         "first figure: no method can be shown to be better than the hand."
     )
-    path = hand_file(shared.where(), one.key)
+    path = hand_file(resources.where(), one.key)
     _table(fruit, path)
     if path.exists():
         _scores(one, lists, path)
 
 
 def _table(fruit: list[FruitView], path: Path) -> None:
-    units = shared.settings().units
+    units = resources.settings().units
     known = hand_lengths(path, fruit)
     pages = -(-len(fruit) // LINES)
     number = st.number_input(f"Page of {pages}", 1, pages) if pages > 1 else 1
@@ -93,10 +93,10 @@ def _table(fruit: list[FruitView], path: Path) -> None:
 
 
 def _line(view: FruitView, known: tuple[float | None, float | None]) -> dict[str, Any]:
-    units = shared.settings().units
+    units = resources.settings().units
     along = "" if view.along_m is None else f", {view.along_m:.2f} m"
     return {
-        "Picture": parts.thumbnail_of(view),
+        "Picture": page_elements.thumbnail_of(view),
         "Fruit": f"Row {view.row or '?'}{along}, no. {view.record.number} of {view.capture}",
         "Program": units.value(view.record.length_m),
         "First": units.value(known[0]),
@@ -105,11 +105,11 @@ def _line(view: FruitView, known: tuple[float | None, float | None]) -> dict[str
 
 
 def _metres(value: float | None) -> float | None:
-    return None if value is None else shared.settings().units.metres(float(value))
+    return None if value is None else resources.settings().units.metres(float(value))
 
 
 def _scores(one: RoundView, lists: RoundLists, path: Path) -> None:
-    measured = measured_round(shared.store(), one.key, lists.methods)
+    measured = measured_round(resources.store(), one.key, lists.methods)
     truth = read_truth(path)
     found: OwnTruth = evaluate_lengths(measured, truth)
     st.subheader("How far off")

@@ -8,18 +8,17 @@ import streamlit as st
 
 from cucumbervision.agronomy.grades import FruitTraits, grade
 from cucumbervision.capture.frames import Stop
-from cucumbervision.dashboard import parts, shared
-from cucumbervision.dashboard.components import picture
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
 from cucumbervision.dashboard.jobs import JobState
-from cucumbervision.dashboard.lists import grade_name
 from cucumbervision.dashboard.measuring import TakenStop
-from cucumbervision.dashboard.picture import as_data_url, scale_bar
+from cucumbervision.dashboard.round_tables import grade_name
 from cucumbervision.measurement.selector import Selector
 from cucumbervision.pipeline.overlay import draw_overlay
 
 if TYPE_CHECKING:
+    from cucumbervision.dashboard.camera_feed import Look
     from cucumbervision.dashboard.jobs import Job
-    from cucumbervision.dashboard.live import Look
     from cucumbervision.store.views import RoundView
 
 __all__ = ["page"]
@@ -35,11 +34,11 @@ PREVIEW_PX = 960
 
 def page() -> None:
     """Draw the page."""
-    one = parts.pick_round()
+    one = page_elements.pick_round()
     if one is None:
         st.info("Begin a round first: press 'New round'.", icon=":material/flag:")
         return
-    left, right = parts.halves()
+    left, right = page_elements.halves()
     with right:
         kind = _source()
         _place()
@@ -57,7 +56,7 @@ def _source() -> str:
     if state.pop("no_camera", False):
         state["source"] = "replay"
         st.info("No camera was found, so the replay is shown.", icon=":material/videocam_off:")
-    state.setdefault("source", "replay" if shared.replay_named() else "camera")
+    state.setdefault("source", "replay" if resources.replay_named() else "camera")
     chosen = st.segmented_control(
         "Pictures from",
         ["camera", "replay"],
@@ -72,7 +71,7 @@ def _source() -> str:
 
 def _source_chosen() -> None:
     st.session_state["source_chosen"] = True
-    shared.camera().retry()
+    resources.camera().retry()
 
 
 def _place() -> None:
@@ -104,11 +103,11 @@ def _button(one: RoundView, kind: str) -> None:
 
 
 def _take(one: RoundView, kind: str) -> None:
-    state, options, feed = st.session_state, shared.options(), shared.feed(kind)
+    state, options, feed = st.session_state, resources.options(), resources.feed(kind)
     stop = Stop(
         state["row"].strip() or None, state["side"], float(state["position_m"]), one.stops + 1
     )
-    burst, store, measurer = options.reading.burst, shared.store(), shared.measurer()
+    burst, store, measurer = options.reading.burst, resources.store(), resources.measurer()
 
     def work(job: Job) -> TakenStop:
         job.total = 2
@@ -116,13 +115,13 @@ def _take(one: RoundView, kind: str) -> None:
         job.step()
         return measurer.take_stop(store, one.key, capture, options)
 
-    state["job"] = shared.worker().submit("Measuring", work).number
+    state["job"] = resources.worker().submit("Measuring", work).number
     state["position_m"] = round(float(state["position_m"]) + float(state["step_m"]), 2)
 
 
 def _how() -> None:
     with st.expander("How to measure", icon=":material/tune:"):
-        now = shared.settings()
+        now = resources.settings()
         burst = st.slider("Frames fused to one capture", 1, 15, now.burst)
         confidence = st.slider(
             "Confidence of a detection, at least", 0.05, 0.95, now.confidence, 0.05
@@ -138,11 +137,11 @@ def _how() -> None:
             update={"burst": burst, "confidence": confidence, "selector": selector or now.selector}
         )
         if chosen != now:
-            shared.save_settings(chosen)
+            resources.save_settings(chosen)
 
 
 def _preview(kind: str) -> None:
-    seen = shared.feed(kind).look()
+    seen = resources.feed(kind).look()
     if seen.state == "absent":
         if kind == "camera" and not st.session_state.get("source_chosen"):
             st.session_state["no_camera"] = True
@@ -154,7 +153,7 @@ def _preview(kind: str) -> None:
 
     @st.fragment(run_every=None if still else 0.5)
     def _live() -> None:
-        look = shared.feed(kind).look()
+        look = resources.feed(kind).look()
         if look.state == "absent" or (look.state == "replay" and not still):
             st.rerun()
         if look.capture is None:
@@ -166,7 +165,7 @@ def _preview(kind: str) -> None:
             f"preview_{kind}",
             {"live": as_data_url(shown.color, PREVIEW_PX)},
             (shown.width, shown.height),
-            bar=scale_bar(shown.intrinsics, near, shared.settings().units),
+            bar=scale_bar(shown.intrinsics, near, resources.settings().units),
             title="What the camera sees",
         )
         _health(look)
@@ -181,7 +180,7 @@ def _absent(kind: str, look: Look) -> None:
     st.warning(f"No camera was found. {look.message}", icon=":material/videocam_off:")
     st.write("Connect a RealSense camera to a USB 3 port, or choose 'Replay' to try without one.")
     if st.button("Look for the camera again", icon=":material/refresh:"):
-        shared.camera().retry()
+        resources.camera().retry()
         st.rerun()
 
 
@@ -189,7 +188,7 @@ def _health(look: Look) -> None:
     if look.health is None or look.capture is None:
         st.caption("Turning to the next capture …")
         return
-    health, units = look.health, shared.settings().units
+    health, units = look.health, resources.settings().units
     depth, distance, advice = st.columns([1, 1, 2], vertical_alignment="center")
     depth.metric("Depth filled", f"{100 * health.fill:.0f} %")
     distance.metric("Distance", units.text(health.distance_m))
@@ -201,12 +200,12 @@ def _health(look: Look) -> None:
 
 
 def _result(one: RoundView) -> TakenStop | None:
-    job = shared.worker().get(st.session_state.get("job"))
+    job = resources.worker().get(st.session_state.get("job"))
     if job is None:
         st.caption(f"{one.stops} stops in this round. What you capture is shown here.")
         return None
     if not job.finished.is_set():
-        parts.progress(job)
+        page_elements.progress(job)
         return None
     if job.state is JobState.FAILED:
         st.error(f"Nothing was captured. {job.error}", icon=":material/error:")
@@ -219,13 +218,13 @@ def _result(one: RoundView) -> TakenStop | None:
 
 
 def _lengths(one: RoundView, taken: TakenStop) -> None:
-    units, stop = shared.settings().units, taken.measured.capture.stop
+    units, stop = resources.settings().units, taken.measured.capture.stop
     st.markdown(f"**Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved**")
     lines = []
     for row in taken.measured.rows:
         length_cm = row["length_cm"]
         length_m = float(length_cm) / 100 if isinstance(length_cm, int | float) else None
-        found = grade(FruitTraits.from_row(row), shared.profile(one))
+        found = grade(FruitTraits.from_row(row), resources.profile(one))
         lines.append(
             {
                 "Fruit": row["fruit"],

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.capture.source import safe_name
-from cucumbervision.dashboard import parts, shared
+from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import ExportFormat, write_exports
@@ -48,11 +48,11 @@ def show(one: RoundView) -> None:
         on_click=_make,
         args=(one, tuple(chosen)),
     )
-    job = shared.worker().get(st.session_state.get(f"export_{one.key}"))
+    job = resources.worker().get(st.session_state.get(f"export_{one.key}"))
     if job is None:
         return
     if not job.finished.is_set():
-        parts.progress(job)
+        page_elements.progress(job)
     elif job.state is JobState.FAILED:
         st.error(job.error, icon=":material/error:")
     else:
@@ -74,8 +74,8 @@ def _folder() -> Path:
 
 
 def _make(one: RoundView, formats: tuple[ExportFormat, ...]) -> None:
-    store, profile = shared.store(), shared.profile(one)
-    folder, now = _folder(), shared.settings()
+    store, profile = resources.store(), resources.profile(one)
+    folder, now = _folder(), resources.settings()
     named = one.record.profile or now.profile
 
     def work(_: Job) -> Path:
@@ -84,5 +84,5 @@ def _make(one: RoundView, formats: tuple[ExportFormat, ...]) -> None:
             write_exports(tables, Path(made), formats)
             return Path(shutil.make_archive(str(folder / one.key), "zip", made))
 
-    job = shared.worker().submit("Writing the files", work)
+    job = resources.worker().submit("Writing the files", work)
     st.session_state[f"export_{one.key}"] = job.number

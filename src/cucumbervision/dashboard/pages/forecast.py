@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.work import plan_work
-from cucumbervision.dashboard import charts, parts, shared
+from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard.charts import class_name, day_name
 
 if TYPE_CHECKING:
@@ -19,11 +19,11 @@ __all__ = ["page"]
 
 def page() -> None:
     """Draw the page."""
-    one = parts.pick_round()
+    one = page_elements.pick_round()
     if one is None:
         st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
         return
-    found = shared.forecast_of(one)
+    found = resources.forecast_of(one)
     if not found.fruit:
         st.info(
             "Nothing to forecast: no fruit of this round is measured and still on the plant.",
@@ -60,7 +60,7 @@ def _days(found: Forecast) -> None:
 
 
 def _picks(found: Forecast) -> None:
-    units = shared.settings().units
+    units = resources.settings().units
     picks = pick_list(found)
     if not picks:
         st.info("No fruit is ready today.", icon=":material/shopping_basket:")
@@ -84,7 +84,7 @@ def _picks(found: Forecast) -> None:
         keys = [pick.fruit.fruit_id for pick in picks]
 
         def pick() -> None:
-            shared.store().pick(keys)
+            resources.store().pick(keys)
 
         mark, hint = st.columns([1, 2], vertical_alignment="center")
         mark.button(
@@ -97,7 +97,7 @@ def _picks(found: Forecast) -> None:
 
 
 def _work(found: Forecast) -> None:
-    now = shared.settings()
+    now = resources.settings()
     per_hour, per_row, per_crate = st.columns(3)
     rate = per_hour.number_input("Fruit picked in an hour", 1.0, 5000.0, now.fruit_per_hour, 10.0)
     minutes = per_row.number_input("Minutes for each row", 0.0, 120.0, now.minutes_per_row, 0.5)
@@ -110,7 +110,7 @@ def _work(found: Forecast) -> None:
         }
     )
     if chosen != now:
-        shared.save_settings(chosen)
+        resources.save_settings(chosen)
     lines = []
     for day in plan_work(found, chosen.rates):
         line = {

@@ -6,19 +6,20 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.dashboard import parts, shared
-from cucumbervision.dashboard.cloud import fruit_cloud
-from cucumbervision.dashboard.components import cloud, picture
-from cucumbervision.dashboard.jobs import JobState
-from cucumbervision.dashboard.lists import RoundLists, grade_name
-from cucumbervision.dashboard.measuring import stored_capture
-from cucumbervision.dashboard.picture import (
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.fruit_view import (
     as_data_url,
+    cloud,
     depth_picture,
+    fruit_cloud,
     fruit_layers,
+    picture,
     ruler_m,
     scale_bar,
 )
+from cucumbervision.dashboard.jobs import JobState
+from cucumbervision.dashboard.measuring import stored_capture
+from cucumbervision.dashboard.round_tables import RoundLists, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.store.views import Verdict
 
@@ -36,9 +37,9 @@ __all__ = ["show"]
 
 def show(one: RoundView, lists: RoundLists, key: str) -> None:
     """Draw a fruit in place of the list."""
-    detail = shared.fruit_detail(one, key)
+    detail = resources.fruit_detail(one, key)
     _head(lists, key)
-    left, right = parts.halves()
+    left, right = page_elements.halves()
     with right:
         _figures(lists, detail)
         _verdict(one, detail)
@@ -82,7 +83,7 @@ def _head(lists: RoundLists, key: str) -> None:
 def _figures(lists: RoundLists, detail: FruitDetail) -> None:
     record, units, found = (
         detail.view.record,
-        shared.settings().units,
+        resources.settings().units,
         lists.grades[detail.view.key],
     )
     between = None
@@ -112,7 +113,7 @@ def _figures(lists: RoundLists, detail: FruitDetail) -> None:
 
 
 def _verdict(one: RoundView, detail: FruitDetail) -> None:
-    key, now, store = detail.view.key, detail.view.verdict, shared.store()
+    key, now, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
     def judge(verdict: Verdict | None) -> None:
@@ -148,7 +149,7 @@ def _verdict(one: RoundView, detail: FruitDetail) -> None:
 
 def _undo(one: RoundView) -> None:
     try:
-        shared.store().undo(one.key)
+        resources.store().undo(one.key)
     except CucumberVisionError as error:
         st.session_state["undo_fault"] = str(error)
 
@@ -174,7 +175,7 @@ def _pictures(one: RoundView, detail: FruitDetail) -> None:
 @st.cache_resource(show_spinner=False, max_entries=6)
 def _loaded(key: str, sha256: str, _detail: object) -> Capture:
     del key, sha256
-    return stored_capture(shared.store().images, _detail.capture, _detail.stop)  # type: ignore[attr-defined]
+    return stored_capture(resources.store().images, _detail.capture, _detail.stop)  # type: ignore[attr-defined]
 
 
 def _capture(detail: FruitDetail) -> Capture:
@@ -184,7 +185,7 @@ def _capture(detail: FruitDetail) -> Capture:
 
 def _picture(one: RoundView, detail: FruitDetail, capture: Capture) -> None:
     depth, words = depth_picture(capture.depth_m)
-    record, units = detail.view.record, shared.settings().units
+    record, units = detail.view.record, resources.settings().units
     ruler = st.session_state.get("ruler")
     said = picture(
         f"fruit_{detail.view.key}",
@@ -218,7 +219,7 @@ def _correct(
     point: list[float] | None,
     box: list[float] | None,
 ) -> None:
-    options, measurer, store = shared.options(), shared.measurer(), shared.store()
+    options, measurer, store = resources.options(), resources.measurer(), resources.store()
     del one
 
     def work(job: Job) -> int:
@@ -232,15 +233,15 @@ def _correct(
         job.step()
         return measurer.correct(store, detail, mask, options)
 
-    st.session_state["correction"] = shared.worker().submit("Drawing the outline", work).number
+    st.session_state["correction"] = resources.worker().submit("Drawing the outline", work).number
 
 
 def _correction() -> None:
-    job = shared.worker().get(st.session_state.get("correction"))
+    job = resources.worker().get(st.session_state.get("correction"))
     if job is None:
         return
     if not job.finished.is_set():
-        parts.progress(job)
+        page_elements.progress(job)
     elif job.state is JobState.FAILED:
         st.warning(job.error, icon=":material/error:")
         st.session_state.pop("correction")
@@ -256,7 +257,7 @@ def _said(method: MethodRecord, record: FruitRecord) -> str:
 
 
 def _methods(detail: FruitDetail) -> None:
-    units, record = shared.settings().units, detail.view.record
+    units, record = resources.settings().units, detail.view.record
     lines = []
     for method in record.methods:
         own = method.measured_by is None

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision.dashboard import charts, parts, shared
-from cucumbervision.dashboard.lists import (
+from cucumbervision.dashboard import charts, page_elements, resources
+from cucumbervision.dashboard.pages import export
+from cucumbervision.dashboard.pages import fruit as fruit_page
+from cucumbervision.dashboard.round_tables import (
     RoundLists,
     grade_name,
     length_lines,
     method_lines,
     statistics,
 )
-from cucumbervision.dashboard.pages import export
-from cucumbervision.dashboard.pages import fruit as fruit_page
 from cucumbervision.store.views import FruitFilter, Verdict
 
 if TYPE_CHECKING:
@@ -40,11 +40,11 @@ class _Kept:
 
 def page() -> None:
     """Draw the page."""
-    one = parts.pick_round()
+    one = page_elements.pick_round()
     if one is None:
         st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
         return
-    lists = shared.lists_of(one)
+    lists = resources.lists_of(one)
     known = {view.key for view in lists.fruit}
     if st.session_state.get("fruit") in known:
         fruit_page.show(one, lists, st.session_state["fruit"])
@@ -65,7 +65,7 @@ def page() -> None:
 
 
 def _empty(one: RoundView) -> None:
-    if shared.worker().unfinished():
+    if resources.worker().unfinished():
         st.info("The first captures are being measured; their fruit appear here.")
     elif one.stops:
         st.info("No fruit was found at the stops of this round.", icon=":material/search_off:")
@@ -74,7 +74,7 @@ def _empty(one: RoundView) -> None:
 
 
 def _statistics(lists: RoundLists) -> None:
-    found, units = statistics(lists), shared.settings().units
+    found, units = statistics(lists), resources.settings().units
     spread = f"± {units.text(found['sd_m'])}" if found["sd_m"] else None
     first, second, third, fourth, fifth = st.columns(5)
     first.metric(
@@ -93,7 +93,7 @@ def _statistics(lists: RoundLists) -> None:
 
 
 def _filters(lists: RoundLists) -> _Kept:
-    units = shared.settings().units
+    units = resources.settings().units
     with st.expander("Filters", icon=":material/filter_alt:"):
         row, named, method, verdict = st.columns(4)
         rows = sorted({view.row for view in lists.fruit if view.row})
@@ -129,13 +129,14 @@ def _filters(lists: RoundLists) -> _Kept:
 
 
 def _charts(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
-    units = shared.settings().units
+    units = resources.settings().units
     lengths, methods = st.columns(2)
     if lines := length_lines(fruit, lists.grades, units):
         with lengths:
             st.markdown("**Lengths**: line at the mean, band of one standard deviation")
-            named = [name for name in parts.CLASSES if any(x["class"] == name for x in lines)]
-            extra = sorted({str(x["class"]) for x in lines} - set(named))
+            drawn = {str(x["class"]) for x in lines}
+            named = [name for name in page_elements.CLASSES if name in drawn]
+            extra = sorted(drawn - set(named))
             st.altair_chart(charts.histogram(lines, [*named, *extra], units))
     if lines := method_lines(lists, {view.key for view in fruit}, units):
         with methods:
@@ -144,6 +145,7 @@ def _charts(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
 
 
 def _table(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
+    units = resources.settings().units
     pages = -(-len(fruit) // LINES)
     number = min(int(st.session_state.get("list_page", 1)), pages)
     shown = fruit[(number - 1) * LINES : number * LINES]
@@ -160,7 +162,7 @@ def _table(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
         column_config={
             "Picture": st.column_config.ImageColumn("", width="small"),
             "Length": st.column_config.NumberColumn(
-                f"Length [{shared.settings().unit}]", format=f"%.{shared.settings().units.digits}f"
+                f"Length [{units.name}]", format=f"%.{units.digits}f"
             ),
         },
     )
@@ -178,20 +180,20 @@ def _merge(one: RoundView) -> None:
         "Merge views of the same fruit",
         icon=":material/join:",
         width="stretch",
-        on_click=shared.merge,
+        on_click=resources.merge,
         args=(one.key,),
     )
     hint.caption("Fruit that neighbouring stops both show then count once; what you did stands.")
-    job = next(iter(shared.worker().unfinished()), None)
-    if job is not shared.prepare():  # which the frame of all pages shows
-        parts.progress(job)
+    job = next(iter(resources.worker().unfinished()), None)
+    if job is not resources.prepare():  # which the frame of all pages shows
+        page_elements.progress(job)
 
 
 def _line(lists: RoundLists, view: FruitView) -> dict[str, Any]:
-    units, record = shared.settings().units, view.record
+    units, record = resources.settings().units, view.record
     low, high = units.value(record.interval_low_m), units.value(record.interval_high_m)
     return {
-        "Picture": parts.thumbnail_of(view),
+        "Picture": page_elements.thumbnail_of(view),
         "Length": units.value(record.length_m),
         "90 %": f"{low:.1f} to {high:.1f}" if low and high else "–",
         "Class": grade_name(lists.grades[view.key]),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import streamlit as st
 
-from cucumbervision.dashboard import charts, parts, shared
-from cucumbervision.dashboard.lists import map_lines
+from cucumbervision.dashboard import charts, page_elements, resources
+from cucumbervision.dashboard.round_tables import map_lines
 
 __all__ = ["page"]
 
@@ -14,11 +14,11 @@ ROWS_AT_ONCE = 4
 
 def page() -> None:
     """Draw the page."""
-    one = parts.pick_round()
+    one = page_elements.pick_round()
     if one is None:
         st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
         return
-    lists, units = shared.lists_of(one), shared.settings().units
+    lists, units = resources.lists_of(one), resources.settings().units
     lines = map_lines(lists.fruit, lists.grades, units)
     if not lines:
         st.info(
@@ -36,7 +36,7 @@ def page() -> None:
     if not lines:
         st.info("Choose a row.", icon=":material/map:")
         return
-    named = [name for name in parts.CLASSES if any(line["class"] == name for line in lines)]
+    named = [name for name in page_elements.CLASSES if any(line["class"] == name for line in lines)]
     others = sorted({str(line["class"]) for line in lines} - set(named))
     for row in [row for row in rows if row in shown]:
         st.markdown(f"**{row}**")

@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
-from cucumbervision.dashboard import shared
+from cucumbervision.dashboard import resources
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Length
 
@@ -29,19 +29,19 @@ def page() -> None:
     with measuring:
         _measuring()
     _models()
-    st.caption(f"Store: {shared.store().name}")
+    st.caption(f"Store: {resources.store().name}")
 
 
 def _keep(**update: object) -> None:
-    now = shared.settings()
+    now = resources.settings()
     chosen = type(now).model_validate({**now.model_dump(), **update})
     if chosen != now:
-        shared.save_settings(chosen)
+        resources.save_settings(chosen)
 
 
 def _crop() -> None:
     st.subheader("Crop and units")
-    now = shared.settings()
+    now = resources.settings()
     entries = {entry.name: entry for entry in profiles()}
     good = [name for name, entry in entries.items() if entry.profile is not None]
     name = st.selectbox(
@@ -74,7 +74,7 @@ def _crop() -> None:
 
 def _measuring() -> None:
     st.subheader("Measuring")
-    now = shared.settings()
+    now = resources.settings()
     lengths = list(Length)
     length = st.segmented_control(
         "Length that counts",
@@ -111,7 +111,7 @@ def _measuring() -> None:
 
 def _models() -> None:
     st.subheader("Networks")
-    registry = shared.registry()
+    registry = resources.registry()
     tasks = {
         "segment": "finds fruit",
         "pose": "finds their ends",

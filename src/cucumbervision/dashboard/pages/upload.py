@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.dashboard import parts, shared
+from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.intake.uploads import accept_uploads
@@ -41,7 +41,7 @@ KINDS = [
 
 def page() -> None:
     """Draw the page."""
-    one = parts.pick_round()
+    one = page_elements.pick_round()
     if one is None:
         st.info("Begin a round first: press 'New round'.", icon=":material/flag:")
         return
@@ -64,7 +64,7 @@ def page() -> None:
 
 
 def _measure(round_key: str, files: list[tuple[str, bytes]], spaced_m: float) -> None:
-    store, measurer, options = shared.store(), shared.measurer(), shared.options()
+    store, measurer, options = resources.store(), resources.measurer(), resources.options()
 
     def work(job: Job) -> int:
         job.total = len(files)
@@ -91,10 +91,10 @@ def _measure(round_key: str, files: list[tuple[str, bytes]], spaced_m: float) ->
                         job.notes.append(f"{capture.name}: {taken.note}")
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-        shared.merge(round_key)
+        resources.merge(round_key)
         return saved
 
-    st.session_state["upload_job"] = shared.worker().submit("Measuring the uploads", work).number
+    st.session_state["upload_job"] = resources.worker().submit("Measuring the uploads", work).number
 
 
 def _spot(own: Stop, number: int, spaced_m: float) -> Stop:
@@ -104,11 +104,11 @@ def _spot(own: Stop, number: int, spaced_m: float) -> Stop:
 
 
 def _progress() -> None:
-    job = shared.worker().get(st.session_state.get("upload_job"))
+    job = resources.worker().get(st.session_state.get("upload_job"))
     if job is None:
         return
     if not job.finished.is_set():
-        parts.progress(job)
+        page_elements.progress(job)
         return
     if job.state is JobState.FAILED:
         st.error(job.error, icon=":material/error:")

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import UploadError
-from cucumbervision.intake.headers import check_picture, picture_size
-from cucumbervision.intake.sniff import Kind, sniff
+from cucumbervision.intake.file_checks import Kind, check_picture, picture_size, sniff
 
 KINDS = {".png": Kind.PNG, ".jpg": Kind.JPEG, ".tif": Kind.TIFF, ".webp": Kind.WEBP}
 

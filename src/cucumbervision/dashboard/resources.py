@@ -11,21 +11,21 @@ import streamlit as st
 
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.dashboard.camera_feed import CameraFeed, Feed, Replay
 from cucumbervision.dashboard.jobs import Job, Worker
-from cucumbervision.dashboard.lists import RoundLists, read_lists, round_version
-from cucumbervision.dashboard.live import CameraFeed, Feed, Replay
 from cucumbervision.dashboard.measuring import Measurer
+from cucumbervision.dashboard.round_tables import RoundLists, read_lists, round_version
+from cucumbervision.dashboard.server import (
+    IMAGES_VARIABLE,
+    REPLAY_VARIABLE,
+    STORE_VARIABLE,
+    default_store,
+)
 from cucumbervision.dashboard.settings import (
     Settings,
     read_settings,
     settings_file,
     write_settings,
-)
-from cucumbervision.dashboard.variables import (
-    IMAGES_VARIABLE,
-    REPLAY_VARIABLE,
-    STORE_VARIABLE,
-    default_store,
 )
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
@@ -240,7 +240,7 @@ def capture_widths(stop_key: str) -> dict[str, int]:
 @st.cache_data(show_spinner=False, max_entries=400)
 def thumbnail(sha256: str, box: tuple[float, float, float, float], width_px: int) -> str:
     """Give a fruit's little picture as a data URL."""
-    from cucumbervision.dashboard.picture import as_data_url, crop
+    from cucumbervision.dashboard.fruit_view import as_data_url, crop
     from cucumbervision.store.records import FruitRecord, ImageRef
 
     small = store().images.read_color(ImageRef(sha256, ".jpg", 0, 0, 0))

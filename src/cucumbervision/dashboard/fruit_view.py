@@ -1,12 +1,14 @@
-"""One fruit's capture as a picture with layers, for the page to switch; a ruler on it."""
+"""One fruit drawn: its capture with switchable layers and a ruler, and its points in 3D."""
 
 from __future__ import annotations
 
 import base64
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
+import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.m1 import window_depths
@@ -17,18 +19,22 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.dashboard.units import Units
+    from cucumbervision.dashboard.settings import Units
     from cucumbervision.store.records import FruitRecord, MethodRecord
 
 __all__ = [
     "METHOD_COLORS",
     "as_data_url",
+    "cloud",
     "crop",
     "depth_picture",
+    "fruit_cloud",
     "fruit_layers",
     "mask_outline",
+    "picture",
     "ruler_m",
     "scale_bar",
+    "tube_rings",
 ]
 
 # Okabe and Ito's palette, told apart by colour-blind people too.
@@ -40,9 +46,13 @@ METHOD_COLORS = {
     "M5": "#0072B2",
     "M6": "#FFFFFF",
 }
+
 MASK_COLOR, KEYPOINT_COLOR, BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
+
 QUALITY = 85
+
 RULER_PX = 7
+
 BAR_M = {"cm": 0.10, "in": 0.1016}
 
 
@@ -163,7 +173,7 @@ def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dic
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision.dashboard.units import Units
+    >>> from cucumbervision.dashboard.settings import Units
     >>> scale_bar(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0), 0.5, Units("cm"))
     {'px': 120.0, 'label': '10 cm at 50 cm distance'}
     """
@@ -243,3 +253,208 @@ def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any
     line = {"kind": "line", "points": pixels.reshape(-1).tolist()}
     tips = [{"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1)]
     return [line, *tips]
+
+
+POINTS = 3500
+
+AROUND = 20  # points of a ring
+
+RINGS = 16
+
+MARGIN_PX = 12
+
+SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
+
+
+def fruit_cloud(capture: Capture, record: FruitRecord) -> dict[str, Any] | None:
+    """Give a fruit's points and its tube in millimetres about the fruit's middle.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    record : FruitRecord
+        The fruit, with mask and methods.
+
+    Returns
+    -------
+    dict or None
+        'points' (x, y, z after each other, whole millimetres), 'colors' ('#rrggbb' each),
+        'rings' and 'axis' (lines of such points); None where the fruit has no mask or no depth.
+    """
+    if record.mask is None:
+        return None
+    mask = decode_rle(record.mask, capture.height, capture.width)
+    inside = mask & valid_depth(capture.depth_m)
+    if not inside.any():
+        return None
+    middle_z = float(np.median(capture.depth_m[inside]))
+    points, colors = _points(capture, inside, np.inf, POINTS, middle_z)
+    near, near_colors = _points(capture, _around(mask) & ~mask, SLAB_M, POINTS // 3, middle_z)
+    middle = np.median(points, axis=0)
+    tube = next((m for m in record.methods if m.diameter_m), None)
+    rings: list[NDArray[np.float64]] = []
+    axis = np.zeros((0, 3))
+    if tube is not None:
+        axis = np.array(tube.path_m, np.float64)
+        rings = tube_rings(axis, np.array(tube.diameter_m, np.float64))
+    return {
+        "points": _mm(np.concatenate([points, near]) - middle),
+        "colors": [*_hex(colors), *_hex(near_colors // 2 + 90)],
+        "rings": [_mm(ring - middle) for ring in rings],
+        "axis": _mm(axis - middle) if len(axis) else [],
+    }
+
+
+def tube_rings(
+    axis_m: NDArray[np.float64], diameter_m: NDArray[np.float64], rings: int = RINGS
+) -> list[NDArray[np.float64]]:
+    """Give circles about an axis, as closed lines of points.
+
+    Parameters
+    ----------
+    axis_m : ndarray of float64, shape (K, 3)
+        The axis, metres.
+    diameter_m : ndarray of float64, shape (K,)
+        The diameter at each point.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (AROUND + 1, 3)
+
+    Examples
+    --------
+    >>> axis = np.stack([np.linspace(0, 0.2, 9), np.zeros(9), np.full(9, 0.5)], axis=1)
+    >>> rings = tube_rings(axis, np.full(9, 0.04), rings=3)
+    >>> len(rings), rings[1].shape, round(float(np.linalg.norm(rings[1][0] - axis[4])), 6)
+    (3, (21, 3), 0.02)
+    """
+    chosen = np.unique(np.linspace(0, len(axis_m) - 1, rings).round().astype(int))
+    ahead = np.gradient(axis_m, axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    turn = np.linspace(0, 2 * np.pi, AROUND + 1)[:, None]
+    found = []
+    for k in chosen.tolist():
+        # Any vector that is not along the axis serves to begin the circle.
+        start = np.eye(3)[np.argmin(np.abs(ahead[k]))]
+        one = np.cross(ahead[k], start)
+        one /= np.linalg.norm(one)
+        other = np.cross(ahead[k], one)
+        found.append(axis_m[k] + diameter_m[k] / 2 * (np.cos(turn) * one + np.sin(turn) * other))
+    return found
+
+
+def _around(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    ys, xs = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    box = np.zeros(mask.shape, bool)
+    box[
+        max(ys[0] - MARGIN_PX, 0) : ys[-1] + MARGIN_PX,
+        max(xs[0] - MARGIN_PX, 0) : xs[-1] + MARGIN_PX,
+    ] = True
+    return box
+
+
+def _points(
+    capture: Capture, where: NDArray[np.bool_], slab_m: float, most: int, middle_z: float
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    chosen = where & valid_depth(capture.depth_m)
+    if np.isfinite(slab_m):
+        chosen &= np.abs(capture.depth_m - middle_z) < slab_m
+    v, u = np.nonzero(chosen)
+    step = max(1, len(v) // most)
+    v, u = v[::step], u[::step]
+    z = capture.depth_m[v, u].astype(np.float64)
+    x, y = capture.intrinsics.rays(u.astype(np.float64), v.astype(np.float64))
+    return np.stack([x * z, y * z, z], axis=1), capture.color[v, u]
+
+
+def _mm(points_m: NDArray[np.float64]) -> list[float]:
+    values: list[float] = np.round(1000 * points_m, 1).reshape(-1).tolist()
+    return values
+
+
+def _hex(colors: NDArray[np.uint8]) -> list[str]:
+    return [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in colors.tolist()]
+
+
+_FILES = Path(__file__).with_name("static")
+
+
+def _component(name: str) -> Any:
+    def text(suffix: str) -> str:
+        return (_FILES / f"{name}.{suffix}").read_text(encoding="utf-8")
+
+    return st.components.v2.component(
+        f"cucumbervision_{name}", html=text("html"), css=text("css"), js=text("js")
+    )
+
+
+@st.cache_resource(show_spinner=False)
+def _components() -> dict[str, Any]:
+    return {name: _component(name) for name in ("picture", "cloud")}
+
+
+def picture(
+    key: str,
+    images: dict[str, str],
+    size_px: tuple[int, int],
+    *,
+    layers: list[dict[str, Any]] | None = None,
+    bar: dict[str, Any] | None = None,
+    tools: tuple[str, ...] = (),
+    ruler_text: str = "",
+    title: str = "",
+) -> Any:
+    """Show a picture.
+
+    Parameters
+    ----------
+    key : str
+        Its own.
+    images : dict of str to str
+        Data URLs by name; more than one can be switched.
+    size_px : tuple of int
+        Width and height that points are given in.
+    layers : list of dict
+        As `picture.fruit_layers` gives them; can be switched.
+    bar : dict
+        As `picture.scale_bar` gives it.
+    tools : tuple of str
+        Of 'ruler', 'point' and 'box'.
+    ruler_text : str
+        What is written on the ruler.
+    title : str
+        What the picture shows, for those who cannot see it.
+
+    Returns
+    -------
+    ComponentResult
+        `ruler`, `point` and `box`: the numbers that were drawn, once.
+    """
+    width, height = size_px
+    data = {
+        "images": images,
+        "width": width,
+        "height": height,
+        "layers": layers or [],
+        "bar": bar,
+        "tools": list(tools),
+        "rulerText": ruler_text,
+        "title": title,
+    }
+    return _components()["picture"](
+        key=key,
+        data=data,
+        on_ruler_change=_nothing,
+        on_point_change=_nothing,
+        on_box_change=_nothing,
+    )
+
+
+def cloud(key: str, data: dict[str, Any]) -> None:
+    """Show a cloud as `cloud.fruit_cloud` gives it."""
+    _components()["cloud"](key=key, data=data)
+
+
+def _nothing() -> None:
+    """Take part in no callback: the page reads the value itself."""

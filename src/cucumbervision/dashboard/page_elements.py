@@ -8,7 +8,7 @@ import streamlit as st
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.dashboard import shared
+from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.jobs import Job, JobState
 from cucumbervision.store.records import RoundRecord
 
@@ -90,7 +90,7 @@ def footer() -> None:
 
 def pick_round() -> RoundView | None:
     """Let a round be chosen, the newest first; None where there is none."""
-    rounds = {one.key: one for one in shared.store().rounds()}
+    rounds = {one.key: one for one in resources.store().rounds()}
     if st.session_state.get("round") not in rounds:
         st.session_state["round"] = next(iter(rounds), None)
     chosen, new = st.columns([4, 1], vertical_alignment="bottom")
@@ -121,9 +121,9 @@ def _new_round() -> None:
 
     def begin() -> None:
         record = RoundRecord(
-            name=name.strip(), house=house.strip(), profile=shared.settings().profile
+            name=name.strip(), house=house.strip(), profile=resources.settings().profile
         )
-        shared.store().save_round(record)
+        resources.store().save_round(record)
         st.session_state["round"] = record.key
 
     st.button("Begin this round", type="primary", width="stretch", on_click=begin)
@@ -151,6 +151,6 @@ def thumbnail_of(view: FruitView) -> str | None:
         return None
     record = view.record
     box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
-    return shared.thumbnail(
-        view.thumbnail.sha256, box, shared.capture_widths(view.stop_key)[view.capture]
+    return resources.thumbnail(
+        view.thumbnail.sha256, box, resources.capture_widths(view.stop_key)[view.capture]
     )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.grades import Grade
     from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.dashboard.units import Units
+    from cucumbervision.dashboard.settings import Units
     from cucumbervision.store.records import MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import FruitView, RoundView

@@ -9,7 +9,7 @@ import pytest
 from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.cameras.realsense import CameraConfig
 from cucumbervision.capture.frames import Stop
-from cucumbervision.dashboard.live import CameraFeed, Look, Replay
+from cucumbervision.dashboard.camera_feed import CameraFeed, Look, Replay
 from cucumbervision.errors import CameraError, CaptureError
 
 

@@ -1,0 +1,501 @@
+"""What a received file is, by its content, and whether it may stay."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import tokenize
+import zipfile
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
+
+from numpy.lib import format as npy
+
+from cucumbervision.errors import DepthError, UploadError
+from cucumbervision.intake.archives import ZIP_FAULTS, check_directory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path, PurePosixPath
+    from typing import NoReturn
+
+    from cucumbervision.intake.limits import Limits
+
+__all__ = [
+    "COLORS",
+    "DEPTHS",
+    "HEAD_BYTES",
+    "PICTURES",
+    "Item",
+    "Kind",
+    "check_item",
+    "check_npy",
+    "check_npz",
+    "check_picture",
+    "parse_json",
+    "picture_size",
+    "sniff",
+]
+
+HEAD_BYTES = 512
+
+_TEXT_CONTROLS = frozenset(range(32)) - {9, 10, 12, 13}
+
+
+class Kind(StrEnum):
+    """A file's kind; the value is the ending that it is kept under."""
+
+    PNG = ".png"
+    JPEG = ".jpg"
+    TIFF = ".tif"
+    WEBP = ".webp"
+    NPY = ".npy"
+    NPZ = ".npz"
+    ZIP = ".zip"
+    BAG = ".bag"
+    DB3 = ".db3"
+    JSON = ".json"
+    CSV = ".csv"
+    RAW = ".raw"
+
+
+PICTURES = frozenset({Kind.PNG, Kind.JPEG, Kind.TIFF, Kind.WEBP})
+
+_MAGIC = (
+    (b"\x89PNG\r\n\x1a\n", Kind.PNG),
+    (b"\xff\xd8\xff", Kind.JPEG),
+    (b"II*\x00", Kind.TIFF),
+    (b"MM\x00*", Kind.TIFF),
+    (b"\x93NUMPY", Kind.NPY),
+    (b"PK\x03\x04", Kind.ZIP),
+    (b"PK\x05\x06", Kind.ZIP),
+    (b"#ROSBAG V2.0\n", Kind.BAG),
+    (b"SQLite format 3\x00", Kind.DB3),
+)
+
+
+def sniff(head: bytes, name: str = "") -> Kind | None:
+    """Tell a file's kind from its first `HEAD_BYTES` bytes.
+
+    The name decides only where bytes cannot: an `.npz` is a zip, a text is JSON or a table, and
+    the 16-bit numbers of RealSense Viewer's `*_Depth.raw` have no head at all.
+
+    Parameters
+    ----------
+    head : bytes
+        The file's beginning.
+    name : str
+        What the sender calls it.
+
+    Returns
+    -------
+    Kind or None
+        None for what is not taken.
+
+    Examples
+    --------
+    >>> sniff(b"PK" + bytes((3, 4)) + b"rest of it", "depth.png")
+    <Kind.ZIP: '.zip'>
+    >>> sniff(b"MZ" + bytes(100), "depth.png") is None
+    True
+    """
+    lower = name.lower()
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            return Kind.NPZ if kind is Kind.ZIP and lower.endswith(".npz") else kind
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return Kind.WEBP
+    if lower.endswith("_depth.raw"):
+        return Kind.RAW
+    return _text_kind(head, lower)
+
+
+def _text_kind(head: bytes, lower: str) -> Kind | None:
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not text or not _TEXT_CONTROLS.isdisjoint(text):
+        return None
+    if text[:1] in (b"{", b"["):
+        return Kind.JSON
+    return Kind.CSV if lower.endswith(".csv") else None
+
+
+_SIDE = 65_500  # what JPEG can say; nothing that is a picture of fruit is wider
+
+_JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # markers without a length
+
+_JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+_SEGMENTS = 10_000
+
+_TIFF_SIDES = {256: "width", 257: "height", 322: "tile width", 323: "tile height"}
+
+_TIFF_BITS, _TIFF_SAMPLES, _TIFF_TYPES = 258, 277, {1: "B", 3: "H", 4: "I"}
+
+
+def check_picture(path: Path, kind: Kind, most_pixels: int, *, source: str) -> tuple[int, int]:
+    """Refuse a picture that is too large, or whose head is broken, without decoding it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : Kind
+        One of `sniff.PICTURES`.
+    most_pixels : int
+        Width times height at most.
+    source : str
+        The picture's name, for errors.
+
+    Returns
+    -------
+    (int, int)
+        Width and height.
+
+    Raises
+    ------
+    UploadError
+        If it is too large, or says no size.
+    """
+    try:
+        with path.open("rb") as stream:
+            width, height = picture_size(stream, kind)
+    except (struct.error, ValueError, IndexError, OverflowError):
+        raise UploadError(
+            "is damaged: its head tells no size", source=source, remedy="copy or export it again"
+        ) from None
+    if width * height > most_pixels:
+        raise UploadError(
+            f"has {width}x{height} pixels, more than {most_pixels / 1e6:g} million",
+            source=source,
+            remedy="send a smaller picture",
+        )
+    return width, height
+
+
+def picture_size(stream: BinaryIO, kind: Kind) -> tuple[int, int]:
+    r"""Read width and height from the head of a PNG, JPEG, TIFF or WebP.
+
+    Raises
+    ------
+    ValueError
+        If it says none, or one that cannot be; `struct.error` where it ends too early.
+
+    Notes
+    -----
+    PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. TIFF 6.0, section 2; only the first
+    picture is ever decoded, whose tiles must be within the limits too. WebP: RFC 9649, 2.
+
+    Examples
+    --------
+    >>> import io
+    >>> head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 640, 480) + bytes((8, 2))
+    >>> picture_size(io.BytesIO(head), Kind.PNG)
+    (640, 480)
+    """
+    readers: dict[Kind, Callable[[BinaryIO], tuple[int, int]]] = {
+        Kind.PNG: _png,
+        Kind.JPEG: _jpeg,
+        Kind.TIFF: _tiff,
+        Kind.WEBP: _webp,
+    }
+    width, height = readers[kind](stream)
+    if not (0 < width <= _SIDE and 0 < height <= _SIDE):
+        raise ValueError(f"a picture of {width}x{height}")
+    return width, height
+
+
+def _png(stream: BinaryIO) -> tuple[int, int]:
+    _, name, width, height, bits, color = struct.unpack(">I4sIIBB", stream.read(26)[8:])
+    if name != b"IHDR" or bits not in {1, 2, 4, 8, 16} or color not in {0, 2, 3, 4, 6}:
+        raise ValueError("no IHDR")
+    return width, height
+
+
+def _jpeg(stream: BinaryIO) -> tuple[int, int]:
+    stream.seek(2)
+    for _ in range(_SEGMENTS):
+        mark, code = stream.read(2)
+        while code == 0xFF:  # filling
+            code = stream.read(1)[0]
+        if mark != 0xFF or code in {0xD9, 0xDA}:
+            raise ValueError("no size before the pixels")
+        if code in _JPEG_ALONE:
+            continue
+        (length,) = struct.unpack(">H", stream.read(2))
+        if code in _JPEG_SIZES:
+            _, height, width = struct.unpack(">BHH", stream.read(5))
+            return width, height
+        stream.seek(length - 2, 1)
+    raise ValueError("too many segments")
+
+
+def _tiff(stream: BinaryIO) -> tuple[int, int]:
+    head = stream.read(8)
+    order = "<" if head[:2] == b"II" else ">"
+    stream.seek(struct.unpack(f"{order}I", head[4:])[0])
+    (count,) = struct.unpack(f"{order}H", stream.read(2))
+    sides = dict.fromkeys(_TIFF_SIDES, 1)
+    for _ in range(min(count, 200)):
+        tag, kind, values, data = struct.unpack(f"{order}HHI4s", stream.read(12))
+        if tag not in {*_TIFF_SIDES, _TIFF_BITS, _TIFF_SAMPLES} or values != 1:
+            continue
+        form = _TIFF_TYPES.get(kind, "?")
+        value = struct.unpack_from(f"{order}{form}", data)[0]
+        if tag in sides:
+            sides[tag] = int(value)
+        elif value > (64 if tag == _TIFF_BITS else 4):
+            raise ValueError("more bits or channels than a picture has")
+    width, height, tile_width, tile_height = sides.values()
+    if max(tile_width, tile_height) > max(4096, 2 * max(width, height)):
+        raise ValueError("tiles larger than the picture")
+    return width, height
+
+
+def _webp(stream: BinaryIO) -> tuple[int, int]:
+    head = stream.read(30)
+    if head[12:16] == b"VP8X":
+        return (
+            1 + int.from_bytes(head[24:27], "little"),
+            1 + int.from_bytes(head[27:30], "little"),
+        )
+    if head[12:16] == b"VP8L":
+        (bits,) = struct.unpack("<I", head[21:25])
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if head[12:16] == b"VP8 ":
+        width, height = struct.unpack("<HH", head[26:30])
+        return width & 0x3FFF, height & 0x3FFF
+    raise ValueError("no picture in it")
+
+
+_KINDS = frozenset("biufUS")
+
+_ITEM_BYTES = 8
+
+_ARRAYS = 16
+
+_HEAD_FAULTS = (
+    *(ValueError, TypeError, KeyError, SyntaxError, EOFError, OverflowError, RecursionError),
+    *(MemoryError, AttributeError, IndexError, tokenize.TokenError),
+)
+
+
+def check_npy(path: Path, limits: Limits, *, source: str) -> None:
+    """Refuse an `.npy` that holds objects, is too large, or is cut short; its data is not read.
+
+    Raises
+    ------
+    DepthError
+        If it holds Python objects, or is damaged.
+    UploadError
+        If it has more elements than a picture may have.
+    """
+    with path.open("rb") as stream:
+        _check_array(stream, path.stat().st_size, limits, source)
+
+
+def check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:
+    """Refuse an `.npz` for the same reasons; its members are unpacked once, to nowhere.
+
+    Returns
+    -------
+    frozenset of str
+        The names of its arrays.
+
+    Raises
+    ------
+    DepthError
+        If it holds Python objects, or is damaged.
+    UploadError
+        If it holds anything but arrays, too many or too large ones.
+    """
+    check_directory(path, _ARRAYS, source)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            for member in members:
+                if not member.filename.endswith(".npy") or "/" in member.filename:
+                    raise UploadError(
+                        "holds something that is no array",
+                        source=source,
+                        remedy="save it with numpy.savez",
+                    )
+                with archive.open(member) as stream:
+                    _check_array(stream, member.file_size, limits, source)
+                    while stream.read(1 << 20):  # to its end, where its checksum is compared
+                        pass
+    except ZIP_FAULTS:
+        raise _damaged(source) from None
+    if len(members) > _ARRAYS:
+        raise _too_many(source)
+    return frozenset(member.filename.removesuffix(".npy") for member in members)
+
+
+def _check_array(stream: IO[bytes], size: int, limits: Limits, source: str) -> None:
+    try:
+        version = npy.read_magic(stream)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        shape, _, dtype = read(stream, max_header_size=4000)
+        elements = math.prod(int(n) for n in shape)
+        right = all(n >= 0 for n in shape) and dtype.fields is None and dtype.subdtype is None
+    except _HEAD_FAULTS:
+        raise _damaged(source) from None
+    if dtype.hasobject:
+        raise DepthError(
+            "holds Python objects (pickle), which are never loaded",
+            source=source,
+            remedy="save the array as uint16 or float32 with numpy.save",
+        )
+    # A colour picture has three numbers a pixel.
+    if elements > 3 * limits.pixels or math.prod(shape[:2]) > limits.pixels:
+        raise UploadError(
+            f"an array has {elements:,} elements, more than a picture of "
+            f"{limits.pixels / 1e6:g} million pixels",
+            source=source,
+            remedy="send a smaller picture",
+        )
+    text_or_number = dtype.kind in _KINDS and (
+        dtype.itemsize <= _ITEM_BYTES or (dtype.kind in "US" and elements * dtype.itemsize < 10_000)
+    )
+    if not right or not text_or_number or size - stream.tell() != elements * dtype.itemsize:
+        raise _damaged(source)
+
+
+def _damaged(source: str) -> DepthError:
+    return DepthError(
+        "is truncated or no NumPy file of numbers",
+        source=source,
+        remedy="save the array as uint16 or float32 with numpy.save",
+    )
+
+
+def _too_many(source: str) -> UploadError:
+    return UploadError(
+        f"holds more than {_ARRAYS} arrays", source=source, remedy="send one capture in it"
+    )
+
+
+COLORS = frozenset({Kind.PNG, Kind.JPEG, Kind.TIFF})
+
+DEPTHS = frozenset({Kind.PNG, Kind.TIFF, Kind.NPY, Kind.NPZ})
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """A received file that passed its checks.
+
+    Parameters
+    ----------
+    name : PurePosixPath
+        What its sender calls it, inside its zip or batch; never used on the disk.
+    title : str
+        The same, fit to be shown.
+    path : Path
+        Where it lies, under a name of our own.
+    kind : Kind
+        What it is.
+    pixels : int
+        Of a picture: width times height.
+    arrays : frozenset of str
+        Of an `.npz`: its arrays.
+    document : object
+        Of a JSON file: what it holds.
+    """
+
+    name: PurePosixPath
+    title: str
+    path: Path
+    kind: Kind
+    pixels: int = 0
+    arrays: frozenset[str] = frozenset()
+    document: Any = None
+
+
+def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> Item:
+    """Find out what a file is, and refuse it where it is too large, damaged or unknown.
+
+    Raises
+    ------
+    UploadError
+        Of no known kind, too large, or damaged.
+    DepthError
+        For an array file that holds objects or is damaged.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        kind = sniff(stream.read(HEAD_BYTES), name.name)
+    if kind is None:
+        raise UploadError(
+            "the file is empty" if not size else "is of no kind that is taken",
+            source=title,
+            remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
+            "them",
+        )
+    if kind is Kind.WEBP:
+        check_picture(path, kind, limits.pixels, source=title)
+        raise UploadError(
+            "WebP pictures are not measured", source=title, remedy="save it as PNG or JPEG"
+        )
+    if kind in PICTURES:
+        width, height = check_picture(path, kind, limits.pixels, source=title)
+        return Item(name, title, path, kind, pixels=width * height)
+    if kind is Kind.NPY:
+        check_npy(path, limits, source=title)
+    elif kind is Kind.NPZ:
+        return Item(name, title, path, kind, arrays=check_npz(path, limits, source=title))
+    elif kind in {Kind.JSON, Kind.CSV}:
+        return Item(name, title, path, kind, document=_text(path, kind, size, limits, title))
+    elif kind is Kind.RAW and size > 2 * limits.pixels:
+        raise UploadError(
+            f"has more than {limits.pixels / 1e6:g} million pixels",
+            source=title,
+            remedy="send a smaller picture",
+        )
+    return Item(name, title, path, kind)
+
+
+def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
+    if size > limits.text_bytes:
+        raise UploadError(
+            f"has more than {limits.text_bytes / 1e6:g} MB of text",
+            source=title,
+            remedy="send a smaller file",
+        )
+    data = path.read_bytes()
+    if kind is Kind.JSON:
+        return parse_json(data, source=title)
+    try:
+        data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise UploadError(
+            "is no text in UTF-8", source=title, remedy="save the table as UTF-8"
+        ) from None
+    return None
+
+
+def parse_json(data: bytes, *, source: str) -> Any:
+    """Read JSON from a stranger: strictly, and without numbers that are none.
+
+    Raises
+    ------
+    UploadError
+        If it is none, is nested too deeply, or holds NaN or Infinity.
+
+    Examples
+    --------
+    >>> parse_json(b'{"stop": {"row": NaN}}', source="capture.json")
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.UploadError: capture.json: is no JSON; correct or export it again
+    """
+    try:
+        return json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        raise UploadError(
+            "is no JSON", source=source, remedy="correct or export it again"
+        ) from None
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number")

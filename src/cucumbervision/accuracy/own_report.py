@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import platform
 from dataclasses import asdict
@@ -9,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.accuracy.records import append_record
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.benchmark.records import append_record
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,8 +38,7 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
     MissingExtraError
         If what draws the page is not installed; scores and records are written before it.
     """
-    from cucumbervision.pipeline.exports import write_json
-    from cucumbervision_lab.benchmark.report import SUMMARY, write_report
+    from cucumbervision.accuracy.report import SUMMARY, write_report
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -48,10 +48,9 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
         provenance = _provenance(measured, truth)
         floor = found.floor and asdict(found.floor)
         scores = [_plain(asdict(one)) for one in found.scores]
-        write_json(
-            out / SCORES,
-            {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores},
-        )
+        head = {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores}
+        text = json.dumps(head, indent=1, ensure_ascii=False)
+        (out / SCORES).write_text(text + "\n", encoding="utf-8")
         write_report(
             found.records,
             out,

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.accuracy.measured import REPORTED, Reading
+from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.accuracy.statistics import Metrics, bootstrap_mean, percent_errors, score
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.errors import TruthError
 from cucumbervision.measurement.result import Length
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

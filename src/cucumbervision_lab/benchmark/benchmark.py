@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
+from cucumbervision.accuracy.records import Masks
 from cucumbervision.measurement.intervals import shipped_book, write_book
 from cucumbervision_lab.benchmark import experiments
 from cucumbervision_lab.benchmark.interval_fit import fit_book, with_intervals
 from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.protocol import paper_cases, stress_cases, validation_cases
-from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.benchmark.runner import run_cases
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from cucumbervision.accuracy.records import Record
+    from cucumbervision.accuracy.table import Table
     from cucumbervision.measurement.intervals import IntervalBook
     from cucumbervision_lab.benchmark.protocol import Case
-    from cucumbervision_lab.benchmark.records import Record
-    from cucumbervision_lab.benchmark.table import Table
 
 __all__ = ["BenchmarkPlan", "learn_intervals", "plan_cases", "run_benchmark"]
 

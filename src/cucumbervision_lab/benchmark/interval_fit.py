@@ -18,7 +18,7 @@ from cucumbervision.measurement.intervals import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision_lab.benchmark.records import Record
+    from cucumbervision.accuracy.records import Record
 
 __all__ = ["KEYS", "fit_book", "record_features", "record_truth_m", "with_intervals"]
 

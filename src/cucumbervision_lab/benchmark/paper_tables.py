@@ -6,22 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.sections import Section
 from cucumbervision.accuracy.statistics import bootstrap_mean, score
-from cucumbervision_lab.benchmark.paper import PAPER_BENCHMARK, PAPER_VALIDATION
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
-from cucumbervision_lab.benchmark.table import Cell, Column, Table
-from cucumbervision_lab.benchmark.tables import (
+from cucumbervision.accuracy.table import Cell, Column, Table
+from cucumbervision.accuracy.tables import (
     PAPER_METHODS,
     Truth,
     length_and_error,
     readings,
     span_text,
 )
+from cucumbervision_lab.benchmark.paper import PAPER_BENCHMARK, PAPER_VALIDATION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["paper_table", "paper_validation_table"]
+__all__ = ["paper_sections", "paper_table", "paper_validation_table"]
 
 
 def paper_validation_table() -> Table:
@@ -114,3 +115,23 @@ def _here(records: Sequence[Record], method: str, masks: Masks) -> list[tuple[Ce
         found.r2,
     )
     return [(method, f"here, {masks} outlines", *errors)]
+
+
+def paper_sections(records: Sequence[Record], note: str) -> list[Section]:
+    """Return the section that puts the paper's figures beside these; none without its protocol.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of any suites.
+    note : str
+        What to say first, paragraphs parted by an empty line.
+    """
+    beside = paper_table(records)
+    if beside is None:
+        return []
+    entries = [beside]
+    if any(r.suite is Suite.VALIDATION for r in records):
+        entries.append(paper_validation_table())
+    intro = tuple(note.split("\n\n")) if note else ()
+    return [Section("Beside the paper", intro, tuple(entries))]

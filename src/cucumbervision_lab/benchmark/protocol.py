@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.accuracy.records import Suite
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.benchmark.records import Suite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

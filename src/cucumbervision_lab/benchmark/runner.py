@@ -10,17 +10,17 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from cucumbervision._version import __version__
+from cucumbervision.accuracy.records import Masks, append_record, read_records
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.benchmark.records import Masks, append_record, read_records
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from cucumbervision.accuracy.records import Record
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision_lab.benchmark.measure_case import CaseOptions
     from cucumbervision_lab.benchmark.protocol import Case
-    from cucumbervision_lab.benchmark.records import Record
 
 __all__ = ["run_cases"]
 

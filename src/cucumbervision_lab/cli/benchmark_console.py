@@ -17,15 +17,15 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from cucumbervision.accuracy.records import Masks, Suite
+from cucumbervision.accuracy.tables import Truth, method_rows
 from cucumbervision_lab.benchmark import benchmark
-from cucumbervision_lab.benchmark.records import Masks, Suite
-from cucumbervision_lab.benchmark.tables import Truth, method_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from cucumbervision_lab.benchmark.records import Record
+    from cucumbervision.accuracy.records import Record
 
 __all__ = ["learn", "progress", "run_and_report", "summary_tables"]
 
@@ -40,15 +40,19 @@ def run_and_report(plan: benchmark.BenchmarkPlan, out: Path) -> None:
     for table in summary_tables(records):
         console.print(table)
     if not plan.quick:
+        from cucumbervision.accuracy.report import write_report
+        from cucumbervision.accuracy.sections import Section
         from cucumbervision_lab.benchmark.benchmark_notes import NOTES
-        from cucumbervision_lab.benchmark.report import write_report
+        from cucumbervision_lab.benchmark.paper_tables import paper_sections
 
+        tables = tuple(experiments.values())
         written = write_report(
             records,
             out,
             title="CucumberVision benchmark",
-            notes=NOTES,
-            experiments=experiments,
+            notes={"summary": NOTES["summary"]},
+            before=paper_sections(records, NOTES["paper"]),
+            after=[Section("Experiments", (), tables)] if tables else [],
             provenance=benchmark.provenance(plan),
         )
         console.print(f"The report is {written}", soft_wrap=True, markup=False)

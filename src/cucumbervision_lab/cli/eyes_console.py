@@ -15,7 +15,7 @@ from cucumbervision_lab.detection.summary import summarise
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cucumbervision_lab.benchmark.table import Table as Figures
+    from cucumbervision.accuracy.table import Table as Figures
     from cucumbervision_lab.detection.run import EyesPlan
 
 __all__ = ["evaluate_models_and_show", "shown"]

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.accuracy.statistics import score
+from cucumbervision.accuracy.tables import Truth, methods_against, readings, truth_m
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import Selector, choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
 from cucumbervision.perception.masks import decode_rle
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
-from cucumbervision_lab.benchmark.tables import Truth, methods_against, readings, truth_m
 from cucumbervision_lab.detection.estimates import Estimate, estimate
 
 if TYPE_CHECKING:

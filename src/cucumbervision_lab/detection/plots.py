@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision_lab.benchmark.plots import as_png, new_figure
+from cucumbervision.accuracy.plots import as_png, new_figure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

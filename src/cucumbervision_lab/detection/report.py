@@ -11,11 +11,11 @@ import numpy as np
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
+from cucumbervision.accuracy.report import HTML_NAME, render_page
+from cucumbervision.accuracy.sections import Picture, Section
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.exports import write_json
 from cucumbervision.pipeline.rows import defused
-from cucumbervision_lab.benchmark.report import HTML_NAME, render_page
-from cucumbervision_lab.benchmark.sections import Picture, Section
 from cucumbervision_lab.detection import plots
 from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.overlaps import OverlapRow
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision_lab.benchmark.records import Record
-    from cucumbervision_lab.benchmark.table import Table
+    from cucumbervision.accuracy.records import Record
+    from cucumbervision.accuracy.table import Table
     from cucumbervision_lab.detection.groups import GroupScore
     from cucumbervision_lab.detection.lengths import LengthScore
     from cucumbervision_lab.detection.photos import PhotoResult

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.accuracy.records import Record
     from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.instances import Instance
-    from cucumbervision_lab.benchmark.records import Record
     from cucumbervision_lab.datasets.labels import LabelledPicture
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision_lab.benchmark.tables import Truth
+from cucumbervision.accuracy.tables import Truth
 from cucumbervision_lab.detection.average_precision import (
     AveragePrecision,
     Judged,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from cucumbervision_lab.benchmark.records import Masks
-from cucumbervision_lab.benchmark.table import Cell, Column, Table
-from cucumbervision_lab.benchmark.tables import DESCRIPTIONS
+from cucumbervision.accuracy.records import Masks
+from cucumbervision.accuracy.table import Cell, Column, Table
+from cucumbervision.accuracy.tables import DESCRIPTIONS
 from cucumbervision_lab.detection.average_precision import OKS_SIGMA, Judged
 from cucumbervision_lab.detection.pictures import Stage
 

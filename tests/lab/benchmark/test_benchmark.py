@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.accuracy.statistics import score
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.benchmark.benchmark import BenchmarkPlan, plan_cases, run_benchmark
@@ -19,7 +20,6 @@ from cucumbervision_lab.benchmark.protocol import (
     stress_cases,
     validation_cases,
 )
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
 from cucumbervision_lab.benchmark.runner import run_cases
 from cucumbervision_lab.benchmark.simulate import build_fruit, simulate
 

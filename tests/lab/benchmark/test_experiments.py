@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision_lab.benchmark.experiments import (
     burst_sizes,
     carrot_intrinsics,
@@ -14,7 +15,6 @@ from cucumbervision_lab.benchmark.experiments import (
     selectors,
     wrong_intrinsics,
 )
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
 
 
 def record(**changes: object) -> Record:

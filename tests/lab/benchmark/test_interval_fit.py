@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.measurement.intervals import TUBE_FEATURES
 from cucumbervision_lab.benchmark.interval_fit import (
     KEYS,
@@ -13,7 +14,6 @@ from cucumbervision_lab.benchmark.interval_fit import (
     record_truth_m,
     with_intervals,
 )
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
 
 
 def drawn(count: int, seed: int) -> list[Record]:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from cucumbervision.accuracy.statistics import score
-from cucumbervision_lab.benchmark import plots
-from cucumbervision_lab.benchmark.groups import (
+from cucumbervision.accuracy import plots
+from cucumbervision.accuracy.groups import (
     coverage_rows,
     coverage_table,
     factors_of,
     group_table,
 )
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
-from cucumbervision_lab.benchmark.table import Cell, Column, Table
-from cucumbervision_lab.benchmark.tables import (
+from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.statistics import score
+from cucumbervision.accuracy.table import Cell, Column, Table
+from cucumbervision.accuracy.tables import (
     Truth,
     accuracy_table,
     comparison_table,

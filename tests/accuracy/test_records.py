@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.benchmark.records import (
+from cucumbervision.accuracy.records import (
     Masks,
     Record,
     Suite,
     append_record,
     read_records,
 )
+from cucumbervision.errors import CucumberVisionError
 
 ONE = Record(
     "a", Suite.STRESS, Masks.DISTURBED, "f1", 0.2, None, 0.19, 0.5, 12.0, 0.3, 0.1, 0.97,

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from cucumbervision_lab.benchmark.table import Column, Table
+from cucumbervision.accuracy.table import Column, Table
 
 
 def test_a_row_with_a_cell_too_few_is_refused() -> None:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.accuracy.statistics import Metrics, bootstrap_mean, compare, score
-from cucumbervision_lab.benchmark.table import Cell, Column, Table
+from cucumbervision.accuracy.table import Cell, Column, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.benchmark.records import Record
+    from cucumbervision.accuracy.records import Record
 
 __all__ = [
     "DESCRIPTIONS",
@@ -153,7 +153,7 @@ def methods_against(records: Sequence[Record], truth: Truth) -> list[str]:
 
     Examples
     --------
-    >>> from cucumbervision_lab.benchmark.records import Masks, Record, Suite
+    >>> from cucumbervision.accuracy.records import Masks, Record, Suite
     >>> read = {"M6": 0.2, "M1": 0.1, "M6 thread": 0.2, "oracle": 0.2}
     >>> where = dict(distance_m=0.5, tilt_deg=0.0, bend_radius_m=None, hidden_share=0.0, fill=1.0)
     >>> one = Record("a", Suite.PAPER, Masks.EXACT, "f", 0.2, 0.22, None, lengths_m=read, **where)

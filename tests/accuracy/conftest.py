@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
+from cucumbervision.accuracy.records import Masks, Record, Suite
 
 
 class MakeRecord(Protocol):

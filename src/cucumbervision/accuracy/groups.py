@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.accuracy.records import Record
 from cucumbervision.accuracy.statistics import binomial_interval
-from cucumbervision_lab.benchmark.records import Record
-from cucumbervision_lab.benchmark.table import Cell, Column, Table
-from cucumbervision_lab.benchmark.tables import Truth, methods_against, readings, truth_m
+from cucumbervision.accuracy.table import Cell, Column, Table
+from cucumbervision.accuracy.tables import Truth, methods_against, readings, truth_m
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

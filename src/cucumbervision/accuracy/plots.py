@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.accuracy.tables import Truth, is_scored, methods_against, readings, truth_m
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.benchmark.tables import Truth, is_scored, methods_against, readings, truth_m
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.benchmark.groups import CoverageRow
-    from cucumbervision_lab.benchmark.records import Record
+    from cucumbervision.accuracy.groups import CoverageRow
+    from cucumbervision.accuracy.records import Record
 
 __all__ = [
     "as_png",
@@ -283,7 +283,7 @@ def new_figure(height_in: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        raise MissingExtraError("matplotlib", "benchmark") from None
+        raise MissingExtraError("matplotlib", "report") from None
     return Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
 
 

@@ -7,17 +7,17 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision_lab.benchmark.groups import CoverageRow
-from cucumbervision_lab.benchmark.records import Record
-from cucumbervision_lab.benchmark.tables import Truth
+from cucumbervision.accuracy.groups import CoverageRow
+from cucumbervision.accuracy.records import Record
+from cucumbervision.accuracy.tables import Truth
 
 pytest.importorskip("matplotlib")
 
-from cucumbervision_lab.benchmark import plots
+from cucumbervision.accuracy import plots
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from tests.lab.benchmark.conftest import MakeRecord
+    from tests.accuracy.conftest import MakeRecord
 
 Plot = Callable[[Sequence[Record], Truth], bytes]
 # Three hues that no other of these methods, nor text or grid, has.

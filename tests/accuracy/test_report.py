@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any
 
@@ -11,31 +11,23 @@ import numpy as np
 import pytest
 
 from cucumbervision.about import source_offer
+from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision_lab.benchmark.records import Masks, Record, Suite
-from cucumbervision_lab.benchmark.table import Table
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
-from cucumbervision_lab.benchmark.report import HTML_NAME, JSON_NAME, write_report
+from cucumbervision.accuracy.report import HTML_NAME, JSON_NAME, write_report
+from cucumbervision.accuracy.sections import Section
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tests.lab.benchmark.conftest import MakeRecord
+    from tests.accuracy.conftest import MakeRecord
 
+BURST = Table.of("Burst size", ["frames", "MAPE (%)"], [[1, 0.75]], "Few help.")
 EVIL = "<script>alert('x')</script> & co"
-
-
-@dataclass(frozen=True)
-class Plain:
-    """An experiment that is no `Table`."""
-
-    title: str
-    comment: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str | float, ...], ...]
 
 
 class Page(HTMLParser):
@@ -105,11 +97,9 @@ def written(make_record: MakeRecord, folder: Path) -> tuple[Page, dict[str, Any]
             records_of(make_record),
             folder,
             title="Benchmark",
-            notes={"summary": "First.\n\nSecond.", "paper": "Why M5 differs.", "Beware": EVIL},
-            experiments={
-                "burst": Table.of("Burst size", ["frames", "MAPE (%)"], [[1, 0.75]], "Few help."),
-                "plain": Plain("Plain one", "", ("a", "b (%)"), (("x", 1.25),)),
-            },
+            notes={"summary": "First.\n\nSecond.", "Beware": EVIL},
+            before=[Section("Beside the paper", ("Why M5 differs.",), (BURST,))],
+            after=[Section("Experiments", (), (replace(BURST, title="Burst size, again"),))],
             provenance={"seed": 7, "models": [], "versions": {"numpy": "2"}, "quick": False},
         )
     page = Page()
@@ -145,18 +135,18 @@ def test_the_parts_stand_in_order(written: tuple[Page, dict[str, Any]]) -> None:
         "At a glance",
         "How to read this",
         "Beside the paper",
+        "Burst size",
         "The paper's protocol, exact outlines",
         "The five validation fruit, exact outlines",
         "The stress set, outlines disturbed by 1.5 px",
         "Experiments",
-        "Burst size",
-        "Plain one",
+        "Burst size, again",
         "Where the numbers come from",
     ]
     heads = [head for head in re.split(r"\n", "\n".join(page.heads)) if head in wanted]
     assert list(dict.fromkeys(heads)) == wanted
     assert [section["title"] for section in numbers["sections"]] == [
-        *("Beside the paper", *wanted[4:8])
+        *("Beside the paper", *wanted[5:9])
     ]
 
 
@@ -179,7 +169,7 @@ def test_json_holds_what_the_page_shows(written: tuple[Page, dict[str, Any]]) ->
     assert m5["captures"] == 12
     assert m5["fruit"] == 4
     assert f"{m5['MAPE (%)']:.2f}" in page.text
-    assert tables["Experiments", "Burst size"] == [{"frames": 1, "MAPE (%)": 0.75}]
+    assert tables["Experiments", "Burst size, again"] == [{"frames": 1, "MAPE (%)": 0.75}]
     assert (
         "The stress set, outlines disturbed by 1.5 px",
         "By tilt (°), against the centreline",
@@ -233,6 +223,6 @@ def test_without_its_packages_the_report_says_what_to_install(
     package: str, make_record: MakeRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
+    with pytest.raises(MissingExtraError, match=r"cucumbervision\[report\]"):
         write_report([make_record(lengths_m={"M1": 0.2})], tmp_path / "out", title="x")
     assert not (tmp_path / "out").exists()

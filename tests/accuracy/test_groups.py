@@ -4,16 +4,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision_lab.benchmark.groups import (
+from cucumbervision.accuracy.groups import (
     coverage_rows,
     coverage_table,
     factors_of,
     group_table,
 )
-from cucumbervision_lab.benchmark.tables import Truth
+from cucumbervision.accuracy.tables import Truth
 
 if TYPE_CHECKING:
-    from tests.lab.benchmark.conftest import MakeRecord
+    from tests.accuracy.conftest import MakeRecord
 
 
 def test_bounds_belong_to_the_upper_group_and_the_last_is_closed(make_record: MakeRecord) -> None:

@@ -6,55 +6,31 @@ import base64
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.about import LICENCE, installed_versions, source_offer
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision_lab.benchmark.paper_tables import paper_table, paper_validation_table
-from cucumbervision_lab.benchmark.records import Record, Suite
-from cucumbervision_lab.benchmark.sections import (
+from cucumbervision.accuracy.sections import (
     GLOSSARY,
     Picture,
     Section,
     glance_table,
     record_sections,
 )
-from cucumbervision_lab.benchmark.table import Table
+from cucumbervision.accuracy.table import Table
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from jinja2 import Template
 
-__all__ = ["HTML_NAME", "JSON_NAME", "SUMMARY", "TableLike", "render_page", "write_report"]
+    from cucumbervision.accuracy.records import Record
+
+__all__ = ["HTML_NAME", "JSON_NAME", "SUMMARY", "render_page", "write_report"]
 
 HTML_NAME = "report.html"
 JSON_NAME = "benchmark.json"
-SUMMARY, PAPER = "summary", "paper"  # notes that stand at the top, and at the paper's figures
-
-
-class TableLike(Protocol):
-    """What the report needs of an experiment: a `Table`, or anything with these four."""
-
-    @property
-    def title(self) -> str:
-        """What it shows."""
-        ...
-
-    @property
-    def comment(self) -> str:
-        """How to read it."""
-        ...
-
-    @property
-    def columns(self) -> Sequence[Any]:
-        """Heads with units."""
-        ...
-
-    @property
-    def rows(self) -> Sequence[Sequence[Any]]:
-        """Texts and numbers."""
-        ...
+SUMMARY = "summary"  # the note that stands at the top
 
 
 def write_report(
@@ -63,7 +39,8 @@ def write_report(
     *,
     title: str,
     notes: Mapping[str, str] | Sequence[str] | None = None,
-    experiments: Mapping[str, TableLike] | None = None,
+    before: Sequence[Section] = (),
+    after: Sequence[Section] = (),
     provenance: Mapping[str, object] | None = None,
     level: float = 0.9,
 ) -> Path:
@@ -79,10 +56,9 @@ def write_report(
         The page's head.
     notes : mapping of str to str, or sequence of str, optional
         Plain texts (a sequence: the summary's paragraphs), paragraphs parted by an empty line:
-        'summary' stands at the top, 'paper' at the paper's figures, any other under its key as
-        head, at the top.
-    experiments : mapping of str to TableLike, optional
-        Further tables.
+        'summary' stands at the top, any other under its key as head, below it.
+    before, after : sequence of Section
+        Further sections before and after those of the records.
     provenance : mapping of str to object, optional
         How the numbers came about: seeds, versions, machine, duration.
     level : float
@@ -107,16 +83,11 @@ def write_report(
     texts = (
         dict(notes or {}) if isinstance(notes, Mapping | None) else {SUMMARY: "\n\n".join(notes)}
     )
-    said = dict(texts)
-    sections = [
-        *_paper_sections(records, said.pop(PAPER, "")),
-        *record_sections(records, level),
-        *_experiment_sections(experiments or {}),
-    ]
+    sections = [*before, *record_sections(records, level), *after]
     origin = {name: _plain_text(value) for name, value in (provenance or {}).items()}
     origin.setdefault("versions", _plain_text(installed_versions()))
     glance = glance_table(records)
-    page = render_page(title, _ordered(said), glance, sections, origin)
+    page = render_page(title, _ordered(texts), glance, sections, origin)
     out.mkdir(parents=True, exist_ok=True)
     numbers = {
         "title": title,
@@ -180,28 +151,6 @@ def render_page(
     )
 
 
-def _paper_sections(records: Sequence[Record], note: str) -> list[Section]:
-    beside = paper_table(records)
-    if beside is None:
-        return []
-    entries: list[Table | Picture] = [beside]
-    if any(r.suite is Suite.VALIDATION for r in records):
-        entries.append(paper_validation_table())
-    intro = tuple(note.split("\n\n")) if note else ()
-    return [Section("Beside the paper", intro, tuple(entries))]
-
-
-def _experiment_sections(experiments: Mapping[str, TableLike]) -> list[Section]:
-    tables = tuple(_as_table(one) for one in experiments.values())
-    return [Section("Experiments", (), tables)] if tables else []
-
-
-def _as_table(one: TableLike) -> Table:
-    if isinstance(one, Table):
-        return one
-    return Table.of(one.title, one.columns, one.rows, one.comment)
-
-
 def _ordered(notes: dict[str, str]) -> list[tuple[str, str]]:
     first = [("", notes[SUMMARY])] if SUMMARY in notes else []
     return first + [(head, text) for head, text in notes.items() if head != SUMMARY]
@@ -256,9 +205,9 @@ def _template() -> Template:
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ModuleNotFoundError:
-        raise MissingExtraError("jinja2", "benchmark") from None
+        raise MissingExtraError("jinja2", "report") from None
     environment = Environment(
-        loader=PackageLoader("cucumbervision_lab.benchmark", "templates"),
+        loader=PackageLoader("cucumbervision.accuracy", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -4,10 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision_lab.benchmark.paper_tables import paper_table, paper_validation_table
-from cucumbervision_lab.benchmark.records import Masks, Suite
-from cucumbervision_lab.benchmark.table import Cell, Table
-from cucumbervision_lab.benchmark.tables import (
+from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.accuracy.tables import (
     Truth,
     accuracy_table,
     comparison_table,
@@ -17,7 +15,7 @@ from cucumbervision_lab.benchmark.tables import (
 )
 
 if TYPE_CHECKING:
-    from tests.lab.benchmark.conftest import MakeRecord
+    from tests.accuracy.conftest import MakeRecord
 
 
 def cell(table: Table, row: str, head: str) -> Cell:
@@ -143,32 +141,3 @@ def test_validation_reads_as_in_the_paper(make_record: MakeRecord) -> None:
     ]
     assert cell(table, "MAE (cm)", "M1 (cm)") == pytest.approx((0.11 + 0.5) / 2)
     assert cell(table, "MAPE (%)", "M5 (cm)") == pytest.approx(50.0)
-
-
-def test_the_papers_own_rows_give_its_own_means() -> None:
-    # The paper prints MAE 2.52, 0.95, 1.24, 1.31 and MAPE 9.41, 4.58, 6.45, 7.21.
-    table = paper_validation_table()
-    assert table.text_rows()[-2][2:] == ["2.52", "0.95", "1.24", "1.31"]
-    assert table.text_rows()[-1][2:] == ["9.41", "4.58", "6.45", "7.21"]
-    assert not any("M5" in column.head for column in table.columns)
-
-
-def test_the_paper_stands_beside_its_protocol_alone(make_record: MakeRecord) -> None:
-    stress = make_record(suite=Suite.STRESS, lengths_m={"M1": 0.11})
-    assert paper_table([stress]) is None
-    disturbed = make_record(masks=Masks.DISTURBED, lengths_m={"M1": 0.11, "M6 thread": 0.22})
-    table = paper_table([stress, disturbed])
-    assert table is not None
-    rows = {(row[0], row[1]): row[2:] for row in table.rows}
-    # Half of 22 cm: 11 cm, 50 %. One truth only has no R².
-    here = rows["M1", "here, disturbed outlines"]
-    assert here[:3] == pytest.approx((11.0, 11.0, 50.0))
-    assert here[3] == "50.00 to 50.00"
-    assert here[4] == pytest.approx(11.0)
-    assert rows["M1", "the paper"][:3] == (1.63, 2.26, 9.68)
-    assert rows["M2", "the paper"] == (0.83, 1.12, 5.31, "3.97 to 6.60", 0.59, 0.95)
-    assert ("M5", "here, disturbed outlines") not in rows
-    assert ("M6 thread", "the paper") not in rows
-    # Intervals that contradict themselves are not passed on.
-    assert rows["M1", "the paper"][3] is None
-    assert rows["M5", "the paper"][3] is None

@@ -4,12 +4,12 @@ The public names; each is loaded when it is first used.
 
 Examples
 --------
->>> import cucumbervision as cv
+>>> import cucumbervision
 >>> from cucumbervision.capture.bundled import bundled_captures
->>> ref = next(iter(cv.open_source(bundled_captures())))
+>>> ref = next(iter(cucumbervision.open_source(bundled_captures())))
 >>> capture = ref.load()
->>> instances = cv.dataset_instances(capture)
->>> fruit = cv.measure_fruit(capture, instances[0])
+>>> instances = cucumbervision.dataset_instances(capture)
+>>> fruit = cucumbervision.measure_fruit(capture, instances[0])
 >>> f"{capture.name}: {fruit.selected.length_m:.2f} m by {fruit.selected.method}"
 'simulated-bench: 0.16 m by M6'
 """

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -85,15 +84,3 @@ def test_sharpest_color_first_of_equals() -> None:
 def test_what_is_no_burst_is_refused(colors: list[Any], depths: list[Any]) -> None:
     with pytest.raises(CaptureError, match="burst"):
         fuse_burst(colors, depths)
-
-
-def test_five_frames_of_1280x720_within_half_a_second() -> None:
-    rng = np.random.default_rng(0)
-    depths = [rng.uniform(0.0, 1.0, (720, 1280)).astype(np.float32) for _ in range(5)]
-    colors = [rng.integers(0, 256, (720, 1280, 3), dtype=np.uint8) for _ in range(5)]
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        fuse_burst(colors, depths)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.5

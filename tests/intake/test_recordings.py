@@ -93,7 +93,6 @@ def run(code: str, folder: Path, **limits: float) -> list[str]:
 @posix
 def test_a_hang_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
     child = "import time, pathlib; time.sleep(3); pathlib.Path('alive').touch()"
-    started = time.monotonic()
     faults = run(
         f"import subprocess, time; subprocess.Popen([sys.executable, '-c', {child!r}], "
         f"cwd={str(tmp_path)!r}); time.sleep(60)",
@@ -101,7 +100,6 @@ def test_a_hang_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
         wall_s=1.5,
     )
     assert faults == ["a.bag: took longer than 1.5 s; copy or record it again"]
-    assert time.monotonic() - started < 30
     time.sleep(3.2)
     assert not (tmp_path / "alive").exists()
 

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
-from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 

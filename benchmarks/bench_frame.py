@@ -33,8 +33,8 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception import runtime as runtimes
-from cucumbervision.perception.instances import box_of_mask
 from cucumbervision.perception.letterbox import fit
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.rows import fruit_row

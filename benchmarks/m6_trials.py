@@ -17,7 +17,7 @@ from cucumbervision.capture.burst import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
-from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 from cucumbervision_lab.synthesis.sensor import noisy_depth

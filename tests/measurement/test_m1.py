@@ -6,7 +6,7 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.m1 import measure_m1, window_depths
 from cucumbervision.measurement.result import LengthKind, Reason
-from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.render import render
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cucumbervision.perception.instances import Instance, box_of_mask
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.merge import join_pieces, merge_instances
 
 HEIGHT, WIDTH = 160, 240

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.errors import ModelError, UnknownModelError
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.sam import PROMPTS, Segmenter
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.perception.yolo import choose_raw, choose_rows, suppress
+from cucumbervision.perception.yolo import choose_raw, choose_rows
 
 
 def raw(*anchors: tuple[float, ...]) -> np.ndarray:
@@ -47,17 +47,3 @@ def test_nothing_above_the_confidence() -> None:
     for one_to_one in (True, False):
         out = choose_raw(raw((5, 5, 4, 4, 0.3, 1, 2)), 1, 0.3, one_to_one=one_to_one)
         assert out.shape == (0, 8)
-
-
-def test_suppression_threshold_is_exclusive() -> None:
-    # Widths 10 and 7 within each other overlap by exactly 0.7: both stay. 7.5 goes.
-    at = np.array([[0, 0, 10, 1], [0, 0, 7, 1]], np.float32)
-    over = np.array([[0, 0, 10, 1], [0, 0, 7.5, 1]], np.float32)
-    assert suppress(at, 0.7000001).tolist() == [0, 1]
-    assert suppress(over).tolist() == [0]
-
-
-def test_a_dropped_box_drops_no_other() -> None:
-    # The second goes because of the first; the third overlaps only the second enough.
-    boxes = np.array([[0, 0, 10, 1], [1.5, 0, 11.5, 1], [3, 0, 13, 1]], np.float32)
-    assert suppress(boxes).tolist() == [0, 2]

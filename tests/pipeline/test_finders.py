@@ -9,7 +9,9 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
 from cucumbervision.measurement.result import Method, Reason
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import MaskSource, box_iou, box_of_mask
+from cucumbervision.perception.boxes import box_iou
+from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.pipeline.finders import demo_options, make_finder
 from cucumbervision.pipeline.options import MeasureOptions

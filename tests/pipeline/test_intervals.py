@@ -17,7 +17,8 @@ from cucumbervision.measurement.intervals import (
 )
 from cucumbervision.measurement.result import Fruit, Length, Method
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.intervals import with_simulated_interval
 from cucumbervision.pipeline.rows import Cell, fruit_row
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation

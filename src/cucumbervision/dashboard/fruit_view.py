@@ -12,7 +12,7 @@ import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.m1 import window_depths
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.masks import decode_rle, mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -345,12 +345,8 @@ def tube_rings(
 
 
 def _around(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    ys, xs = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     box = np.zeros(mask.shape, bool)
-    box[
-        max(ys[0] - MARGIN_PX, 0) : ys[-1] + MARGIN_PX,
-        max(xs[0] - MARGIN_PX, 0) : xs[-1] + MARGIN_PX,
-    ] = True
+    box[mask_window(mask, MARGIN_PX) or np.s_[:0]] = True
     return box
 
 

@@ -12,7 +12,8 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.results import Failure
 from cucumbervision.pipeline.run import capture_rows, measure_capture

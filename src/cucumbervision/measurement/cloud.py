@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,15 +46,12 @@ def masked_points(
     >>> masked_points(depth, np.ones((48, 64), bool), camera).tolist()
     [[0.05, 0.0, 0.5]]
     """
-    rows = np.flatnonzero(mask.any(axis=1))
-    if not len(rows):
+    window = mask_window(mask)
+    if window is None:
         return np.empty((0, 3))
-    top, bottom = int(rows[0]), int(rows[-1]) + 1
-    columns = np.flatnonzero(mask[top:bottom].any(axis=0))
-    left, right = int(columns[0]), int(columns[-1]) + 1
-    region = depth_m[top:bottom, left:right]
-    v, u = np.nonzero(mask[top:bottom, left:right] & valid_depth(region))
-    return _deproject(u + left, v + top, region[v, u], intrinsics)
+    region = depth_m[window]
+    v, u = np.nonzero(mask[window] & valid_depth(region))
+    return _deproject(u + window[1].start, v + window[0].start, region[v, u], intrinsics)
 
 
 def box_points(

@@ -20,6 +20,7 @@ from cucumbervision.measurement.result import (
     TubeTraits,
 )
 from cucumbervision.measurement.traits import tube_traits
+from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -154,14 +155,12 @@ def view_tube(
     TubeView or None
         None for an empty mask.
     """
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
+    window = mask_window(mask, MARGIN_PX)
+    if window is None:
         return None
-    top, left = max(int(rows[0]) - MARGIN_PX, 0), max(int(columns[0]) - MARGIN_PX, 0)
-    window = np.s_[top : int(rows[-1]) + 1 + MARGIN_PX, left : int(columns[-1]) + 1 + MARGIN_PX]
     part, z = _without_specks(mask[window]), depth_m[window]
     z = np.where(valid_depth(z), z, np.float32(0))
-    lens = _Lens(intrinsics, left, top)
+    lens = _Lens(intrinsics, window[1].start, window[0].start)
     points, points_share = _points(z, part, lens)
     far = points[:, 2]
     noise = depth_noise(far, intrinsics.fx_px)

@@ -15,6 +15,7 @@ from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
 from cucumbervision.measurement.result import Fruit, Measurement, Method
 from cucumbervision.perception.ends import SURE
 from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -79,11 +80,11 @@ def end_flags(
 def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
     """Say how far the mask goes beyond each end's keypoint, as a share of the keypoints' line."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    if mask is None or not mask.any() or not steps.all():
+    window = None if mask is None else mask_window(mask)
+    if mask is None or window is None or not steps.all():
         return []
-    rows = np.flatnonzero(mask.any(axis=1))
-    v, u = np.nonzero(mask[rows[0] : rows[-1] + 1])
-    pixels = np.column_stack([u, v + rows[0]]).astype(np.float64)
+    v, u = np.nonzero(mask[window])
+    pixels = np.column_stack([u + window[1].start, v + window[0].start]).astype(np.float64)
     # Each pixel belongs to the part of the line that it is nearest to: a bent fruit's other end
     # does not count.
     middles = (line[:-1] + line[1:]) / 2

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
-from cucumbervision.perception.masks import decode_rle, fill_polygon
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask, decode_rle, fill_polygon
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -129,7 +129,7 @@ def read_coco(path: Path) -> list[Picture]:
             pictures[key] = Picture(name, _number(item.get("image_id")), None, [])
         try:
             record: Record | InstancesError = _coco_record(item, where, names, annotated)
-        except (TypeError, ValueError, KeyError) as error:
+        except (TypeError, ValueError, KeyError, OverflowError) as error:
             record = InstancesError(f"{where}: {error}", source=path, remedy="correct it")
         pictures[key].records.append(record)
     return list(pictures.values())
@@ -332,7 +332,7 @@ class InstanceFile:
                 continue
             try:
                 instance, cut = _instance(record, width, height)
-            except (TypeError, ValueError, KeyError) as error:
+            except (TypeError, ValueError, KeyError, OverflowError) as error:
                 fault = f"{record.where}: {error}"
                 refused.append(InstancesError(fault, source=self.source, remedy="correct it"))
             else:
@@ -421,7 +421,7 @@ def _read_yolo_file(path: Path, names: list[str]) -> Picture:
             continue
         try:
             records.append(parse_yolo_line(line, f"{path.name}, line {i}", names))
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             records.append(InstancesError(f"line {i}: {error}", source=path, remedy="correct it"))
     return Picture(path.name, None, None, records)
 

@@ -1,4 +1,4 @@
-"""Masks as run lengths and polygons."""
+"""Masks: their window and box, overlaps, run lengths, polygons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,92 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Rle", "decode_rle", "encode_rle", "fill_polygon"]
+__all__ = [
+    "Rle",
+    "box_of_mask",
+    "decode_rle",
+    "encode_rle",
+    "fill_polygon",
+    "mask_iou",
+    "mask_ious",
+    "mask_window",
+]
+
+
+def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, slice] | None:
+    """Return the rows and columns that hold a mask's pixels, None where none is set.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+    margin_px : int
+        Pixels more on every side, as far as the picture goes.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[1, 2:5] = True
+    >>> mask_window(mask)
+    (slice(1, 2, None), slice(2, 5, None))
+    >>> mask_window(mask, 1)
+    (slice(0, 3, None), slice(1, 6, None))
+    """
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not len(rows):
+        return None
+    # Only the mask's rows: the picture's would take several times as long.
+    columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(axis=0))
+    top, bottom, left, right = (
+        int(edge) for found in (rows, columns) for edge in (found[0], found[-1] + 1)
+    )
+    return (
+        slice(max(top - margin_px, 0), min(bottom + margin_px, mask.shape[0])),
+        slice(max(left - margin_px, 0), min(right + margin_px, mask.shape[1])),
+    )
+
+
+def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the edges x1, y1, x2, y2 of a mask's box, in pixels.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        At least one pixel set.
+
+    Raises
+    ------
+    ValueError
+        If no pixel is set.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[1, 2:5] = True
+    >>> box_of_mask(mask).tolist()
+    [1.5, 0.5, 4.5, 1.5]
+    """
+    window = mask_window(mask)
+    if window is None:
+        raise ValueError("the mask is empty")
+    rows, columns = window
+    return np.array([columns.start, rows.start, columns.stop, rows.stop]) - 0.5
+
+
+def mask_ious(masks: NDArray[np.bool_], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Compute the intersection over union of several masks, shape (N, H, W), with one."""
+    shared = np.count_nonzero(masks & mask, axis=(1, 2))
+    return np.asarray(shared / np.maximum(np.count_nonzero(masks | mask, axis=(1, 2)), 1))
+
+
+def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
+    """Compute two masks' intersection over union; 0 where there is no first one.
+
+    Examples
+    --------
+    >>> mask_iou(np.array([[True, True, False]]), np.array([[False, True, True]])) == 1 / 3
+    True
+    """
+    return 0.0 if a is None else float(mask_ious(a[None], b)[0])
 
 
 def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> NDArray[np.bool_]:
@@ -47,11 +132,13 @@ def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> 
     """
     if isinstance(counts, bytes):
         counts = counts.decode("ascii")
-    runs = np.array(_unpack(counts) if isinstance(counts, str) else counts, np.int64)
-    if runs.ndim != 1 or (runs < 0).any() or runs.sum() != height * width:
+    runs = _unpack(counts) if isinstance(counts, str) else list(counts)
+    # Python's integers have no bound: none reaches NumPy that could overflow there.
+    size = height * width
+    if not all(0 <= run <= size and run % 1 == 0 for run in runs) or sum(runs) != size:
         raise ValueError(f"the run lengths do not fill {width}x{height} pixels")
     values = np.arange(len(runs)) % 2 == 1
-    return np.repeat(values, runs).reshape(width, height).T.copy()
+    return np.repeat(values, np.array(runs, np.int64)).reshape(width, height).T.copy()
 
 
 def encode_rle(mask: NDArray[np.bool_]) -> str:
@@ -113,6 +200,9 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     return np.asarray(changes[:, :width].cumsum(axis=1) % 2 == 1)
 
 
+_RUN_BITS = 60  # reading a number of a million digits would take minutes
+
+
 def _pack(value: int) -> str:
     text = ""
     while True:
@@ -132,6 +222,8 @@ def _unpack(text: str) -> list[int]:
         while more:
             if at == len(text):
                 raise ValueError("the run lengths end within a number")
+            if shift > _RUN_BITS:
+                raise ValueError("a run length has more digits than any picture needs")
             code = ord(text[at]) - 48
             if not 0 <= code < 64:
                 raise ValueError(f"{text[at]!r} is no run length")
@@ -169,11 +261,11 @@ class Rle:
 
     @classmethod
     def of(cls, mask: NDArray[np.bool_]) -> Rle:
-        """Code a mask of shape (H, W)."""
+        """Return the code of a mask of shape (H, W)."""
         return cls(mask.shape[0], mask.shape[1], encode_rle(mask))
 
     def decode(self) -> NDArray[np.bool_]:
-        """Give the mask, bool, shape (height, width).
+        """Return the mask, bool, shape (height, width).
 
         Raises
         ------

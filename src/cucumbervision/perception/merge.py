@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.perception.instances import box_iou, box_of_mask
+from cucumbervision.perception.boxes import box_areas, box_iou
+from cucumbervision.perception.masks import mask_window
 from cucumbervision.perception.yolo import with_keypoints
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     Examples
     --------
     >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.perception.masks import box_of_mask
     >>> whole, part, other = (np.zeros((20, 60), bool) for _ in range(3))
     >>> whole[5:15, 5:45] = part[5:15, 5:25] = other[5:15, 46:56] = True
     >>> found = [
@@ -105,6 +107,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
     Examples
     --------
     >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.perception.masks import box_of_mask
     >>> left, right = np.zeros((20, 60), bool), np.zeros((20, 60), bool)
     >>> left[5:15, 5:25] = right[5:15, 30:55] = True
     >>> pieces = [Instance(box_of_mask(m), detector_mask=m) for m in (left, right)]
@@ -152,7 +155,6 @@ class _Region:
     """An instance with its mask cut to the mask's own window."""
 
     instance: Instance
-    box: NDArray[np.float64]
     part: NDArray[np.bool_] | None
     left: int
     top: int
@@ -161,13 +163,12 @@ class _Region:
     @classmethod
     def of(cls, instance: Instance) -> _Region:
         mask = _mask(instance)
-        if mask is None or not mask.any():
-            width, height = instance.box[2:] - instance.box[:2]
-            return cls(instance, instance.box, None, 0, 0, float(max(width, 0) * max(height, 0)))
-        box = box_of_mask(mask)
-        left, top, right, bottom = (box + 0.5).astype(int).tolist()
-        part = mask[top:bottom, left:right]
-        return cls(instance, box, part, left, top, float(np.count_nonzero(part)))
+        window = None if mask is None else mask_window(mask)
+        if mask is None or window is None:
+            return cls(instance, None, 0, 0, float(box_areas(instance.box[None])[0]))
+        part = mask[window]
+        top, left = window[0].start, window[1].start
+        return cls(instance, part, left, top, float(np.count_nonzero(part)))
 
 
 def _mask(instance: Instance) -> NDArray[np.bool_] | None:
@@ -181,7 +182,7 @@ def _best_first(one: _Region) -> tuple[float, float]:
 def _shared(a: _Region, b: _Region) -> float:
     """Give the pixels that two masks share."""
     if a.part is None or b.part is None:
-        return box_iou(a.box, b.box)
+        return box_iou(a.instance.box, b.instance.box)
     left, top = max(a.left, b.left), max(a.top, b.top)
     right = min(a.left + a.part.shape[1], b.left + b.part.shape[1])
     bottom = min(a.top + a.part.shape[0], b.top + b.part.shape[0])

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.instances import Instance, MaskSource, box_iou, box_of_mask
+from cucumbervision.perception.boxes import box_iou
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask, mask_ious
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -514,7 +516,7 @@ def _with_mask(
     agreement = np.ones(len(sure))
     own = instance.detector_mask
     if own is not None and own.any():
-        agreement = _agreement(logits, own)
+        agreement = mask_ious(logits > 0, mask_to_sam(own, logits.shape[1:]))
     best = int((sure + agreement).argmax())
     mask = mask_from_logits(logits[best], height, width)
     fault = mask_fault(mask, box)
@@ -527,11 +529,3 @@ def _with_mask(
 
 def _without_mask(instance: Instance, fault: str) -> Instance:
     return replace(instance, mask=None, mask_source=None, mask_failure=fault)
-
-
-def _agreement(logits: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Give the IoU of each of SAM's masks with the detector's, both in SAM's small pixels."""
-    small = mask_to_sam(mask, logits.shape[1:])
-    masks = logits > 0
-    both = np.count_nonzero(masks & small, axis=(1, 2))
-    return np.asarray(both / np.maximum(np.count_nonzero(masks | small, axis=(1, 2)), 1))

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.perception.instances import Instance, box_iou
+from cucumbervision.perception.boxes import box_iou, suppress
+from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.letterbox import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo_layout import read_layout
@@ -28,17 +29,12 @@ __all__ = [
     "YoloDetector",
     "choose_raw",
     "choose_rows",
-    "suppress",
     "with_keypoints",
 ]
 
 MAX_DETECTIONS = 300
 
 NMS_IOU = 0.7
-
-_MAX_CANDIDATES = 30_000
-
-_CLASS_OFFSET_PX = 7680.0
 
 
 def choose_rows(output: NDArray[np.floating], confidence: float) -> NDArray[np.float32]:
@@ -103,47 +99,12 @@ def choose_raw(
         flat = _descending(scores[best].ravel())[:MAX_DETECTIONS]
         index, labels = best[flat // classes], flat % classes
     else:
-        index = _descending(scores.max(axis=1))[:_MAX_CANDIDATES]
-        labels = scores[index].argmax(axis=1)
-        kept = suppress(boxes[index] + labels[:, None].astype(np.float32) * _CLASS_OFFSET_PX)
-        index, labels = index[kept][:MAX_DETECTIONS], labels[kept][:MAX_DETECTIONS]
+        labels = scores.argmax(axis=1)
+        index = suppress(boxes, scores.max(axis=1), labels, NMS_IOU)[:MAX_DETECTIONS]
+        labels = labels[index]
     score = scores[index, labels]
     rows = np.column_stack([boxes[index], score, labels, extras[index]]).astype(np.float32)
     return rows[score > confidence]
-
-
-def suppress(boxes: NDArray[np.float32], iou: float = NMS_IOU) -> NDArray[np.intp]:
-    """Drop every box that overlaps a better one (greedy non-maximum suppression).
-
-    Parameters
-    ----------
-    boxes : ndarray, shape (N, 4)
-        x1, y1, x2, y2, best first.
-    iou : float
-        Overlap above which the worse is dropped.
-
-    Returns
-    -------
-    ndarray of int
-        Indices of the boxes kept, in order.
-
-    Examples
-    --------
-    >>> suppress(np.array([[0, 0, 4, 4], [0, 0, 4, 3.9], [2, 0, 6, 4]], np.float32)).tolist()
-    [0, 2]
-    """
-    area = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
-    left = np.arange(len(boxes))
-    kept = []
-    while len(left):
-        first, left = left[0], left[1:]
-        kept.append(first)
-        low = np.maximum(boxes[first, :2], boxes[left, :2])
-        high = np.minimum(boxes[first, 2:], boxes[left, 2:])
-        overlap = np.clip(high - low, 0, None).prod(axis=1)
-        # Written without a division, so that boxes without area are no special case.
-        left = left[overlap <= iou * (area[first] + area[left] - overlap)]
-    return np.array(kept, np.intp)
 
 
 def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:

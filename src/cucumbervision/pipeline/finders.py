@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.networks import Detectors, Segmenters, load_pose
 
 if TYPE_CHECKING:

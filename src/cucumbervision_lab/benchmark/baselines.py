@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -72,7 +73,7 @@ def skan_length(
     part; the longest of them is taken.
     """
     skan, morphology = _package("skan"), _package("skimage.morphology", "scikit-image")
-    window = _window(mask)
+    window = mask_window(mask)
     if window is None:
         return None
     thin = morphology.skeletonize(mask[window])
@@ -118,7 +119,7 @@ def plantcv_length(
     segments left the one that `segment_path_length` gives the greatest length in pixels.
     """
     pcv = _plantcv()
-    window = _window(mask)
+    window = mask_window(mask)
     if window is None:
         return None
     region = np.pad(mask[window], 2).astype(np.uint8) * 255
@@ -281,14 +282,6 @@ def _half(loop_px: NDArray[Any]) -> NDArray[Any]:
     half = len(loop_px) // 2
     across = np.linalg.norm(loop_px - np.roll(loop_px, -half, axis=0), axis=1)
     return np.asarray(np.roll(loop_px, -int(across.argmax()), axis=0)[: half + 1])
-
-
-def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice] | None:
-    """Give the mask's rows and columns, so that the tools need not search the whole picture."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not rows.size:
-        return None
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _width_px(region: NDArray[np.uint8]) -> int:

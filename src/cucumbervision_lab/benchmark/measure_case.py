@@ -12,7 +12,8 @@ from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import Selector, choose
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask, mask_iou
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision_lab.benchmark.disturb import disturb_mask, draw_disturbance
 from cucumbervision_lab.benchmark.oracle import oracle_length_m
 from cucumbervision_lab.benchmark.simulate import Simulated, simulate

@@ -13,7 +13,7 @@ import numpy as np
 
 from cucumbervision.capture.files import read_depth, write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.pictures import place_file, write_text
 
 if TYPE_CHECKING:

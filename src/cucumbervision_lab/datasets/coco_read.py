@@ -10,8 +10,8 @@ import numpy as np
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import CucumberVisionError, DataSetError
-from cucumbervision.perception.instances import KEYPOINT_NAMES, box_of_mask
-from cucumbervision.perception.masks import Rle, decode_rle, encode_rle, fill_polygon
+from cucumbervision.perception.instances import KEYPOINT_NAMES
+from cucumbervision.perception.masks import Rle, box_of_mask, decode_rle, encode_rle, fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ ANNOTATIONS = "annotations.json"
 ROBOFLOW = "_annotations.coco.json"
 _FOLDERS = {"train": "train", "valid": "val", "val": "val", "test": "test"}
 _KEYPOINTS = 5
+_MOST_PIXELS = 2**30  # as OpenCV reads at most
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def _read_pictures(
         own = items.pop(key, [])
         try:
             picture, bad = picture_of(image, own, ids, source.file, source.split, root)
-        except (KeyError, TypeError, ValueError, CucumberVisionError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, CucumberVisionError) as error:
             refused.append(_fault(source.file, f"image {key if key is not None else i}", error))
         else:
             pictures.append(picture)
@@ -184,19 +185,19 @@ def picture_of(
 
     Raises
     ------
-    KeyError, TypeError, ValueError
+    KeyError, TypeError, ValueError, OverflowError
         If the picture's own keys are missing or wrong.
     """
     width, height = int(image["width"]), int(image["height"])
     name = str(image["file_name"]).replace("\\", "/")
-    if width < 1 or height < 1:
+    if min(width, height) < 1 or width * height > _MOST_PIXELS:
         raise ValueError(f"its size {width}x{height} is no picture")
     labels: list[Label] = []
     refused: list[CucumberVisionError] = []
     for i, item in enumerate(annotations):
         try:
             labels.append(_label(item, ids, width, height))
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             number = item.get("id", i) if isinstance(item, dict) else i
             refused.append(_fault(file, f"annotation {number} ({name})", error))
     camera = None

@@ -100,7 +100,7 @@ class Label:
         ValueError
             If the mask is empty and no box is given.
         """
-        from cucumbervision.perception.instances import box_of_mask
+        from cucumbervision.perception.masks import box_of_mask
 
         edges = box_of_mask(mask) if box is None else np.asarray(box, np.float64)
         code = Rle.of(mask) if mask.any() else None

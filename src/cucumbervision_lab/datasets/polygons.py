@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.perception.masks import mask_window
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -48,12 +50,11 @@ def _traced(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
     """Give the outlines with a point every half pixel."""
     import cv2
 
-    ys, xs = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(ys):
+    window = mask_window(mask)
+    if window is None:
         return []
-    cut = mask[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
-    found, _ = cv2.findContours(_doubled(cut), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    corner = np.array([xs[0], ys[0]], np.float64)
+    found, _ = cv2.findContours(_doubled(mask[window]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    corner = np.array([window[1].start, window[0].start], np.float64)
     parts = [contour.reshape(-1, 2) / 2 + corner for contour in found]
     return sorted(parts, key=_area, reverse=True)
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color, write_jpeg
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.instances import box_of_mask
-from cucumbervision.perception.masks import Rle
+from cucumbervision.perception.masks import Rle, box_of_mask
 from cucumbervision_lab.datasets.coco import write_coco
 
 if TYPE_CHECKING:

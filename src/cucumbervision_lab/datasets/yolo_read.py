@@ -16,8 +16,7 @@ from cucumbervision.errors import (
     MissingExtraError,
 )
 from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.instances import box_of_mask
-from cucumbervision.perception.masks import Rle, fill_polygon
+from cucumbervision.perception.masks import Rle, box_of_mask, fill_polygon
 from cucumbervision_lab.datasets.classes import class_index
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.pictures import list_pictures, picture_size

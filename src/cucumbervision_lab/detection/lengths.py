@@ -13,8 +13,8 @@ from cucumbervision.accuracy.tables import Truth, methods_against, readings, tru
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import Selector, choose, measure_fruit
-from cucumbervision.perception.instances import Instance, MaskSource, box_of_mask
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask, decode_rle
 from cucumbervision_lab.detection.estimates import Estimate, estimate
 
 if TYPE_CHECKING:

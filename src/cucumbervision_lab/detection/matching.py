@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.perception.boxes import box_ious, share_inside
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["IN_IGNORED", "MIN_IOU", "Matches", "box_overlaps", "match_boxes", "share_inside"]
+__all__ = ["IN_IGNORED", "MIN_IOU", "Matches", "match_boxes"]
 
 MIN_IOU = 0.5
 IN_IGNORED = 0.5
@@ -71,7 +73,7 @@ def match_boxes(
     Matches(pairs=((0, 0),), missed=(), false=(1, 3), neutral=(2,))
     """
     boxes, needed, allowed = _boxes(found), _boxes(required), _boxes(optional)
-    overlaps = box_overlaps(boxes, np.concatenate([needed, allowed]))
+    overlaps = box_ious(boxes, np.concatenate([needed, allowed]))
     inside = share_inside(boxes, _boxes(ignored))
     count, taken = len(needed), np.zeros(len(needed) + len(allowed), bool)
     pairs: list[tuple[int, int]] = []
@@ -98,51 +100,6 @@ def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> in
         if part.size and part.max() >= MIN_IOU:
             return start + int(part.argmax())
     return None
-
-
-def box_overlaps(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give every pair's intersection over union.
-
-    Parameters
-    ----------
-    a, b : ndarray of float64, shape (N, 4) and (M, 4)
-        Boxes x1, y1, x2, y2.
-
-    Returns
-    -------
-    ndarray of float64, shape (N, M)
-
-    Examples
-    --------
-    >>> box_overlaps(np.array([[0.0, 0, 2, 1]]), np.array([[1.0, 0, 3, 1]])).round(3)
-    array([[0.333]])
-    """
-    common = _common(a, b)
-    union = _areas(a)[:, None] + _areas(b)[None] - common
-    return np.asarray(common / np.maximum(union, 1e-12))
-
-
-def share_inside(a: NDArray[np.float64], regions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give the largest share of each box's area that lies within one of the regions.
-
-    Examples
-    --------
-    >>> share_inside(np.array([[0.0, 0, 4, 1]]), np.array([[1.0, 0, 9, 9]]))
-    array([0.75])
-    """
-    if not len(regions):
-        return np.zeros(len(a))
-    return np.asarray((_common(a, regions) / np.maximum(_areas(a), 1e-12)[:, None]).max(axis=1))
-
-
-def _common(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    low = np.maximum(a[:, None, :2], b[None, :, :2])
-    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
-    return np.asarray(np.prod(np.maximum(high - low, 0.0), axis=2))
-
-
-def _areas(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]))
 
 
 def _boxes(values: ArrayLike) -> NDArray[np.float64]:

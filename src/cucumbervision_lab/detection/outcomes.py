@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision_lab.detection.matching import Matches, box_overlaps, match_boxes
+from cucumbervision.perception.boxes import box_iou
+from cucumbervision_lab.detection.matching import Matches, match_boxes
 from cucumbervision_lab.detection.pictures import Stage, code_overlap
 
 if TYPE_CHECKING:
@@ -186,9 +187,9 @@ def fruit_rows(
 
 def _overlaps(frame: Frame, number: int, by: SeenFruit) -> tuple[float, float, float]:
     fruit = frame.true[number]
-    box_iou = float(box_overlaps(fruit.box[None], by.box[None])[0, 0])
     masks = frame.has_masks and fruit.code is not None
-    return by.score, box_iou, code_overlap(fruit.code, by.code) if masks else math.nan
+    of_masks = code_overlap(fruit.code, by.code) if masks else math.nan
+    return by.score, box_iou(fruit.box, by.box), of_masks
 
 
 def found_rows(

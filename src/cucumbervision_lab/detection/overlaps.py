@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.perception.instances import mask_iou
+from cucumbervision.perception.masks import mask_iou
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.perception.instances import box_of_mask
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import Label
 from cucumbervision_lab.synthesis.scene import reaches_border
 

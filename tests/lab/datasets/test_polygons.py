@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from cucumbervision.perception.instances import box_of_mask
-from cucumbervision.perception.masks import fill_polygon
+from cucumbervision.perception.masks import box_of_mask, fill_polygon
 from cucumbervision_lab.datasets.polygons import (
     crosses_itself,
     join_parts,

@@ -1,21 +1,14 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from cucumbervision_lab.detection.matching import box_overlaps, match_boxes, share_inside
+from cucumbervision_lab.detection.matching import match_boxes
 
 FRUIT = [0.0, 0.0, 100.0, 20.0]
 
 
 def shifted(by: float) -> list[float]:
     return [FRUIT[0] + by, 0.0, FRUIT[2] + by, 20.0]
-
-
-def test_overlap_of_boxes() -> None:
-    boxes = np.array([FRUIT, shifted(50), shifted(100)])
-    # Half of each shared: 50 of 150; touching boxes share nothing.
-    assert box_overlaps(boxes[:1], boxes)[0] == pytest.approx([1.0, 1 / 3, 0.0])
 
 
 @pytest.mark.parametrize(("by", "hit"), [(33.0, True), (34.0, False)])
@@ -61,4 +54,3 @@ def test_fruit_in_an_ignored_region_is_still_to_be_found() -> None:
 def test_nothing_at_all() -> None:
     found = match_boxes([], [])
     assert (found.pairs, found.missed, found.false, found.neutral) == ((), (), (), ())
-    assert share_inside(np.zeros((0, 4)), np.zeros((0, 4))).shape == (0,)

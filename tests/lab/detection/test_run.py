@@ -24,7 +24,8 @@ from cucumbervision.accuracy.records import Masks
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.cli.app import app
-from cucumbervision.perception.instances import Instance, box_of_mask
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.networks import Detectors
 from cucumbervision_lab.datasets.coco import write_coco

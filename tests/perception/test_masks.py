@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from numpy.typing import NDArray
+
+from cucumbervision.perception.masks import (
+    Rle,
+    box_of_mask,
+    decode_rle,
+    encode_rle,
+    mask_iou,
+    mask_window,
+)
+
+MASKS = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=40))
+
+
+@settings(deadline=None, max_examples=80)
+@given(MASKS)
+def test_what_is_written_reads_back(mask: NDArray[np.bool_]) -> None:
+    code = Rle.of(mask)
+    assert np.array_equal(code.decode(), mask)
+    assert code.area_px == mask.sum()
+
+
+@settings(deadline=None, max_examples=5)
+@given(st.integers(0, 2**32 - 1))
+def test_long_runs(seed: int) -> None:
+    # Differences of several characters, positive and negative.
+    rng = np.random.default_rng(seed)
+    mask = np.zeros((720, 1280), bool)
+    for x, y, w, h in rng.integers(0, (1000, 500, 280, 220), (4, 4)):
+        mask[y : y + h, x : x + w] ^= True
+    assert (Rle.of(mask).decode() == mask).all()
+
+
+def test_the_characters_are_pycocotools_own() -> None:
+    coder = pytest.importorskip("pycocotools.mask")
+    rng = np.random.default_rng(7)
+    masks = [rng.random((40, 70)) < share for share in (0.0, 0.02, 0.5, 0.98, 1.0)]
+    # Runs of thousands of pixels, and ones much shorter than the last but one.
+    masks.append(np.zeros((300, 400), bool))
+    masks[-1][20:220, 100:102] = masks[-1][250:252, 300] = True
+    for mask in masks:
+        theirs = coder.encode(np.asfortranarray(mask.astype(np.uint8)))
+        assert encode_rle(mask) == theirs["counts"].decode("ascii")
+
+
+def packed(*runs: int) -> str:
+    """COCO's characters for numbers of any size, without differences (two runs at most)."""
+    text = ""
+    for run in runs:
+        while True:
+            low, run = run & 0x1F, run >> 5
+            more = run != (-1 if low & 0x10 else 0)
+            text += chr((low | (0x20 if more else 0)) + 48)
+            if not more:
+                break
+    return text
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        # The sum in 64 bits is right: 4 * 2**62 wraps around to nothing.
+        [2**62] * 4 + [4 * 6],
+        [2**63, 2**63, 24],
+        [2**64 + 24],
+        [10**400],
+        [30, -6],
+        [23],
+        [25],
+        [],
+        [float("nan")],
+        [11.5, 12.5],
+        packed(2**62, 2**62) + packed(0, 0) + packed(24 - 2**62),
+        packed(2**64 + 24),
+        packed(30, -6),
+        "o" * 1_000_000 + "0",
+        "o",
+        "é",
+        "",
+    ],
+    ids=lambda counts: repr(counts)[:24],
+)
+def test_runs_that_do_not_fill_the_picture(counts: str | list[int]) -> None:
+    with pytest.raises(ValueError, match="run length"):
+        decode_rle(counts, 4, 6)
+
+
+def test_runs_of_nothing_are_allowed() -> None:
+    assert decode_rle([0, 24, 0], 4, 6).all()
+    assert not decode_rle([24], 4, 6).any()
+
+
+@settings(deadline=None, max_examples=80)
+@given(MASKS, st.integers(0, 3))
+def test_a_window_holds_every_pixel_and_no_empty_edge(mask: NDArray[np.bool_], margin: int) -> None:
+    window = mask_window(mask)
+    if window is None:
+        assert not mask.any()
+        with pytest.raises(ValueError, match="empty"):
+            box_of_mask(mask)
+        return
+    part = mask[window]
+    assert part.sum() == mask.sum()
+    assert all(edge.any() for edge in (part[0], part[-1], part[:, 0], part[:, -1]))
+    left, top, right, bottom = box_of_mask(mask) + 0.5
+    assert (top, bottom, left, right) == (*_edges(window[0]), *_edges(window[1]))
+    wide = mask_window(mask, margin)
+    assert wide is not None
+    for side, near, far in zip(mask.shape, window, wide, strict=True):
+        assert _edges(far) == (max(near.start - margin, 0), min(near.stop + margin, side))
+
+
+def _edges(window: slice) -> tuple[int, int]:
+    return window.start, window.stop
+
+
+def test_overlap_of_masks() -> None:
+    left, right = np.zeros((2, 4), bool), np.zeros((2, 4), bool)
+    left[:, :3] = right[:, 1:] = True
+    assert mask_iou(left, right) == 4 / 8
+    assert mask_iou(None, right) == mask_iou(np.zeros((2, 4), bool), ~np.ones((2, 4), bool)) == 0

@@ -50,10 +50,10 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Hold the networks against labelled pictures: precision, recall, keypoints, masks, lengths."""
-    from cucumbervision_lab.cli.eyes_console import evaluate_models_and_show
-    from cucumbervision_lab.detection.run import EyesPlan
+    from cucumbervision_lab.cli.detection_console import evaluate_models_and_show
+    from cucumbervision_lab.detection.run import DetectionPlan
 
-    plan = EyesPlan(
+    plan = DetectionPlan(
         data,
         seg,
         pose,

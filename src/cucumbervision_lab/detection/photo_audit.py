@@ -134,7 +134,7 @@ class Audit:
     licences: Mapping[str, str]
 
     def in_split(self, split: str) -> tuple[AuditedPhoto, ...]:
-        """Give the photos of one split, or all for ''."""
+        """Return the photos of one split, or all for ''."""
         return tuple(photo for photo in self.photos if split in ("", photo.split))
 
 
@@ -156,7 +156,7 @@ def load_audit() -> Audit:
 
 
 def audited(folder: Path, split: str = "", audit: Audit | None = None) -> DataSet:
-    """Find the audited photos in a folder and give them with their boxes.
+    """Return the audited photos of a folder with their boxes.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _picture(photo: AuditedPhoto, path: Path, folder: Path, audit: Audit) -> Lab
 
 
 def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
-    """Give the box as a label; fruit at the picture's edge runs on beyond it."""
+    """Return the box as a label; fruit at the picture's edge runs on beyond it."""
     x1, y1, x2, y2 = box.box
     inside = min(x1, y1, photo.width - 1 - x2, photo.height - 1 - y2) + 0.5
     return Label(

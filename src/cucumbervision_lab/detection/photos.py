@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 from cucumbervision.capture.files import read_color
 from cucumbervision_lab.detection.groups import GroupScore, overall
 from cucumbervision_lab.detection.outcomes import FoundRow, FruitRow, found_rows, fruit_rows
-from cucumbervision_lab.detection.picture_result import look_at
+from cucumbervision_lab.detection.picture_result import detect_picture
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from cucumbervision_lab.detection.picture_result import Eyes
+    from cucumbervision_lab.detection.picture_result import Networks
 
-__all__ = ["Photo", "PhotoResult", "audited_photos", "look_at_photos", "score_photos"]
+__all__ = ["Photo", "PhotoResult", "audited_photos", "evaluate_photos", "score_photos"]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Photo:
 
 
 def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]:
-    """Find the audited photos.
+    """Return the audited photos of a folder.
 
     Parameters
     ----------
@@ -105,19 +105,19 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     return photos, len(load_audit().in_split(split)) - len(photos)
 
 
-def look_at_photos(
+def evaluate_photos(
     photos: Sequence[Photo],
-    eyes: Eyes,
+    networks: Networks,
     missing: int = 0,
     report: Callable[[int], None] | None = None,
 ) -> PhotoResult:
-    """Let the networks look at photos and score what they found.
+    """Run the networks on photos and score what they found.
 
     Parameters
     ----------
     photos : sequence of Photo
         From `audited_photos`.
-    eyes : Eyes
+    networks : Networks
         The networks.
     missing : int
         How many photos of the audit are not there.
@@ -131,10 +131,10 @@ def look_at_photos(
     """
     frames = []
     for photo in photos:
-        frames.append(look_at(photo.truth, read_color(photo.path), eyes).frame)
+        frames.append(detect_picture(photo.truth, read_color(photo.path), networks).frame)
         if report is not None:
             report(1)
-    return score_photos(frames, [photo.setting for photo in photos], eyes.confidence, missing)
+    return score_photos(frames, [photo.setting for photo in photos], networks.confidence, missing)
 
 
 def score_photos(

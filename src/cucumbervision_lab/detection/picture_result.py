@@ -1,4 +1,4 @@
-"""Let the networks look at the test's pictures, as `detect` and `measure` would."""
+"""Run the networks on the test's pictures, as `detect` and `measure` would."""
 
 from __future__ import annotations
 
@@ -21,7 +21,16 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.sam import Segmenter
 
-__all__ = ["FLOOR", "MOST", "Eyes", "Looked", "found_of", "look_at", "open_eyes", "shipped"]
+__all__ = [
+    "FLOOR",
+    "MOST",
+    "Networks",
+    "PictureResult",
+    "detect_picture",
+    "found_by_fruit",
+    "open_networks",
+    "shipped",
+]
 
 FLOOR = 0.001
 """Least confidence for average precision, which judges the ranking of all detections."""
@@ -31,7 +40,7 @@ MOST = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Eyes:
+class Networks:
     """The networks, loaded.
 
     Parameters
@@ -54,8 +63,8 @@ class Eyes:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
-    """What was seen in one picture.
+class PictureResult:
+    """What was found in one picture.
 
     Parameters
     ----------
@@ -72,7 +81,7 @@ class Looked:
     seconds: dict[str, float]
 
 
-def open_eyes(
+def open_networks(
     segment: Path | None,
     pose: Path | None,
     segmenter: str | None,
@@ -80,7 +89,7 @@ def open_eyes(
     runtime: str = "auto",
     confidence: float = 0.30,
     floor: float = FLOOR,
-) -> Eyes:
+) -> Networks:
     """Load the networks.
 
     Parameters
@@ -125,16 +134,16 @@ def open_eyes(
         sam = Segmenter(segmenter, runtime, full_precision=True)
         hashes = load_registry().hashes(segmenter)
         models.append({"file": segmenter, "sha256": hashes, "runtime": sam.runtime})
-    return Eyes(*loaded, sam, confidence, models)
+    return Networks(*loaded, sam, confidence, models)
 
 
-def look_at(
+def detect_picture(
     frame: Frame,
     color: NDArray[np.uint8],
-    eyes: Eyes,
+    networks: Networks,
     depth_m: NDArray[np.float32] | None = None,
-) -> Looked:
-    """Let the detectors look at one picture.
+) -> PictureResult:
+    """Run the detectors on one picture.
 
     Parameters
     ----------
@@ -142,7 +151,7 @@ def look_at(
         Its truth.
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
-    eyes : Eyes
+    networks : Networks
         The networks.
     depth_m : ndarray of float32, shape (H, W), optional
         Tells how far away each detection is.
@@ -157,8 +166,8 @@ def look_at(
         seconds[name] = time.perf_counter() - start
         return found
 
-    segmented, posed = detect("segment", eyes.segment), detect("pose", eyes.pose)
-    kept = shipped(segmented if eyes.segment else None, posed, eyes.confidence)
+    segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
+    kept = shipped(segmented if networks.segment else None, posed, networks.confidence)
 
     def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
         return tuple(seen_fruit(one, depth_m) for one in found)
@@ -168,15 +177,15 @@ def look_at(
         segmented=coded(segmented),
         posed=coded(posed),
         kept=coded(kept),
-        has_masks=eyes.segment is not None and eyes.segment.task == "segment",
+        has_masks=networks.segment is not None and networks.segment.task == "segment",
     )
-    return Looked(frame, kept, seconds)
+    return PictureResult(frame, kept, seconds)
 
 
 def shipped(
     segmented: Sequence[Instance] | None, posed: Sequence[Instance], confidence: float
 ) -> tuple[Instance, ...]:
-    """Give what a user gets of two networks' detections: each fruit once, with keypoints.
+    """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
     As `session.networks.Detectors.find`, which runs the networks for itself.
 
@@ -196,7 +205,7 @@ def shipped(
     return each_once(found, [one for one in posed if one.confidence > confidence])
 
 
-def found_of(looked: Looked, confidence: float) -> dict[int, Instance]:
-    """Give what was reported of each true fruit, by its place in `Frame.true`."""
-    matches, _, required = matches_of(looked.frame, confidence, Stage.KEPT)
-    return {required[t]: looked.kept[s] for t, s in matches.pairs}
+def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:
+    """Return what was reported of each true fruit, by its place in `Frame.true`."""
+    matches, _, required = matches_of(result.frame, confidence, Stage.KEPT)
+    return {required[t]: result.kept[s] for t, s in matches.pairs}

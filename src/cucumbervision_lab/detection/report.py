@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.groups import GroupScore
     from cucumbervision_lab.detection.lengths import LengthScore
     from cucumbervision_lab.detection.photos import PhotoResult
-    from cucumbervision_lab.detection.run import EyesResult
+    from cucumbervision_lab.detection.run import DetectionResult
     from cucumbervision_lab.detection.summary import Summary
 
-__all__ = ["JSON_NAME", "card_numbers", "main_tables", "write_eyes_report"]
+__all__ = ["JSON_NAME", "card_numbers", "main_tables", "write_detection_report"]
 
 JSON_NAME = "results.json"
 CARD_NAME = "card.json"
@@ -124,14 +124,14 @@ def card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
     return card
 
 
-def write_eyes_report(result: EyesResult, summary: Summary, out: Path) -> Path:
+def write_detection_report(result: DetectionResult, summary: Summary, out: Path) -> Path:
     """Write `results.json`, `card.json`, the CSV files and `report.html`.
 
     Of real photos only figures, file names and boxes are written.
 
     Parameters
     ----------
-    result : EyesResult
+    result : DetectionResult
         What was seen.
     summary : Summary
         Its figures.
@@ -172,7 +172,7 @@ def write_eyes_report(result: EyesResult, summary: Summary, out: Path) -> Path:
     return out / HTML_NAME
 
 
-def _page(result: EyesResult, summary: Summary) -> str:
+def _page(result: DetectionResult, summary: Summary) -> str:
     confidence, photos = result.plan.confidence, result.photos
     first, *rest = main_tables(summary, confidence, None)
     sections = [Section("Main figures", (), tuple(rest)), _group_section(summary)]
@@ -197,7 +197,7 @@ def _page(result: EyesResult, summary: Summary) -> str:
     )
 
 
-def _intro(result: EyesResult) -> str:
+def _intro(result: DetectionResult) -> str:
     plan = result.plan
     fruit = sum(one.required for frame in result.frames for one in frame.true)
     scenes = len({frame.scene for frame in result.frames})
@@ -221,7 +221,7 @@ def _group_section(summary: Summary) -> Section:
     return Section("By distance, size, occlusion and edge", intro, tuple(entries))
 
 
-def _overlap_sections(result: EyesResult) -> list[Section]:
+def _overlap_sections(result: DetectionResult) -> list[Section]:
     entries = []
     for name, simulated in (("Drawn", True), ("Real", False)):
         rows = [r for r in result.overlaps if r.simulated is simulated]
@@ -241,7 +241,7 @@ def _length_sections(summary: Summary) -> list[Section]:
     return [Section("Lengths", intro, tuple(tables))] if tables else []
 
 
-def _worst_sections(result: EyesResult, summary: Summary) -> list[Section]:
+def _worst_sections(result: DetectionResult, summary: Summary) -> list[Section]:
     cases = worst_cases(result, summary)
     sheets = []
     for kind, words in KINDS.items():
@@ -252,7 +252,7 @@ def _worst_sections(result: EyesResult, summary: Summary) -> list[Section]:
     return [Section("The worst cases", (), tuple(sheets))] if sheets else []
 
 
-def _provenance(result: EyesResult) -> dict[str, Any]:
+def _provenance(result: DetectionResult) -> dict[str, Any]:
     seconds = {
         f"{name} (median s a picture)": f"{np.median(values):.3f}"
         for name, values in result.seconds.items()
@@ -269,7 +269,7 @@ def _provenance(result: EyesResult) -> dict[str, Any]:
     }
 
 
-def _numbers(result: EyesResult, summary: Summary) -> dict[str, Any]:
+def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
     return {
         **_provenance(result),
         "licence": LICENCE,

@@ -20,7 +20,13 @@ from cucumbervision_lab.detection.overlaps import (
     draw_by_prompt,
     overlap_rows,
 )
-from cucumbervision_lab.detection.picture_result import Eyes, Looked, found_of, look_at, open_eyes
+from cucumbervision_lab.detection.picture_result import (
+    Networks,
+    PictureResult,
+    detect_picture,
+    found_by_fruit,
+    open_networks,
+)
 from cucumbervision_lab.detection.pictures import import_pycocotools
 from cucumbervision_lab.detection.truth import (
     DRAWN,
@@ -43,11 +49,11 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
 
-__all__ = ["EyesPlan", "EyesResult", "chosen_networks", "evaluate_eyes"]
+__all__ = ["DetectionPlan", "DetectionResult", "chosen_networks", "evaluate_detection"]
 
 
 @dataclass(frozen=True)
-class EyesPlan:
+class DetectionPlan:
     """What is to be evaluated.
 
     Parameters
@@ -88,12 +94,12 @@ class EyesPlan:
 
 
 @dataclass(frozen=True, eq=False)
-class EyesResult:
+class DetectionResult:
     """What was seen.
 
     Parameters
     ----------
-    plan : EyesPlan
+    plan : DetectionPlan
         What was asked.
     held_out : HeldOut
         The pictures.
@@ -106,14 +112,14 @@ class EyesResult:
     photos : PhotoResult, optional
         On real photos, as figures.
     models : list of dict
-        Which networks looked.
+        File, SHA-256 and runtime of each network.
     seconds : dict of str to list of float
         What each network took for each picture.
     duration_s : float
         Of the whole.
     """
 
-    plan: EyesPlan
+    plan: DetectionPlan
     held_out: HeldOut
     frames: tuple[Frame, ...]
     overlaps: tuple[OverlapRow, ...] = ()
@@ -124,7 +130,7 @@ class EyesResult:
     duration_s: float = 0.0
 
 
-def chosen_networks(plan: EyesPlan) -> tuple[Path | None, Path | None]:
+def chosen_networks(plan: DetectionPlan) -> tuple[Path | None, Path | None]:
     """Give the segmenting and the pose network: those that were named, else the registry's.
 
     Raises
@@ -150,14 +156,14 @@ def chosen_networks(plan: EyesPlan) -> tuple[Path | None, Path | None]:
     return segment, pose
 
 
-def evaluate_eyes(
-    plan: EyesPlan, report: Callable[[str, int, int], None] | None = None
-) -> EyesResult:
-    """Let the networks look at every picture of the split.
+def evaluate_detection(
+    plan: DetectionPlan, report: Callable[[str, int, int], None] | None = None
+) -> DetectionResult:
+    """Run the networks on every picture of the split.
 
     Parameters
     ----------
-    plan : EyesPlan
+    plan : DetectionPlan
         What to do.
     report : callable, optional
         Called with a part's name, how many pictures were just finished and how many it has.
@@ -174,7 +180,7 @@ def evaluate_eyes(
     start = time.perf_counter()
     import_pycocotools()
     held_out = read_held_out(plan.data, plan.split, plan.limit)
-    eyes = open_eyes(
+    networks = open_networks(
         *chosen_networks(plan),
         plan.segmenter,
         runtime=plan.runtime,
@@ -188,47 +194,49 @@ def evaluate_eyes(
     for picture in held_out.pictures:
         color, capture = _read(picture, held_out)
         depth_m = None if capture is None else capture.depth_m
-        looked = look_at(frame_of(picture, held_out.data, depth_m), color, eyes, depth_m)
+        result = detect_picture(frame_of(picture, held_out.data, depth_m), color, networks, depth_m)
         if picture.file in measured:
-            masked, rows = _segment(looked, color, eyes, picture.source == DRAWN)
+            masked, rows = _segment(result, color, networks, picture.source == DRAWN)
             overlaps += rows
             if capture is not None:
-                records += length_records(looked.frame, capture, masked)
-        frames.append(looked.frame)
-        for name, one in looked.seconds.items():
+                records += length_records(result.frame, capture, masked)
+        frames.append(result.frame)
+        for name, one in result.seconds.items():
             seconds.setdefault(name, []).append(one)
         if report is not None:
             report("pictures", 1, len(held_out.pictures))
-    overlaps += _captures(plan, eyes, report)
-    return EyesResult(
+    overlaps += _captures(plan, networks, report)
+    return DetectionResult(
         plan,
         held_out,
         tuple(frames),
         tuple(overlaps),
         tuple(records),
         _photos(plan, report),
-        eyes.models,
+        networks.models,
         seconds,
         time.perf_counter() - start,
     )
 
 
-def _photos(plan: EyesPlan, report: Callable[[str, int, int], None] | None) -> PhotoResult | None:
+def _photos(
+    plan: DetectionPlan, report: Callable[[str, int, int], None] | None
+) -> PhotoResult | None:
     if plan.photos is None:
         return None
     # No average precision here: unsure detections, whose masks take long, are not wanted.
-    eyes = open_eyes(
+    networks = open_networks(
         *chosen_networks(plan),
         None,
         runtime=plan.runtime,
         confidence=plan.confidence,
         floor=plan.confidence,
     )
-    from cucumbervision_lab.detection.photos import audited_photos, look_at_photos
+    from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 
     photos, missing = audited_photos(plan.photos)
     tell = None if report is None else (lambda count: report("photos", count, len(photos)))
-    return look_at_photos(photos, eyes, missing, tell)
+    return evaluate_photos(photos, networks, missing, tell)
 
 
 def _read(picture: LabelledPicture, held_out: HeldOut) -> tuple[NDArray[np.uint8], Capture | None]:
@@ -237,17 +245,17 @@ def _read(picture: LabelledPicture, held_out: HeldOut) -> tuple[NDArray[np.uint8
 
 
 def _segment(
-    looked: Looked, color: NDArray[np.uint8], eyes: Eyes, simulated: bool
+    result: PictureResult, color: NDArray[np.uint8], networks: Networks, simulated: bool
 ) -> tuple[dict[int, Instance], list[OverlapRow]]:
     """Draw SAM's masks of what was found, by both prompts; the second is the shipped one.
 
     Without SAM the detector's own masks stay.
     """
-    frame, found = looked.frame, found_of(looked, eyes.confidence)
+    frame, found = result.frame, found_by_fruit(result, networks.confidence)
     asked = list(found.values())
-    if eyes.segmenter is None:
+    if networks.segmenter is None:
         return found, []
-    drawn = draw_by_prompt(eyes.segmenter, color, asked)
+    drawn = draw_by_prompt(networks.segmenter, color, asked)
     numbered = dict(zip(found, range(len(asked)), strict=True))
     pairs = []
     for number, place in numbered.items():
@@ -262,9 +270,9 @@ def _segment(
 
 
 def _captures(
-    plan: EyesPlan, eyes: Eyes, report: Callable[[str, int, int], None] | None
+    plan: DetectionPlan, networks: Networks, report: Callable[[str, int, int], None] | None
 ) -> list[OverlapRow]:
-    if eyes.segmenter is None or not plan.captures:
+    if networks.segmenter is None or not plan.captures:
         return []
     from cucumbervision.capture.readers import open_source
 
@@ -272,7 +280,7 @@ def _captures(
     for path in plan.captures:
         source = open_source(path)
         for ref in source:
-            rows += capture_overlaps(ref.load(), eyes.segmenter, path.name)
+            rows += capture_overlaps(ref.load(), networks.segmenter, path.name)
             if report is not None:
                 report(path.name, 1, source.total or 0)
     return rows

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision_lab.detection.overlaps import OverlapRow
-    from cucumbervision_lab.detection.run import EyesResult
+    from cucumbervision_lab.detection.run import DetectionResult
 
 __all__ = ["EndScore", "OverlapScore", "Precision", "Summary", "summarise"]
 
@@ -125,13 +125,13 @@ class Summary:
     end_rows: tuple[EndRow, ...]
 
 
-def summarise(result: EyesResult) -> Summary:
+def summarise(result: DetectionResult) -> Summary:
     """Compute every figure of an evaluation.
 
     Parameters
     ----------
-    result : EyesResult
-        From `evaluate_eyes`.
+    result : DetectionResult
+        From `evaluate_detection`.
     """
     frames, confidence = result.frames, result.plan.confidence
     stages = {str(model.get("task", "")) for model in result.models}

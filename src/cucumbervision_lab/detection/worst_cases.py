@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision_lab.detection.pictures import Code, Frame
-    from cucumbervision_lab.detection.run import EyesResult
+    from cucumbervision_lab.detection.run import DetectionResult
     from cucumbervision_lab.detection.summary import Summary
 
 __all__ = ["KINDS", "WorstCase", "draw_sheet", "worst_cases"]
@@ -63,12 +63,12 @@ class WorstCase:
     words: str
 
 
-def worst_cases(result: EyesResult, summary: Summary) -> list[WorstCase]:
+def worst_cases(result: DetectionResult, summary: Summary) -> list[WorstCase]:
     """Choose the worst cases of drawn pictures, at most eight of each kind.
 
     Parameters
     ----------
-    result : EyesResult
+    result : DetectionResult
         What was seen.
     summary : Summary
         Its figures.
@@ -116,14 +116,14 @@ def worst_cases(result: EyesResult, summary: Summary) -> list[WorstCase]:
     return [WorstCase(*case) for case in cases]
 
 
-def draw_sheet(cases: Sequence[WorstCase], result: EyesResult) -> bytes:
+def draw_sheet(cases: Sequence[WorstCase], result: DetectionResult) -> bytes:
     """Draw cases side by side: truth in green, what was found in orange.
 
     Parameters
     ----------
     cases : sequence of WorstCase
         Of drawn pictures, at least one.
-    result : EyesResult
+    result : DetectionResult
         What was seen.
 
     Returns

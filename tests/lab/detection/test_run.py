@@ -34,8 +34,8 @@ from cucumbervision_lab.detection.average_precision import Judged
 from cucumbervision_lab.detection.photos import score_photos
 from cucumbervision_lab.detection.picture_result import shipped
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
-from cucumbervision_lab.detection.report import write_eyes_report
-from cucumbervision_lab.detection.run import EyesPlan, EyesResult, evaluate_eyes
+from cucumbervision_lab.detection.report import write_detection_report
+from cucumbervision_lab.detection.run import DetectionPlan, DetectionResult, evaluate_detection
 from cucumbervision_lab.detection.summary import summarise
 from cucumbervision_lab.detection.worst_cases import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
@@ -126,7 +126,7 @@ class Scene:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return Scene(tmp_path_factory.mktemp("eyes"))
+    return Scene(tmp_path_factory.mktemp("networks"))
 
 
 @pytest.fixture(scope="module")
@@ -155,13 +155,15 @@ def networks(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 
 @pytest.fixture(scope="module")
-def result(scene: Scene, networks: tuple[Path, Path]) -> EyesResult:
+def result(scene: Scene, networks: tuple[Path, Path]) -> DetectionResult:
     segment, pose = networks
     # SAM on one picture only: it takes most of the time.
-    return evaluate_eyes(EyesPlan(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1))
+    return evaluate_detection(
+        DetectionPlan(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1)
+    )
 
 
-def test_average_precision_and_recall(result: EyesResult) -> None:
+def test_average_precision_and_recall(result: DetectionResult) -> None:
     summary = summarise(result)
     found = {(one.stage, one.judged): one.found for one in summary.precisions}
     assert len(found) == 4
@@ -185,13 +187,13 @@ def test_average_precision_and_recall(result: EyesResult) -> None:
         assert one.precision.value == pytest.approx(2 / 3)
 
 
-def _area(result: EyesResult) -> int:
+def _area(result: DetectionResult) -> int:
     label = result.held_out.pictures[0].labels[0]
     assert label.mask_code is not None
     return label.mask_code.area_px
 
 
-def test_ends(result: EyesResult, scene: Scene) -> None:
+def test_ends(result: DetectionResult, scene: Scene) -> None:
     summary = summarise(result)
     length = float(np.linalg.norm(scene.keypoints[4, :2] - scene.keypoints[0, :2]))
     every = {one.ends: one for one in summary.ends}["all"]
@@ -200,7 +202,7 @@ def test_ends(result: EyesResult, scene: Scene) -> None:
     assert summary.swapped.value == 0.0
 
 
-def test_masks_and_lengths(result: EyesResult) -> None:
+def test_masks_and_lengths(result: DetectionResult) -> None:
     summary = summarise(result)
     overlaps = {one.masks: one for one in summary.overlaps}
     assert overlaps["network alone"].mean.value > 0.9  # blocks of four pixels
@@ -222,8 +224,8 @@ def test_masks_and_lengths(result: EyesResult) -> None:
 
 def test_missed_fruit_count_in_full(scene: Scene, tmp_path: Path) -> None:
     blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
-    plan = EyesPlan(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
-    summary = summarise(evaluate_eyes(plan))
+    plan = DetectionPlan(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
+    summary = summarise(evaluate_detection(plan))
     assert summary.overall[0][1].recall.value == 0.0
     found = [one for one in summary.lengths if one.group == "whole" and one.truth == "thread"]
     perceived = [one for one in found if one.masks is Masks.PERCEIVED]
@@ -235,7 +237,7 @@ def test_missed_fruit_count_in_full(scene: Scene, tmp_path: Path) -> None:
     assert all(one.missed == 0 for one in found if one.masks is Masks.EXACT)
 
 
-def test_only_drawn_pictures_are_ever_shown(result: EyesResult) -> None:
+def test_only_drawn_pictures_are_ever_shown(result: DetectionResult) -> None:
     summary = summarise(result)
     cases = worst_cases(result, summary)
     assert {case.kind for case in cases} == {"false", "masks", "keypoints"}
@@ -249,7 +251,7 @@ def test_only_drawn_pictures_are_ever_shown(result: EyesResult) -> None:
 
 
 def test_a_sheet_shows_truth_in_green_and_finds_in_orange(
-    result: EyesResult, tmp_path: Path
+    result: DetectionResult, tmp_path: Path
 ) -> None:
     cases = [case for case in worst_cases(result, summarise(result)) if case.kind == "keypoints"]
     (tmp_path / "sheet.png").write_bytes(draw_sheet(cases, result))
@@ -292,7 +294,7 @@ def test_the_command_writes_everything(
     assert page.count("data:image/png") == 5  # recall, ends, and three sheets
 
 
-def test_of_photos_only_figures_are_written(result: EyesResult, tmp_path: Path) -> None:
+def test_of_photos_only_figures_are_written(result: DetectionResult, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     pytest.importorskip("jinja2")
     boxes = np.array([[0.0, 0, 50, 10], [0, 40, 50, 50]])
@@ -301,7 +303,7 @@ def test_of_photos_only_figures_are_written(result: EyesResult, tmp_path: Path) 
     judged = replace(result, photos=score_photos([photo], ["plant"], 0.3))
     summary = summarise(judged)
     pages = [
-        write_eyes_report(one, summary, tmp_path / name).read_text(encoding="utf-8")
+        write_detection_report(one, summary, tmp_path / name).read_text(encoding="utf-8")
         for name, one in (("with", judged), ("without", result))
     ]
     assert pages[0].count("data:image/png") == pages[1].count("data:image/png")

@@ -8,31 +8,31 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision_lab.cli.benchmark_console import progress
-from cucumbervision_lab.detection.report import main_tables, write_eyes_report
-from cucumbervision_lab.detection.run import evaluate_eyes
+from cucumbervision_lab.detection.report import main_tables, write_detection_report
+from cucumbervision_lab.detection.run import evaluate_detection
 from cucumbervision_lab.detection.summary import summarise
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.accuracy.table import Table as Figures
-    from cucumbervision_lab.detection.run import EyesPlan
+    from cucumbervision_lab.detection.run import DetectionPlan
 
 __all__ = ["evaluate_models_and_show", "shown"]
 
 WIDTH = 150
 
 
-def evaluate_models_and_show(plan: EyesPlan, out: Path) -> None:
+def evaluate_models_and_show(plan: DetectionPlan, out: Path) -> None:
     """Evaluate with a progress bar, print the main tables and write the report."""
     with progress() as report:
-        result = evaluate_eyes(plan, report)
+        result = evaluate_detection(plan, report)
     summary = summarise(result)
     console = Console(highlight=False, width=None if Console().is_terminal else WIDTH)
     for table in main_tables(summary, plan.confidence, result.photos):
         console.print(shown(table))
         console.print(table.comment, soft_wrap=True, markup=False, style="dim")
-    page = write_eyes_report(result, summary, out)
+    page = write_detection_report(result, summary, out)
     console.print(f"The report is {page}", soft_wrap=True, markup=False)
 
 

@@ -17,7 +17,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 LENGTH_M, RADIUS_M, DEPTH_M = 0.20, 0.018, 0.5
@@ -26,7 +26,7 @@ BACKDROPS = {"at its own depth": DEPTH_M, "empty": 0.0, "far, 1.2 m": 1.2}
 
 def read(tube: Tube, backdrop_m: float = 0.0) -> list[str]:
     """Give every method's length in cm, as text."""
-    scene = render([tube], CAMERA, backdrop_m)
+    scene = render(Scene.of(tube, backdrop_m=backdrop_m), CAMERA)
     mask = scene.mask(0)
     region = Region(scene.depth_m.astype(np.float32), CAMERA, box_of_mask(mask), mask)
     results = run_methods(region)

@@ -39,7 +39,7 @@ from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.rows import fruit_row
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Kind, Scene, render
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -119,9 +119,9 @@ def five_fruit() -> Capture:
         )
         for k, long in enumerate(LENGTHS_M)
     ]
-    scene = render(tubes, CAMERA, 0.9)
+    scene = render(Scene.of(*tubes, backdrop_m=0.9), CAMERA)
     color = np.full((720, 1280, 3), (90, 110, 80), np.uint8)
-    color[scene.fruit >= 0] = (60, 140, 50)
+    color[scene.kind == Kind.FRUIT] = (60, 140, 50)
     masks = tuple(scene.mask(k) for k in range(len(tubes)))
     depth = scene.depth_m.astype(np.float32)
     return Capture(color, depth, CAMERA, "five", masks=masks, simulated=True)

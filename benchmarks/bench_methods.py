@@ -25,8 +25,8 @@ from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,12 +43,12 @@ M6_MS = 25.0
 def draw_region() -> Region:
     """Draw a fruit whose mask has about 30,000 pixels, with its keypoints."""
     tube = arc_tube(0.25, 0.0205, 0.5, neck=0.2).moved(rotation(8, 10), (0.0, 0.0, 0.52))
-    scene = render([tube], CAMERA, 0.9)
-    depth = median_depth(noisy_depth(scene.depth_m, CAMERA.fx_px, 5, np.random.default_rng(1)))
+    scene = Scene.of(tube, backdrop_m=0.9)
+    depth = median_depth(sense(scene, D4xx.like(CAMERA), np.random.default_rng(1)))
     axis = tube.axis_m[np.linspace(12, len(tube.axis_m) - 13, 5).astype(int)]
     pixels = axis[:, :2] / axis[:, 2:] * CAMERA.fx_px + (CAMERA.cx_px, CAMERA.cy_px)
     keypoints = np.column_stack([pixels, np.ones(5)])
-    mask = scene.mask(0)
+    mask = render(scene, CAMERA).mask(0)
     return Region(depth, CAMERA, box_of_mask(mask), mask, keypoints)
 
 

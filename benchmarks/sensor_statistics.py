@@ -24,9 +24,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision_lab.synthesis.bodies import Tube, random_fruit
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.placing import hang, trellis
-from cucumbervision_lab.synthesis.raycast import Plane, plane_depth
-from cucumbervision_lab.synthesis.scene import Scene, look
+from cucumbervision_lab.synthesis.placing import place_hanging, trellis
+from cucumbervision_lab.synthesis.raycast import Plane, cast_plane
+from cucumbervision_lab.synthesis.scene import Scene, render
 from cucumbervision_lab.synthesis.sensor_statistics import (
     WINDOW_PX,
     EdgeProfile,
@@ -110,9 +110,9 @@ def pair_of(capture: Capture, seed: int) -> Pair:
     ground = fit_ground(capture, mask)
     scene = Scene((body_on(ground, mask, capture.intrinsics),), planes=(ground,))
     camera = D4xx.like(capture.intrinsics)
-    seen = look(scene, capture.intrinsics).mask(0)
+    seen = render(scene, capture.intrinsics).mask(0)
     reading = sense(scene, camera, np.random.default_rng(seed), frames=1)[0]
-    level = plane_depth(ground, capture.intrinsics)
+    level = cast_plane(ground, capture.intrinsics).depth_m
     return Pair((capture.depth_m, level, mask), (reading, level, seen))
 
 
@@ -205,7 +205,7 @@ def print_foliage(path: Path) -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         fruit = tuple(
-            hang(random_fruit(rng, 0.25), (x, 0.0, 0.55), spin_deg=rng.uniform(0, 360))
+            place_hanging(random_fruit(rng, 0.25), (x, 0.0, 0.55), spin_deg=rng.uniform(0, 360))
             for x in (-0.15, 0.15)
         )
         scene = trellis(rng, camera.color, fruit)

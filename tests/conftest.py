@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.bodies import Tube
-from cucumbervision_lab.synthesis.render import Rendering, render
+from cucumbervision_lab.synthesis.scene import Kind, Scene, View, render
 
 
 @pytest.fixture
@@ -48,19 +48,17 @@ def run_page(
     return run
 
 
-def capture_of(
-    scene: Rendering, camera: Intrinsics, fruit: int = 1, name: str = "drawn"
-) -> Capture:
+def capture_of(scene: View, camera: Intrinsics, fruit: int = 1, name: str = "drawn") -> Capture:
     color = np.zeros((camera.height, camera.width, 3), np.uint8)
-    color[scene.fruit >= 0] = (60, 140, 50)
+    color[scene.kind == Kind.FRUIT] = (60, 140, 50)
     masks = tuple(scene.mask(k) for k in range(fruit))
     return Capture(color, scene.depth_m.astype(np.float32), camera, name, masks=masks)
 
 
-def draw(tube: Tube, camera: Intrinsics, backdrop_m: float = 0.0) -> tuple[Capture, Rendering]:
-    scene = render([tube], camera, backdrop_m)
+def draw(tube: Tube, camera: Intrinsics, backdrop_m: float = 0.0) -> tuple[Capture, View]:
+    scene = render(Scene.of(tube, backdrop_m=backdrop_m), camera)
     return capture_of(scene, camera), scene
 
 
-def depth32(scene: Rendering) -> NDArray[np.float32]:
+def depth32(scene: View) -> NDArray[np.float32]:
     return scene.depth_m.astype(np.float32)

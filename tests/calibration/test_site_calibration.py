@@ -21,7 +21,7 @@ from cucumbervision.measurement.result import Length, Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 CAMERA = Intrinsics(640, 360, 460.0, 460.0, 320.0, 180.0)
 M3 = MeasureOptions(methods=(Method.M3,))
@@ -33,7 +33,7 @@ def draw(folder: Path, name: str, length_m: float, spin_deg: float, **more: Any)
     tube = arc_tube(length_m, more.get("radius_m", 0.018)).moved(
         rotation(0.0, tilt, spin_deg), (0.0, 0.0, far)
     )
-    seen = render([tube], CAMERA, 0.7)
+    seen = render(Scene.of(tube, backdrop_m=0.7), CAMERA)
     capture = Capture(
         np.full((360, 640, 3), 90, np.uint8),
         (seen.depth_m * more.get("scale", 1.0)).astype(np.float32),

@@ -8,14 +8,14 @@ from cucumbervision.measurement.m1 import measure_m1, window_depths
 from cucumbervision.measurement.result import LengthKind, Reason
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 LENGTH_M, RADIUS_M, DEPTH_M = 0.20, 0.018, 0.5
 
 
 def read_tilted(camera: Intrinsics, roll_deg: float, backdrop_m: float) -> float:
     tube = arc_tube(LENGTH_M, RADIUS_M).moved(rotation(roll_deg=roll_deg), (0, 0, DEPTH_M))
-    scene = render([tube], camera, backdrop_m)
+    scene = render(Scene.of(tube, backdrop_m=backdrop_m), camera)
     result = measure_m1(scene.depth_m.astype(np.float32), box_of_mask(scene.mask(0)), camera)
     assert result.length_m is not None
     return result.length_m

@@ -10,7 +10,7 @@ from cucumbervision.measurement.m3 import measure_m3
 from cucumbervision.measurement.result import Reason
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 
 def visible_extent_m(length_m: float, radius_m: float, depth_m: float) -> float:
@@ -30,7 +30,7 @@ def test_m3_reads_the_visible_extent_whatever_the_direction(
     camera: Intrinsics, length_m: float, roll_deg: float
 ) -> None:
     tube = arc_tube(length_m, 0.015).moved(rotation(roll_deg=roll_deg), (0, 0, 0.5))
-    scene = render([tube], camera)
+    scene = render(Scene.of(tube), camera)
     result = measure_m3(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
     expected = visible_extent_m(length_m, 0.015, 0.5)
     pixel_m = 0.5 / 910
@@ -42,7 +42,7 @@ def test_m3_reads_the_visible_extent_whatever_the_direction(
 
 def test_m2_reads_the_same_where_the_box_holds_nothing_else(camera: Intrinsics) -> None:
     tube = arc_tube(0.20, 0.015).moved(rotation(), (0, 0, 0.5))
-    scene = render([tube], camera)
+    scene = render(Scene.of(tube), camera)
     depth = scene.depth_m.astype(np.float32)
     m2 = measure_m2(box_points(depth, box_of_mask(scene.mask(0)), camera))
     # Stride 2 may miss the outermost column on either side.
@@ -51,7 +51,7 @@ def test_m2_reads_the_same_where_the_box_holds_nothing_else(camera: Intrinsics) 
 
 def test_m2_takes_in_a_backdrop_within_the_gate_and_m3_does_not(camera: Intrinsics) -> None:
     tube = arc_tube(0.20, 0.015).moved(rotation(roll_deg=45), (0, 0, 0.5))
-    scene = render([tube], camera, backdrop_m=0.51)
+    scene = render(Scene.of(tube, backdrop_m=0.51), camera)
     depth = scene.depth_m.astype(np.float32)
     m2 = measure_m2(box_points(depth, box_of_mask(scene.mask(0)), camera)).length_m
     m3 = measure_m3(masked_points(depth, scene.mask(0), camera)).length_m
@@ -64,7 +64,7 @@ def test_m2_takes_in_a_backdrop_within_the_gate_and_m3_does_not(camera: Intrinsi
 
 def test_the_gate_cuts_a_fruit_tilted_towards_the_camera(camera: Intrinsics) -> None:
     tube = arc_tube(0.30, 0.015).moved(rotation(tilt_deg=60), (0, 0, 0.6))
-    scene = render([tube], camera)
+    scene = render(Scene.of(tube), camera)
     result = measure_m3(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
     assert result.length_m is not None
     # What is left is 7 cm deep: 0.07 / sin 60 along the axis, plus at most the tube's width.

@@ -9,7 +9,7 @@ from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.m5 import measure_m5
 from cucumbervision.measurement.result import LengthKind, Reason
 from cucumbervision_lab.synthesis.bodies import arc_tube, helix_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 
 def line_cloud(length_m: float, points: int = 2000) -> NDArray[np.float64]:
@@ -44,7 +44,7 @@ def test_a_thin_helix_has_its_arc_length() -> None:
 
 def test_a_bent_fruit_reads_more_than_its_chord(camera: Intrinsics) -> None:
     tube = arc_tube(0.25, 0.015, 0.15).moved(rotation(), (0, 0, 0.55))
-    scene = render([tube], camera)
+    scene = render(Scene.of(tube), camera)
     result = measure_m5(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
     assert tube.chord_m < 0.225
     assert result.length_m == pytest.approx(0.25, rel=0.05)
@@ -58,7 +58,7 @@ def test_a_gap_is_bridged() -> None:
 
 def test_the_fixed_gate_cuts_a_fruit_tilted_to_the_camera(camera: Intrinsics) -> None:
     tube = arc_tube(0.30, 0.015).moved(rotation(tilt_deg=60), (0, 0, 0.6))
-    scene = render([tube], camera)
+    scene = render(Scene.of(tube), camera)
     result = measure_m5(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
     assert result.length_m is not None
     assert result.length_m < 0.5 * 0.30  # the paper's known fault, kept

@@ -15,8 +15,8 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit, TubeLengths
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 Picture = tuple[NDArray[np.float32], NDArray[np.bool_]]
 BACK_M = 1.1
@@ -28,15 +28,23 @@ def camera() -> Intrinsics:
     return Intrinsics(848, 480, 610.0, 610.0, 424.0, 240.0)
 
 
-def seen(tube: Tube, camera: Intrinsics, backdrop: float | NDArray[np.float64] = BACK_M) -> Picture:
-    scene = render([tube], camera, backdrop)
-    return scene.depth_m.astype(np.float32), scene.mask(0)
+def seen(tube: Tube, camera: Intrinsics, backdrop_m: float = BACK_M) -> Picture:
+    view = render(Scene.of(tube, backdrop_m=backdrop_m), camera)
+    return view.depth_m.astype(np.float32), view.mask(0)
+
+
+def covered(tube: Tube, camera: Intrinsics, columns: slice, at_m: float) -> Picture:
+    """A fruit of which a flat leaf at a distance hides some of the picture's columns."""
+    depth, mask = seen(tube, camera)
+    depth[:, columns] = np.minimum(depth[:, columns], at_m)
+    mask[:, columns] &= depth[:, columns] < at_m
+    return depth, mask
 
 
 def noisy(tube: Tube, camera: Intrinsics, seed: int) -> Picture:
-    scene = render([tube], camera, BACK_M)
+    scene = Scene.of(tube, backdrop_m=BACK_M)
     rng = np.random.default_rng(seed)
-    return median_depth(noisy_depth(scene.depth_m, camera.fx_px, 5, rng)), scene.mask(0)
+    return median_depth(sense(scene, D4xx.like(camera), rng)), render(scene, camera).mask(0)
 
 
 def fitted(result: Measurement) -> tuple[TubeLengths, TubeFit]:
@@ -126,10 +134,8 @@ def test_noise_keeps_errors_small_and_the_stated_sd_fits_them(camera: Intrinsics
 @pytest.mark.parametrize("hidden", [0.2, 0.4])
 def test_a_leaf_across_the_middle_is_bridged(hidden: float, camera: Intrinsics) -> None:
     tube = arc_tube(0.25, 0.018, 0.25).moved(rotation(), (0, 0, 0.55))
-    backdrop = np.full((camera.height, camera.width), BACK_M)
     half = int(hidden * 0.25 / 0.55 * camera.fx_px / 2)
-    backdrop[:, 424 - half : 424 + half] = 0.50
-    depth, mask = seen(tube, camera, backdrop)
+    depth, mask = covered(tube, camera, slice(424 - half, 424 + half), 0.50)
     assert cv2.connectedComponents(mask.astype(np.uint8))[0] == 3  # two pieces and the rest
     lengths, fit = fitted(measure_m6(depth, mask, camera))
     assert lengths.centreline_m == pytest.approx(0.25, rel=0.02)
@@ -140,9 +146,8 @@ def test_a_leaf_across_the_middle_is_bridged(hidden: float, camera: Intrinsics) 
 
 def test_an_end_behind_a_leaf_is_no_end(camera: Intrinsics) -> None:
     tube = arc_tube(0.25, 0.018).moved(rotation(), (0, 0, 0.55))
-    backdrop = np.full((camera.height, camera.width), BACK_M)
-    backdrop[:, :350] = 0.50  # hides 4.2 of the fruit's 25 cm
-    lengths, fit = fitted(measure_m6(*seen(tube, camera, backdrop), camera))
+    # The leaf hides 4.2 of the fruit's 25 cm.
+    lengths, fit = fitted(measure_m6(*covered(tube, camera, slice(350), 0.50), camera))
     assert "end-hidden" in fit.flags
     assert sum(fit.ends_seen) == 1
     shown = 0.125 + (424 - 350) / camera.fx_px * 0.55
@@ -155,9 +160,8 @@ def test_an_end_behind_a_leaf_is_no_end(camera: Intrinsics) -> None:
 def test_a_leaf_that_touches_the_fruit_hides_its_end_too(camera: Intrinsics) -> None:
     # 4 mm before the fruit's surface: less than the border test can tell from noise.
     tube = arc_tube(0.25, 0.018).moved(rotation(), (0, 0, 0.55))
-    backdrop = np.full((camera.height, camera.width), BACK_M)
-    backdrop[:, :350] = 0.55 - 0.018 - 0.004
-    _, fit = fitted(measure_m6(*seen(tube, camera, backdrop), camera))
+    at_m = 0.55 - 0.018 - 0.004
+    _, fit = fitted(measure_m6(*covered(tube, camera, slice(350), at_m), camera))
     assert "end-hidden" in fit.flags
     assert sum(fit.ends_seen) == 1
 

@@ -22,7 +22,7 @@ from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.intervals import with_simulated_interval
 from cucumbervision.pipeline.rows import Cell, fruit_row
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 ONE_PERCENT = np.log(0.01)
 
@@ -39,7 +39,7 @@ BOOK = IntervalBook(
 @pytest.fixture
 def measured(camera: Intrinsics) -> tuple[Capture, Fruit]:
     tube = arc_tube(0.2, 0.018, 0.4).moved(rotation(10), (0, 0, 0.5))
-    scene = render([tube], camera, 0.9)
+    scene = render(Scene.of(tube, backdrop_m=0.9), camera)
     mask = scene.mask(0)
     color = np.zeros((720, 1280, 3), np.uint8)
     capture = Capture(color, scene.depth_m.astype(np.float32), camera, "drawn")

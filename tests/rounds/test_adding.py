@@ -18,8 +18,8 @@ from cucumbervision.rounds.service import fruit_table, merge_round
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
-from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.scene import Kind, Scene, render
 
 CAMERA = Intrinsics(424, 240, 308.2, 308.1, 212.1, 119.8)
 MORNING = key_of("rounds", "morning")
@@ -45,10 +45,13 @@ def draw(side: str, number: int, folder: Path) -> Path:
         away = depth if side == "left" else ACROSS_M - depth
         at = (sign * (along - TRUE[side][number]), -up, away)
         tubes.append(arc_tube(length, radius, 3.0, neck=0.2).moved(rotation(-90.0), at))
-    exact = render(tubes, CAMERA, 0.95)
+    scene = Scene.of(*tubes, backdrop_m=0.95)
+    exact = render(scene, CAMERA)
     rng = np.random.default_rng([number, len(side)])
-    [depth_m] = noisy_depth(exact.depth_m, CAMERA.fx_px, 1, rng)
-    color = np.where(exact.fruit[..., None] >= 0, [60, 120, 50], [90, 90, 80]).astype(np.uint8)
+    [depth_m] = sense(scene, D4xx.like(CAMERA), rng, 1)
+    color = np.where((exact.kind == Kind.FRUIT)[..., None], [60, 120, 50], [90, 90, 80]).astype(
+        np.uint8
+    )
     color = np.clip(color + rng.normal(0, 3, color.shape), 0, 255).astype(np.uint8)
     masks = tuple(m for k in range(len(FRUIT)) if (m := exact.mask(k)).sum() > 400)
     place = Stop("3", side, SAID[side][number], number)

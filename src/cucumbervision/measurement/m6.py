@@ -294,11 +294,11 @@ def measure_m6(
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.synthesis.render import render
+    >>> from cucumbervision_lab.synthesis.scene import Scene, render
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     >>> fruit = arc_tube(0.20, 0.02, 0.30).moved(rotation(tilt_deg=40), (0, 0, 0.5))
-    >>> scene = render([fruit], camera)
+    >>> scene = render(Scene.of(fruit), camera)
     >>> result = measure_m6(scene.depth_m.astype(np.float32), scene.mask(0), camera)
     >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 2)
     (0.2, 1.0)

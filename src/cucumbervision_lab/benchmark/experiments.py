@@ -16,7 +16,7 @@ from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision_lab.benchmark.protocol import CAMERA
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ def wrong_intrinsics() -> Table:
     for name, focal in WRONG_FOCALS_PX.items():
         for tilt in TILTS_DEG:
             tube = arc_tube(0.20, 0.015).moved(rotation(90, tilt), (0, 0, 0.6))
-            scene = render([tube], CAMERA)
+            scene = render(Scene.of(tube), CAMERA)
             wrong = replace(CAMERA, fx_px=focal, fy_px=focal)
             found = measure_m6(scene.depth_m.astype(np.float32), scene.mask(0), wrong)
             formula = 100 * scale_error_tilted(CAMERA.fx_px, focal, tilt)

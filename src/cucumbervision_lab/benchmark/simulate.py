@@ -10,10 +10,13 @@ import numpy as np
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.frames import Capture
 from cucumbervision_lab.benchmark.protocol import CAMERA, Case
+from cucumbervision_lab.synthesis.appearance import Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, random_fruit, rotation, variety_of
+from cucumbervision_lab.synthesis.color_camera import Exposure, expose
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.raycast import Leaf, Plane
-from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, View, look, truth_of
+from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, View, render, truth_of
+from cucumbervision_lab.synthesis.shading import shade
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -111,13 +114,13 @@ def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated
     rng = np.random.default_rng(case.capture_seed + 1)
     sensor = _sensor(case)
     depths = sense(scene, sensor, rng, frames)
-    view = look(scene, CAMERA)
+    view = render(scene, CAMERA)
     (truth,) = truth_of(scene, CAMERA, view)
     colors = [np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)] * frames
     if paint:
-        from cucumbervision_lab.synthesis.paint import paint_view
-
-        colors = [paint_view(view, np.random.default_rng(case.capture_seed + 2))] * frames
+        colors = [
+            _color_picture(scene, view, np.random.default_rng(case.capture_seed + 2))
+        ] * frames
     color, depth_m, burst_frame = fuse_burst(colors, depths)
     capture = Capture(
         color,
@@ -131,6 +134,12 @@ def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated
     )
     scale = 1 + float(np.random.default_rng(case.capture_seed + 3).normal(0, SCALE_SD))
     return Simulated(capture, truth, view, scale)
+
+
+def _color_picture(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
+    style = random_style(rng, scene, Assets(), "hanging")
+    light = shade(scene, view, CAMERA, style, Assets(), rng)
+    return expose(light, Exposure(), rng, view.depth_m)
 
 
 def _sensor(case: Case) -> D4xx:

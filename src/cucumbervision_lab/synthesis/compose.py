@@ -16,10 +16,10 @@ from cucumbervision_lab.synthesis.bodies import Variety, random_fruit, rotation
 from cucumbervision_lab.synthesis.placing import (
     NEAREST_M,
     Ground,
-    cover,
     crate_rods,
-    hang,
-    lay,
+    occlude,
+    place_hanging,
+    place_lying,
     trellis,
 )
 from cucumbervision_lab.synthesis.raycast import Leaf, Stem
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
 
-__all__ = ["MOST_FRUIT", "Setting", "Staged", "compose"]
+__all__ = ["MOST_FRUIT", "Composition", "Setting", "compose"]
 
 MOST_FRUIT = 12
 TRIES = 30
@@ -60,7 +60,7 @@ class Setting(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Staged:
+class Composition:
     """A composed scene, and what its bodies stand for.
 
     Parameters
@@ -88,7 +88,7 @@ class Staged:
     up: tuple[float, float, float]
 
 
-def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str) -> Staged:
+def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str) -> Composition:
     """Put a scene together.
 
     Parameters
@@ -102,7 +102,7 @@ def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str
 
     Returns
     -------
-    Staged
+    Composition
         With 0 to 12 cucumbers, none inside another, at 0.3 to 1.2 m.
 
     Raises
@@ -142,7 +142,7 @@ def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
 
 def _on_the_plant(
     rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float, count: int
-) -> Staged:
+) -> Composition:
     placed: list[Tube] = []
     for _ in range(count):
         for _ in range(TRIES):
@@ -156,7 +156,7 @@ def _on_the_plant(
     for index in range(len(placed)):
         if rng.random() < 0.45:
             share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
-            covered = cover(scene, camera, index, share, rng, ends_free=free)
+            covered = occlude(scene, camera, index, share, rng, ends_free=free)
             if _in_front(covered.leaves[-1]):
                 scene = covered
                 leaf_roles.append("leaf")
@@ -173,7 +173,7 @@ def _on_the_plant(
         stems=(*scene.stems, *rods, *strings),
     )
     scene, up = _held(rng, scene)
-    return Staged(
+    return Composition(
         scene,
         Setting.HANGING,
         variety,
@@ -190,7 +190,7 @@ def _hung(
     z = distance_m * rng.uniform(0.88, 1.2)
     u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
     x, y = (float(r) for r in camera.rays(u, v))
-    return hang(
+    return place_hanging(
         _grown(rng, variety),
         (x * z, y * z, z),
         roll_deg=-90.0 + rng.normal(0, 14),
@@ -204,7 +204,7 @@ def _behind(
 ) -> Scene:
     if fruit:
         return trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
-    stand_in = (hang(_grown(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
+    stand_in = (place_hanging(_grown(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
     return replace(trellis(rng, camera, stand_in), fruit=())
 
 
@@ -343,7 +343,7 @@ def _laid(
     variety: Variety,
     distance_m: float,
     count: int,
-) -> Staged:
+) -> Composition:
     crated = setting is Setting.CRATE
     bodies = [_grown(rng, variety) for _ in range(count)]
     real = [True] * count
@@ -358,7 +358,7 @@ def _laid(
         # Near enough to fill much of the picture.
         distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
     ground = Ground.seen(rng, distance_m)
-    placed, kept = lay(rng, camera, ground, bodies, inner_m if crated else None)
+    placed, kept = place_lying(rng, camera, ground, bodies, inner_m if crated else None)
     rods = crate_rods(rng, ground, inner_m) if crated else ()
     ends = [
         _ends_of(rng, fruit) if real[k] else ((), ()) for k, fruit in zip(kept, placed, strict=True)
@@ -366,7 +366,7 @@ def _laid(
     petals = tuple(leaf for one in ends for leaf in one[0])
     tips = tuple(rod for one in ends for rod in one[1])
     scene = Scene(tuple(placed), petals, (*rods, *(rod for rod, _ in tips)), (ground.plane,))
-    return Staged(
+    return Composition(
         scene,
         setting,
         variety,

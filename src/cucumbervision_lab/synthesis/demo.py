@@ -15,7 +15,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.writer import write_native
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.paint import bench_backdrop, leafy_backdrop, paint
-from cucumbervision_lab.synthesis.render import Rendering, render
+from cucumbervision_lab.synthesis.scene import Scene, View, render
 from cucumbervision_lab.synthesis.sensor import noisy_depth
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Scene:
+class DemoScene:
     """A named scene: the fruit in it, what lies behind at which depth, and the seed of chance."""
 
     name: str
@@ -66,7 +66,7 @@ class Scene:
 
 
 SCENES = (
-    Scene(
+    DemoScene(
         "simulated-row-a",
         (
             Pose(0.232, 0.021, np.inf, 0.25, -88.0, 3.0, 0.0, (-0.17, -0.01, 0.52)),
@@ -77,7 +77,7 @@ SCENES = (
         0.85,
         1,
     ),
-    Scene(
+    DemoScene(
         "simulated-row-b",
         (
             Pose(0.205, 0.019, 0.22, 0.30, -60.0, 12.0, 0.0, (-0.12, 0.02, 0.47)),
@@ -87,7 +87,7 @@ SCENES = (
         0.95,
         2,
     ),
-    Scene(
+    DemoScene(
         "simulated-bench",
         (
             Pose(0.162, 0.020, np.inf, 0.15, 4.0, 0.0, 0.0, (-0.16, -0.09, 0.50)),
@@ -115,13 +115,13 @@ def place(pose: Pose) -> Tube:
 
 
 def draw_scene(
-    scene: Scene, camera: Intrinsics = CAMERA, frames: int = FRAMES
-) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], Rendering, list[Tube]]:
+    scene: DemoScene, camera: Intrinsics = CAMERA, frames: int = FRAMES
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], View, list[Tube]]:
     """Draw a burst of a scene.
 
     Parameters
     ----------
-    scene : Scene
+    scene : DemoScene
         What to draw.
     camera : Intrinsics
         Who looks.
@@ -134,14 +134,14 @@ def draw_scene(
         RGB, each frame with its own noise and a little motion blur but one.
     depths_m : list of ndarray of float32, shape (H, W)
         As a D435 reads it, metres.
-    rendering : Rendering
+    rendering : View
         The exact picture.
     tubes : list of Tube
         The bodies.
     """
     rng = np.random.default_rng(scene.seed)
     tubes = [place(pose) for pose in scene.fruit]
-    exact = render(tubes, camera, scene.backdrop_m)
+    exact = render(Scene.of(*tubes, backdrop_m=scene.backdrop_m), camera)
     draw = leafy_backdrop if scene.backdrop == "leaves" else bench_backdrop
     backdrop = draw(camera.width, camera.height, rng)
     still = cv2.GaussianBlur(paint(exact, backdrop, rng), (0, 0), 0.6).astype(np.float64)
@@ -154,7 +154,7 @@ def draw_scene(
     return colors, noisy_depth(exact.depth_m, camera.fx_px, frames, rng), exact, tubes
 
 
-def write_demo(folder: Path, scenes: Sequence[Scene] = SCENES) -> list[Path]:
+def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]:
     """Draw the bundled captures as native capture folders, each with a `truth.json`.
 
     Parameters
@@ -172,7 +172,7 @@ def write_demo(folder: Path, scenes: Sequence[Scene] = SCENES) -> list[Path]:
     return [_write_scene(folder / scene.name, scene, step) for step, scene in enumerate(scenes, 1)]
 
 
-def _write_scene(folder: Path, scene: Scene, step: int) -> Path:
+def _write_scene(folder: Path, scene: DemoScene, step: int) -> Path:
     colors, depths, exact, tubes = draw_scene(scene)
     masks = tuple(exact.mask(k) for k in range(len(tubes)))
     capture = Capture(

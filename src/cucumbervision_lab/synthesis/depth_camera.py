@@ -11,7 +11,7 @@ import numpy as np
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.geometry.camera import distort
 from cucumbervision_lab.synthesis.raycast import ray_grid
-from cucumbervision_lab.synthesis.scene import Kind, look
+from cucumbervision_lab.synthesis.scene import Kind, render
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -389,7 +389,7 @@ def sense(
     """
     seen_by = _in_sight(camera)
     back = np.asarray(camera.rotation).T
-    view = look(scene.moved(back, -back @ np.asarray(camera.translation_m)), seen_by)
+    view = render(scene.moved(back, -back @ np.asarray(camera.translation_m)), seen_by)
     focal_baseline = seen_by.fx_px * camera.baseline_m
     depth = view.depth_m.astype(np.float32)
     exact = np.divide(focal_baseline, depth, out=np.zeros_like(depth), where=depth > 0)

@@ -12,10 +12,10 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.tube import arc_positions, points_along
 from cucumbervision_lab.synthesis.appearance import random_style
 from cucumbervision_lab.synthesis.color_camera import expose, random_exposure
-from cucumbervision_lab.synthesis.compose import Setting, Staged, compose
+from cucumbervision_lab.synthesis.compose import Composition, Setting, compose
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.scene import look, truth_of
-from cucumbervision_lab.synthesis.shading import paint_scene
+from cucumbervision_lab.synthesis.scene import render, truth_of
+from cucumbervision_lab.synthesis.shading import shade
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -77,7 +77,7 @@ class Frame:
         RGB.
     camera : Intrinsics
         Who looked.
-    staged : Staged
+    staged : Composition
         The scene.
     truth : tuple of FruitTruth
         Of its cucumbers, in the order of `bodies`.
@@ -94,7 +94,7 @@ class Frame:
 
     color: NDArray[np.uint8]
     camera: Intrinsics
-    staged: Staged
+    staged: Composition
     truth: tuple[FruitTruth, ...]
     bodies: tuple[Tube, ...]
     exact_m: NDArray[np.float64]
@@ -126,10 +126,10 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
     camera = _camera(rng, options)
     setting = list(Setting)[int(rng.choice(3, p=options.shares))]
     staged = compose(rng, camera, setting)
-    view = look(staged.scene, camera)
+    view = render(staged.scene, camera)
     truth = truth_of(staged.scene, camera, view)
     style = _style(painter, staged, assets)
-    linear = paint_scene(staged.scene, view, camera, style, assets, painter)
+    linear = shade(staged.scene, view, camera, style, assets, painter)
     exposure = random_exposure(painter, options.width)
     color = expose(linear, exposure, painter, view.depth_m)
     scale, depth = 1.0, None
@@ -158,7 +158,7 @@ def _camera(rng: np.random.Generator, options: FrameOptions) -> Intrinsics:
     return Intrinsics(options.width, options.height, focal, focal, *centre)
 
 
-def _style(rng: np.random.Generator, staged: Staged, assets: Assets) -> Style:
+def _style(rng: np.random.Generator, staged: Composition, assets: Assets) -> Style:
     style = random_style(
         rng,
         staged.scene,
@@ -184,7 +184,7 @@ def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
 
 
 def _read_depth(
-    staged: Staged,
+    staged: Composition,
     camera: Intrinsics,
     scale: float,
     color: NDArray[np.uint8],

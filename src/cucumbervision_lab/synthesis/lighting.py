@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 __all__ = [
     "Light",
     "LightMaps",
-    "corners",
+    "ambient_occlusion",
+    "dappled_shade",
     "harmonics",
     "irradiance",
     "light_maps",
     "random_light",
-    "spots",
     "sun_shadow",
 ]
 
@@ -386,7 +386,7 @@ def sun_shadow(
     return _grown(cv2.erode(lit, _AROUND), depth_m.shape, step)
 
 
-def spots(
+def dappled_shade(
     rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
 ) -> NDArray[np.float32]:
     """Say how much of the sun leaves out of sight let through.
@@ -425,7 +425,7 @@ def spots(
     return 1 - np.float32(light.shade) * (1 - _grown(through, depth_m.shape, step))
 
 
-def corners(depth_m: NDArray[np.float32], strength: float = 1.0) -> NDArray[np.float32]:
+def ambient_occlusion(depth_m: NDArray[np.float32], strength: float = 1.0) -> NDArray[np.float32]:
     """Say how open each pixel lies to the light all around, by what stands out before it.
 
     Parameters

@@ -10,10 +10,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.synthesis.render import Rendering
     from cucumbervision_lab.synthesis.scene import View
 
-__all__ = ["bench_backdrop", "leafy_backdrop", "paint", "paint_view"]
+__all__ = ["bench_backdrop", "leafy_backdrop", "paint"]
 
 LIGHT = np.array([-0.35, -0.75, -0.55]) / np.linalg.norm([-0.35, -0.75, -0.55])
 SKIN = np.array([[46, 92, 38], [38, 80, 34], [60, 106, 44], [52, 98, 50]], np.float64)
@@ -89,14 +88,12 @@ def bench_backdrop(width: int, height: int, rng: np.random.Generator) -> NDArray
     return np.clip(wood, 0, 255).astype(np.uint8)
 
 
-def paint(
-    scene: Rendering, backdrop: NDArray[np.uint8], rng: np.random.Generator
-) -> NDArray[np.uint8]:
+def paint(scene: View, backdrop: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Give the scene's colours under one light from above left.
 
     Parameters
     ----------
-    scene : Rendering
+    scene : View
         What each pixel sees.
     backdrop : ndarray of uint8, shape (H, W, 3)
         RGB of what lies behind.
@@ -109,8 +106,8 @@ def paint(
         RGB, without noise.
     """
     picture = backdrop.astype(np.float64)
-    grain = cv2.GaussianBlur(rng.standard_normal(scene.fruit.shape), (0, 0), 1.6)
-    for index in range(int(scene.fruit.max()) + 1):
+    grain = cv2.GaussianBlur(rng.standard_normal(scene.kind.shape), (0, 0), 1.6)
+    for index in range(len(scene.amodal)):
         seen = scene.mask(index)
         normal, share = scene.normal[seen].astype(np.float64), scene.share[seen]
         around = np.arctan2(normal[:, 1], -normal[:, 2])
@@ -121,36 +118,6 @@ def paint(
         shine = np.clip(normal @ _halfway(), 0, 1) ** 40
         picture[seen] = skin * (0.45 + 0.95 * lit)[:, None] + 95 * shine[:, None]
     return np.clip(picture, 0, 255).astype(np.uint8)
-
-
-def paint_view(view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Give a scene's colours, leaves and stems before the fruit included.
-
-    Parameters
-    ----------
-    view : View
-        What each pixel sees.
-    rng : numpy.random.Generator
-        The source of chance.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        RGB, with a camera's blur and noise.
-    """
-    from cucumbervision_lab.synthesis.scene import Kind
-
-    height, width = view.kind.shape
-    picture = paint(view, leafy_backdrop(width, height, rng), rng).astype(np.float64)
-    grain = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 3.0)
-    for kind, base in ((Kind.LEAF, (84.0, 122.0, 62.0)), (Kind.STEM, (120.0, 138.0, 84.0))):
-        for body in np.unique(view.body[view.kind == kind]):
-            seen = (view.kind == kind) & (view.body == body)
-            tone = rng.uniform(0.7, 1.25) * (1 + 0.8 * grain[seen])
-            picture[seen] = np.array(base) * tone[:, None] + rng.normal(0, 4, 3)
-    blurred = cv2.GaussianBlur(picture, (0, 0), 0.7)
-    noisy = blurred + rng.normal(0, 2.0, blurred.shape)
-    return np.asarray(np.clip(noisy, 0, 255).astype(np.uint8))
 
 
 def _halfway() -> NDArray[np.float64]:

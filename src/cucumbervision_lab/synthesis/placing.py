@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 __all__ = [
     "NEAREST_M",
     "Ground",
-    "cover",
     "crate_rods",
     "foliage",
-    "hang",
-    "lay",
+    "occlude",
+    "place_hanging",
+    "place_lying",
     "string",
     "trellis",
 ]
@@ -39,7 +39,7 @@ SEARCH_STEPS = 14
 NEAREST = 0.4  # a leaf stands no nearer to the camera than that share of the way from the fruit
 
 
-def hang(
+def place_hanging(
     fruit: Tube,
     at_m: tuple[float, float, float],
     *,
@@ -63,7 +63,7 @@ def hang(
     Examples
     --------
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube
-    >>> hung = hang(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5))
+    >>> hung = place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5))
     >>> hung.poles_m[1].round(3).tolist()  # the stem end, up
     [0.0, -0.1, 0.5]
     """
@@ -177,7 +177,7 @@ def trellis(
     Returns
     -------
     Scene
-        Nothing of it but fruit hides fruit: `cover` adds that.
+        Nothing of it but fruit hides fruit: `occlude` adds that.
     """
     back = max(float((f.centres_m[:, 2] + f.radii_m).max()) for f in fruit)
     # A leaf may lean forward by its own length.
@@ -193,7 +193,7 @@ def trellis(
     return Scene(fruit, leaves, tuple(stems), (wall,))
 
 
-def cover(
+def occlude(
     scene: Scene,
     camera: Intrinsics,
     index: int,
@@ -231,8 +231,8 @@ def cover(
     >>> from cucumbervision_lab.synthesis.scene import truth_of
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
-    >>> bare = Scene((hang(arc_tube(0.25, 0.02), (0.0, 0.0, 0.5)),))
-    >>> covered = cover(bare, camera, 0, 0.3, np.random.default_rng(1))
+    >>> bare = Scene((place_hanging(arc_tube(0.25, 0.02), (0.0, 0.0, 0.5)),))
+    >>> covered = occlude(bare, camera, 0, 0.3, np.random.default_rng(1))
     >>> truth, = truth_of(covered, camera)
     >>> round(truth.hidden_share, 1), truth.keypoint_visibility[[0, 4]].tolist()
     (0.3, [2, 2])
@@ -375,7 +375,7 @@ class Ground:
         return float(place[0]), float(place[1])
 
 
-def lay(
+def place_lying(
     rng: np.random.Generator,
     camera: Intrinsics,
     ground: Ground,

@@ -28,9 +28,9 @@ __all__ = [
     "ball_bounds",
     "cast_capsules",
     "cast_leaf",
+    "cast_plane",
     "cast_stem",
     "cast_tube",
-    "plane_depth",
     "ray_grid",
 ]
 
@@ -533,19 +533,19 @@ def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
     return cast_capsules(stem.vertices_m, stem.radius_m, camera)
 
 
-def plane_depth(plane: Plane, camera: Intrinsics) -> NDArray[np.float64]:
-    """Give the depth of a plane in each pixel.
+def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:
+    """Intersect a plane with every pixel's ray.
 
     Returns
     -------
-    ndarray of float64, shape (H, W)
-        Metres along z; infinite where the ray never meets it.
+    Hit
+        Over the whole picture; infinite where the ray never meets the plane.
 
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> camera = Intrinsics(3, 3, 2.0, 2.0, 1.0, 1.0)
-    >>> plane_depth(Plane.facing(0.5, tilt_deg=45.0), camera)[:, 1].round(3).tolist()
+    >>> cast_plane(Plane.facing(0.5, tilt_deg=45.0), camera).depth_m[:, 1].round(3).tolist()
     [1.0, 0.5, 0.333]
     """
     grid = ray_grid(camera)
@@ -554,4 +554,5 @@ def plane_depth(plane: Plane, camera: Intrinsics) -> NDArray[np.float64]:
     with np.errstate(divide="ignore"):
         depth: NDArray[np.float64] = float(plane.normal @ plane.point_m) / slant
     depth[~(depth > 0)] = np.inf
-    return depth
+    whole = slice(0, camera.height), slice(0, camera.width)
+    return Hit(whole, depth, np.zeros(depth.shape, np.int32))

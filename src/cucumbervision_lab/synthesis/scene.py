@@ -14,21 +14,21 @@ from cucumbervision_lab.synthesis.raycast import (
     Plane,
     Stem,
     cast_leaf,
+    cast_plane,
     cast_stem,
     cast_tube,
-    plane_depth,
     ray_grid,
 )
-from cucumbervision_lab.synthesis.render import Rendering
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
-    from cucumbervision_lab.synthesis.raycast import Hit
 
-__all__ = ["FruitTruth", "Kind", "Scene", "View", "look", "reaches_border", "truth_of"]
+__all__ = ["FruitTruth", "Kind", "Scene", "View", "reaches_border", "render", "truth_of"]
 
 KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -64,8 +64,13 @@ class Scene:
     stems: tuple[Stem, ...] = ()
     planes: tuple[Plane, ...] = ()
 
+    @classmethod
+    def of(cls, *fruit: Tube, backdrop_m: float | None = None) -> Scene:
+        """Return a scene of fruit alone, or before a plane that faces the camera at a distance."""
+        return cls(fruit, planes=() if backdrop_m is None else (Plane.facing(backdrop_m),))
+
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Scene:
-        """Give the scene turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the scene turned about the origin by a 3x3 rotation, then moved by metres."""
         return Scene(
             tuple(body.moved(turn, by_m) for body in self.fruit),
             tuple(body.moved(turn, by_m) for body in self.leaves),
@@ -75,11 +80,17 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class View(Rendering):
+class View:
     """What each pixel's ray meets first, and each fruit's whole outline.
 
     Parameters
     ----------
+    depth_m : ndarray of float64, shape (H, W)
+        Depth along z in metres; 0 where nothing is.
+    share : ndarray of float32, shape (H, W)
+        Position along the fruit's axis, 0 at the blossom end, 1 at the stem end; 0 elsewhere.
+    normal : ndarray of float32, shape (H, W, 3)
+        Outward unit normal of the fruit's surface, camera coordinates; 0 elsewhere.
     kind : ndarray of uint8, shape (H, W)
         A `Kind`.
     body : ndarray of int32, shape (H, W)
@@ -88,9 +99,16 @@ class View(Rendering):
         Each fruit's outline as if nothing hid it, within the picture.
     """
 
+    depth_m: NDArray[np.float64]
+    share: NDArray[np.float32]
+    normal: NDArray[np.float32]
     kind: NDArray[np.uint8]
     body: NDArray[np.int32]
     amodal: tuple[NDArray[np.bool_], ...]
+
+    def mask(self, index: int) -> NDArray[np.bool_]:
+        """Return the visible pixels of one fruit, shape (H, W)."""
+        return np.asarray((self.kind == Kind.FRUIT) & (self.body == index))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,20 +149,20 @@ class FruitTruth:
     keypoint_visibility: NDArray[np.int8]
 
 
-def look(scene: Scene, camera: Intrinsics) -> View:
-    """Draw a scene exactly.
+def render(scene: Scene, camera: Intrinsics) -> View:
+    """Render a scene exactly, by ray casting.
 
     Parameters
     ----------
     scene : Scene
         In the camera's coordinates.
     camera : Intrinsics
-        Who looks.
+        The camera, its lens distortion included.
 
     Returns
     -------
     View
-        Depth 0 where nothing is; `share` and `normal` are the fruit's.
+        What every pixel sees.
 
     Raises
     ------
@@ -158,73 +176,44 @@ def look(scene: Scene, camera: Intrinsics) -> View:
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> string = Stem(np.array([[0.0, -0.3, 0.45], [0.0, 0.3, 0.45]]), 0.002)
     >>> camera = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
-    >>> seen = look(Scene((tube,), stems=(string,), planes=(Plane.facing(0.8),)), camera)
+    >>> seen = render(Scene((tube,), stems=(string,), planes=(Plane.facing(0.8),)), camera)
     >>> Kind(seen.kind[120, 160]).name, Kind(seen.kind[120, 180]).name, float(seen.depth_m[0, 0])
     ('STEM', 'FRUIT', 0.8)
     """
     shape = camera.height, camera.width
-    canvas = _Canvas(
-        np.full(shape, np.inf),
-        np.zeros(shape, np.uint8),
-        np.full(shape, -1, np.int32),
-        np.zeros(shape, np.int32),
-    )
-    amodal = []
-    for index, tube in enumerate(scene.fruit):
-        hit = cast_tube(tube, camera)
-        whole = np.zeros(shape, np.bool_)
-        if hit is not None:
-            whole[hit.window] = hit.mask
-            canvas.add(hit, Kind.FRUIT, index)
-        amodal.append(whole)
-    for kind, hits in (
-        (Kind.LEAF, [cast_leaf(leaf, camera) for leaf in scene.leaves]),
-        (Kind.STEM, [cast_stem(stem, camera) for stem in scene.stems]),
-    ):
-        for index, hit in enumerate(hits):
-            if hit is not None:
-                canvas.add(hit, kind, index)
-    for index, plane in enumerate(scene.planes):
-        canvas.add_plane(plane_depth(plane, camera), index)
-    return _view(scene, camera, canvas, tuple(amodal))
-
-
-@dataclass(frozen=True, eq=False)
-class _Canvas:
-    depth_m: NDArray[np.float64]
-    kind: NDArray[np.uint8]
-    body: NDArray[np.int32]
-    part: NDArray[np.int32]
-
-    def add(self, hit: Hit, kind: Kind, index: int) -> None:
-        closer = hit.depth_m < self.depth_m[hit.window]
-        self.depth_m[hit.window][closer] = hit.depth_m[closer]
-        self.kind[hit.window][closer] = kind
-        self.body[hit.window][closer] = index
-        self.part[hit.window][closer] = hit.part[closer]
-
-    def add_plane(self, depth_m: NDArray[np.float64], index: int) -> None:
-        closer = depth_m < self.depth_m
-        np.copyto(self.depth_m, depth_m, where=closer)
-        self.kind[closer] = Kind.PLANE
-        self.body[closer] = index
-
-
-def _view(
-    scene: Scene, camera: Intrinsics, canvas: _Canvas, amodal: tuple[NDArray[np.bool_], ...]
-) -> View:
-    depth, grid = canvas.depth_m, ray_grid(camera)
+    depth, part = np.full(shape, np.inf), np.zeros(shape, np.int32)
+    kind, body = np.zeros(shape, np.uint8), np.full(shape, -1, np.int32)
+    amodal = tuple(np.zeros(shape, np.bool_) for _ in scene.fruit)
+    for what, index, hit in _hits(scene, camera):
+        if hit is None:
+            continue
+        if what is Kind.FRUIT:
+            amodal[index][hit.window] = hit.mask
+        closer = hit.depth_m < depth[hit.window]
+        np.copyto(depth[hit.window], hit.depth_m, where=closer)
+        np.copyto(part[hit.window], hit.part, where=closer)
+        kind[hit.window][closer], body[hit.window][closer] = what, index
     depth[np.isinf(depth)] = 0.0
-    fruit = np.where(canvas.kind == Kind.FRUIT, canvas.body, -1).astype(np.int32)
-    share = np.zeros(depth.shape, np.float32)
-    normal = np.zeros((*depth.shape, 3), np.float32)
+    share, normal = np.zeros(shape, np.float32), np.zeros((*shape, 3), np.float32)
+    grid = ray_grid(camera)
     for index, tube in enumerate(scene.fruit):
-        v, u = np.nonzero(fruit == index)
-        k, z = canvas.part[v, u], depth[v, u]
+        v, u = np.nonzero((kind == Kind.FRUIT) & (body == index))
+        k, z = part[v, u], depth[v, u]
         points = np.stack([grid.x[v, u] * z, grid.y[v, u] * z, z], axis=1)
         share[v, u] = k / (len(tube.radii_m) - 1)
         normal[v, u] = (points - tube.centres_m[k]) / tube.radii_m[k, None]
-    return View(depth, fruit, share, normal, canvas.kind, canvas.body, amodal)
+    return View(depth, share, normal, kind, body, amodal)
+
+
+def _hits(scene: Scene, camera: Intrinsics) -> Iterator[tuple[Kind, int, Hit | None]]:
+    for index, tube in enumerate(scene.fruit):
+        yield Kind.FRUIT, index, cast_tube(tube, camera)
+    for index, leaf in enumerate(scene.leaves):
+        yield Kind.LEAF, index, cast_leaf(leaf, camera)
+    for index, stem in enumerate(scene.stems):
+        yield Kind.STEM, index, cast_stem(stem, camera)
+    for index, plane in enumerate(scene.planes):
+        yield Kind.PLANE, index, cast_plane(plane, camera)
 
 
 def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tuple[FruitTruth, ...]:
@@ -254,7 +243,7 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
     >>> truth.keypoints_px.round(1)[:, 0].tolist(), truth.keypoint_visibility.tolist()
     ([100.0, 130.0, 160.0, 190.0, 220.0], [2, 2, 2, 2, 2])
     """
-    seen = look(scene, camera) if view is None else view
+    seen = render(scene, camera) if view is None else view
     return tuple(_truth(tube, k, camera, seen) for k, tube in enumerate(scene.fruit))
 
 

@@ -9,22 +9,27 @@ import cv2
 import numpy as np
 
 from cucumbervision_lab.synthesis.appearance import FAR, Style, random_style
-from cucumbervision_lab.synthesis.lighting import corners, light_maps, spots, sun_shadow
+from cucumbervision_lab.synthesis.lighting import (
+    ambient_occlusion,
+    dappled_shade,
+    light_maps,
+    sun_shadow,
+)
 from cucumbervision_lab.synthesis.raycast import ray_grid
 from cucumbervision_lab.synthesis.scene import Kind
 from cucumbervision_lab.synthesis.skin import skin_maps
 from cucumbervision_lab.synthesis.textures import (
-    BLADES,
+    LEAF_TEXTURES,
     TILE_M,
-    blade_level,
-    blade_photo,
-    blade_pixel,
-    blade_texture,
-    dimmed,
     far_view,
+    leaf_level,
+    leaf_photo_texture,
+    leaf_texel,
+    leaf_texture,
     material_tile,
     mix,
     sample,
+    scale_colors,
     smooth_noise,
     to_linear,
 )
@@ -42,7 +47,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float32]
 
-__all__ = ["Style", "paint_scene", "random_style"]
+__all__ = ["Style", "random_style", "shade"]
 
 _FAR_M = 8.0
 _PHOTOS = 3
@@ -60,7 +65,7 @@ class _Layers:
     far: NDArray[np.bool_]
 
 
-def paint_scene(
+def shade(
     scene: Scene,
     view: View,
     camera: Intrinsics,
@@ -75,7 +80,7 @@ def paint_scene(
     scene : Scene
         In the camera's coordinates.
     view : View
-        What `look` gives for it.
+        What `render` gives for it.
     camera : Intrinsics
         Who looks.
     style : Style
@@ -100,13 +105,13 @@ def paint_scene(
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> from cucumbervision_lab.synthesis.appearance import Assets
     >>> from cucumbervision_lab.synthesis.raycast import Plane
-    >>> from cucumbervision_lab.synthesis.scene import Scene, look
+    >>> from cucumbervision_lab.synthesis.scene import Scene, render
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube
     >>> camera, rng = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0), np.random.default_rng(1)
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> scene = Scene((tube,), planes=(Plane.facing(0.52),))
     >>> style = random_style(rng, scene, Assets(), "bench")
-    >>> paint_scene(scene, look(scene, camera), camera, style, Assets(), rng).shape
+    >>> shade(scene, render(scene, camera), camera, style, Assets(), rng).shape
     (120, 160, 3)
     """
     _check(scene, style)
@@ -116,7 +121,7 @@ def paint_scene(
     points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
     layers = _empty(view)
     far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
-    photos = [blade_photo(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
+    photos = [leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
     tiles: dict[str, Array] = {}
     for kind, index, at in _bodies(view):
         here = points[at]
@@ -227,7 +232,7 @@ def _fruit(
 
 def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + np.float32(1e-9)
-    return dimmed(vectors, (np.float32(1) / length * sign).astype(np.float32))
+    return scale_colors(vectors, (np.float32(1) / length * sign).astype(np.float32))
 
 
 def _leaf(
@@ -244,10 +249,10 @@ def _leaf(
     frame = leaf.frame.astype(np.float32)
     local = (points - leaf.centre_m.astype(np.float32)) @ frame.T
     flip = np.float32(rng.choice((-1.0, 1.0)))
-    x = blade_pixel(local[:, 0] / np.float32(leaf.half_length_m))
-    y = blade_pixel(flip * local[:, 1] / np.float32(leaf.half_width_m))
-    level = blade_level(camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
-    found = sample(blade_texture(int(rng.integers(BLADES)), level), x, y)
+    x = leaf_texel(local[:, 0] / np.float32(leaf.half_length_m))
+    y = leaf_texel(flip * local[:, 1] / np.float32(leaf.half_width_m))
+    level = leaf_level(camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
+    found = sample(leaf_texture(int(rng.integers(LEAF_TEXTURES)), level), x, y)
     below = found[:, 2:] * np.float32(style.leaf_relief)
     bend = np.asarray(leaf.bend_per_m, np.float32)
     slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
@@ -265,7 +270,7 @@ def _leaf(
     albedo = mix(color, pale, vein)
     if photo and not withered:
         albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo[level], x, y) - 1)
-    layers.albedo[at] = dimmed(albedo, np.ascontiguousarray(found[:, 0]))
+    layers.albedo[at] = scale_colors(albedo, np.ascontiguousarray(found[:, 0]))
     layers.gloss[at] = np.float32(0.0 if under or withered else style.leaf_gloss)
     layers.through[at] = np.float32(0.55)
 
@@ -353,12 +358,12 @@ def _lit(
 
     half = np.float32(size / 2)
     x, y = ((normal[..., i] + 1) * half - np.float32(0.5) for i in range(2))
-    open_ = corners(depth)
+    open_ = ambient_occlusion(depth)
     front = found(maps.front, x, y)
-    front += dimmed(found(maps.back * _SEEN_THROUGH, x, y), through)
+    front += scale_colors(found(maps.back * _SEEN_THROUGH, x, y), through)
     nearest = float(np.quantile(depth[::8, ::8], 0.02))
     gloom = np.exp(-np.float32(style.gloom_per_m) * np.maximum(depth - nearest, 0))
-    front = dimmed(front, open_ * gloom)
+    front = scale_colors(front, open_ * gloom)
     # Away from the picture's middle the line of sight leans, and the mirror image with it.
     x += np.float32(0.5) * half * grid.x.astype(np.float32)
     y += np.float32(0.5) * half * grid.y.astype(np.float32)
@@ -367,9 +372,9 @@ def _lit(
     edge = np.clip(1 + normal[..., 2], 0, 1) ** 4
     shine = gloss * (np.float32(0.045) + np.float32(0.35) * edge)
     gleam = found(maps.soft, x, y)
-    gleam += dimmed(found(maps.sharp, x, y), np.maximum(gloss - np.float32(0.4), 0))
+    gleam += scale_colors(found(maps.sharp, x, y), np.maximum(gloss - np.float32(0.4), 0))
     light = albedo * front
-    light += dimmed(gleam, shine * (0.3 + 0.7 * open_) * gloom)
+    light += scale_colors(gleam, shine * (0.3 + 0.7 * open_) * gloom)
     if style.light.sun_strength > 0:
         light += _sunlit(rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light)
     light[far] = albedo[far]
@@ -387,7 +392,7 @@ def _sunlit(
     albedo, normal, gloss, through = layers
     lit = sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
     if light.shade > 0:
-        lit = lit * spots(rng, depth_m, camera, light)
+        lit = lit * dappled_shade(rng, depth_m, camera, light)
     sun = np.asarray(light.sun, np.float32)
     halfway = sun + np.array([0, 0, -1], np.float32)
     halfway /= np.linalg.norm(halfway)
@@ -398,4 +403,4 @@ def _sunlit(
     strength = np.asarray(light.sun_color, np.float32) * np.float32(light.sun_strength)
     body = cv2.merge([matt + part * back for part in _SEEN_THROUGH.tolist()]) * albedo
     gleam = np.float32(0.9) * shine
-    return dimmed(body + cv2.merge([gleam, gleam, gleam]), lit) * strength
+    return scale_colors(body + cv2.merge([gleam, gleam, gleam]), lit) * strength

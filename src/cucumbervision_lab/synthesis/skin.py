@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from cucumbervision_lab.synthesis.textures import (
-    dimmed,
     jitter,
     mix,
+    scale_colors,
     smooth_noise,
     smoothstep,
     to_linear,
@@ -278,7 +278,7 @@ def skin_maps(
     height += 0.5 * skin.ridge_m * ridges * smoothstep(0.0, 0.08, along * (1 - along) * 4)
     height += 0.00012 * coarse + 0.000015 * fine
     tone = 1 + 0.12 * min(skin.ridge_m / 0.0005, 1.5) * ridges
-    color = dimmed(color, tone * (1 + (skin.wart_tone - 1) * warts))
+    color = scale_colors(color, tone * (1 + (skin.wart_tone - 1) * warts))
     color = _ends(skin, color, along * length_m, length_m, wobble + 0.2 * fine)
     wax = np.clip(skin.bloom * (0.5 + 0.6 * coarse), 0, 0.5).astype(np.float32)
     color = mix(color, to_linear((196.0, 208.0, 196.0)), 0.4 * wax)
@@ -307,7 +307,7 @@ def _ground(
     color = mix(color, to_linear(skin.stripe), skin.stripe_strength * stripe * fade)
     if skin.texture >= 0 and assets.skins:
         color *= _close_up(assets.skins[skin.texture % len(assets.skins)], coarse.shape, texel_m)
-    return dimmed(color, 1 + skin.mottle * (fine + 0.7 * coarse))
+    return scale_colors(color, 1 + skin.mottle * (fine + 0.7 * coarse))
 
 
 def _close_up(
@@ -364,7 +364,7 @@ def _ends(
     color = mix(color, to_linear((150, 128, 84)), 0.85 * smoothstep(0.0058, 0.0036, at / size))
     color = mix(color, to_linear((92, 70, 44)), 0.8 * smoothstep(0.0026, 0.0012, at / size))
     left = length_m - from_blossom_m + 0.0015 * noise
-    color = dimmed(color, 1 - 0.3 * smoothstep(0.2 * length_m, 0.04 * length_m, left))
+    color = scale_colors(color, 1 - 0.3 * smoothstep(0.2 * length_m, 0.04 * length_m, left))
     pale = to_linear((158, 182, 112))
     color = mix(color, pale, skin.neck * smoothstep(0.016 * size, 0.004 * size, left))
     return mix(color, to_linear((188, 196, 140)), 0.7 * smoothstep(0.0045, 0.0025, left / size))

@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.appearance import Assets
 
 __all__ = [
-    "BLADES",
+    "LEAF_TEXTURES",
     "MATERIALS",
     "TILE_M",
-    "blade_level",
-    "blade_photo",
-    "blade_pixel",
-    "blade_texture",
-    "dimmed",
     "far_view",
     "jitter",
+    "leaf_level",
+    "leaf_photo_texture",
+    "leaf_texel",
+    "leaf_texture",
     "material_color",
     "material_tile",
     "mix",
     "sample",
+    "scale_colors",
     "smooth_noise",
     "smoothstep",
     "to_linear",
@@ -111,16 +111,16 @@ def mix(a: ArrayLike, b: ArrayLike, share: NDArray[np.float32]) -> NDArray[np.fl
 def _spread(color: ArrayLike, weight: NDArray[np.float32]) -> NDArray[np.float32]:
     values = np.asarray(color, np.float32)
     if values.ndim > 1:
-        return dimmed(values, weight)
+        return scale_colors(values, weight)
     return np.asarray(weight.reshape(-1, 1) @ values[None]).reshape(*weight.shape, 3)
 
 
-def dimmed(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
+def scale_colors(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
     """Multiply each colour of shape (..., 3) by its own factor, shape (...).
 
     Examples
     --------
-    >>> dimmed(np.ones((1, 3), np.float32), np.array([0.5], np.float32)).tolist()
+    >>> scale_colors(np.ones((1, 3), np.float32), np.array([0.5], np.float32)).tolist()
     [[0.5, 0.5, 0.5]]
     """
     # NumPy would loop over three numbers at a time, which takes five times as long.
@@ -229,7 +229,7 @@ def sample(
     return np.asarray(found.reshape(size, *texture.shape[2:])[:count])
 
 
-BLADES = 16  # as many there are to choose from
+LEAF_TEXTURES = 16  # as many there are to choose from
 
 _BLADE_PX = 192
 
@@ -242,16 +242,16 @@ _BASE = -0.8  # where the stalk meets the blade
 _MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
 
 
-@lru_cache(maxsize=4 * BLADES)
-def blade_texture(number: int, level: int = 0) -> NDArray[np.float32]:
+@lru_cache(maxsize=4 * LEAF_TEXTURES)
+def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
     """Draw a leaf's blade.
 
     Parameters
     ----------
     number : int
-        Which of them, from 0 to `BLADES` - 1; each is drawn once and kept.
+        Which of them, from 0 to `LEAF_TEXTURES` - 1; each is drawn once and kept.
     level : int
-        How coarse, as `blade_level` says.
+        How coarse, as `leaf_level` says.
 
     Returns
     -------
@@ -260,7 +260,7 @@ def blade_texture(number: int, level: int = 0) -> NDArray[np.float32]:
         across the blade, columns along it to its tip, over 1.3 half axes to each side.
     """
     if level:
-        return _coarser(blade_texture(number), level)
+        return _coarser(leaf_texture(number), level)
     rng = np.random.default_rng(number)
     line = ((np.arange(_BLADE_PX, dtype=np.float32) + 0.5) * (2 / _BLADE_PX) - 1) * _REACH
     s, t = np.meshgrid(line, line)
@@ -292,7 +292,7 @@ def blade_texture(number: int, level: int = 0) -> NDArray[np.float32]:
     return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
 
 
-def blade_photo(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
+def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
     """Cut a piece of a leaf out of a photo.
 
     Parameters
@@ -305,7 +305,7 @@ def blade_photo(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.fl
     Returns
     -------
     tuple of ndarray of float32, shape (192, 192, 3)
-        Linear RGB over its own mean, a third to half of the photo, for each `blade_level`; empty
+        Linear RGB over its own mean, a third to half of the photo, for each `leaf_level`; empty
         without leaves.
     """
     if not assets.leaves:
@@ -326,14 +326,14 @@ def blade_photo(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.fl
     return tuple(_coarser(drawing, level) for level in range(_BLADE_LEVELS + 1))
 
 
-def blade_level(half_px: float) -> int:
+def leaf_level(half_px: float) -> int:
     """Say how often a texture must be halved for a leaf of so many pixels from middle to tip.
 
     Without it veins would flicker on small leaves.
 
     Examples
     --------
-    >>> [blade_level(half_px) for half_px in (200.0, 74.0, 37.0, 1.0)]
+    >>> [leaf_level(half_px) for half_px in (200.0, 74.0, 37.0, 1.0)]
     [0, 0, 1, 3]
     """
     fine = _BLADE_PX / (2 * _REACH)
@@ -347,7 +347,7 @@ def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.5 * 2.0**level))
 
 
-def blade_pixel(place: NDArray[np.float32]) -> NDArray[np.float32]:
+def leaf_texel(place: NDArray[np.float32]) -> NDArray[np.float32]:
     """Turn a place on the blade, in half axes from its middle, to the texture's pixel."""
     return (place / np.float32(_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
 

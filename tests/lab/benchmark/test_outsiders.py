@@ -18,7 +18,7 @@ from cucumbervision_lab.benchmark.baselines import (
     skan_length,
 )
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 CAMERA = Intrinsics(1280, 720, 900.0, 900.0, 640.0, 360.0)
 RADIUS_M = 0.018
@@ -44,7 +44,7 @@ SKELETONS = [
 
 
 def view(tube: Tube, **turn: float) -> tuple[NDArray[np.float32], NDArray[np.bool_], Intrinsics]:
-    seen = render([tube.moved(rotation(**turn), (0.0, 0.0, DISTANCE_M))], CAMERA)
+    seen = render(Scene.of(tube.moved(rotation(**turn), (0.0, 0.0, DISTANCE_M))), CAMERA)
     return seen.depth_m.astype(np.float32), seen.mask(0), CAMERA
 
 

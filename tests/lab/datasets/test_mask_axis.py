@@ -4,7 +4,7 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.datasets.mask_axis import keypoints_of_mask
 from cucumbervision_lab.synthesis.bodies import random_fruit
-from cucumbervision_lab.synthesis.placing import hang
+from cucumbervision_lab.synthesis.placing import place_hanging
 from cucumbervision_lab.synthesis.scene import Scene, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
@@ -13,7 +13,7 @@ CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 @pytest.mark.parametrize("seed", range(10))
 def test_they_come_near_the_exact_ones_of_a_fruit_seen_from_the_side(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    body = hang(random_fruit(rng, 0.25), (0.0, 0.0, 0.6), roll_deg=-90 + rng.normal(0, 10))
+    body = place_hanging(random_fruit(rng, 0.25), (0.0, 0.0, 0.6), roll_deg=-90 + rng.normal(0, 10))
     (truth,) = truth_of(Scene((body,)), CAMERA)
     points = keypoints_of_mask(truth.visible, "up")
     assert points is not None

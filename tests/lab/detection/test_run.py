@@ -39,7 +39,7 @@ from cucumbervision_lab.detection.run import DetectionPlan, DetectionResult, eva
 from cucumbervision_lab.detection.summary import summarise
 from cucumbervision_lab.detection.worst_cases import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.render import render
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 CAMERA = Intrinsics(320, 192, 300.0, 300.0, 160.0, 96.0)
 DEPTH_M = 0.4
@@ -75,12 +75,12 @@ def rows_of(*rows: Sequence[float]) -> NDArray[np.float64]:
     return out
 
 
-class Scene:
+class DrawnFruit:
     """A fruit of 14 cm before an empty wall, as it is and as a file."""
 
     def __init__(self, folder: Path) -> None:
         tube = arc_tube(0.14, 0.02).moved(rotation(20.0, 0.0, 0.0), (0.0, 0.0, DEPTH_M))
-        self.tube, self.drawn = tube, render([tube], CAMERA, 0.6)
+        self.tube, self.drawn = tube, render(Scene.of(tube, backdrop_m=0.6), CAMERA)
         self.mask = self.drawn.mask(0)
         axis = np.array([tube.axis_m[0], tube.axis_m[-1]])
         ends = CAMERA.project(axis)
@@ -125,12 +125,12 @@ class Scene:
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return Scene(tmp_path_factory.mktemp("networks"))
+def scene(tmp_path_factory: pytest.TempPathFactory) -> DrawnFruit:
+    return DrawnFruit(tmp_path_factory.mktemp("networks"))
 
 
 @pytest.fixture(scope="module")
-def networks(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def networks(scene: DrawnFruit, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Give a pair of networks that see the fruit everywhere, the pose one by 3 px too low."""
     folder = tmp_path_factory.mktemp("networks")
     box = box_of_mask(scene.mask) + 0.5
@@ -155,7 +155,7 @@ def networks(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 
 @pytest.fixture(scope="module")
-def result(scene: Scene, networks: tuple[Path, Path]) -> DetectionResult:
+def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> DetectionResult:
     segment, pose = networks
     # SAM on one picture only: it takes most of the time.
     return evaluate_detection(
@@ -193,7 +193,7 @@ def _area(result: DetectionResult) -> int:
     return label.mask_code.area_px
 
 
-def test_ends(result: DetectionResult, scene: Scene) -> None:
+def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
     summary = summarise(result)
     length = float(np.linalg.norm(scene.keypoints[4, :2] - scene.keypoints[0, :2]))
     every = {one.ends: one for one in summary.ends}["all"]
@@ -222,7 +222,7 @@ def test_masks_and_lengths(result: DetectionResult) -> None:
     assert scores[Masks.PERCEIVED, "M4"].metrics.measured == 1.0
 
 
-def test_missed_fruit_count_in_full(scene: Scene, tmp_path: Path) -> None:
+def test_missed_fruit_count_in_full(scene: DrawnFruit, tmp_path: Path) -> None:
     blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
     plan = DetectionPlan(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
     summary = summarise(evaluate_detection(plan))
@@ -262,7 +262,7 @@ def test_a_sheet_shows_truth_in_green_and_finds_in_orange(
 
 
 def test_the_command_writes_everything(
-    scene: Scene, networks: tuple[Path, Path], tmp_path: Path
+    scene: DrawnFruit, networks: tuple[Path, Path], tmp_path: Path
 ) -> None:
     pytest.importorskip("matplotlib")
     pytest.importorskip("jinja2")

@@ -10,7 +10,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError
 from cucumbervision_lab.synthesis.appearance import FAR, Assets, load_assets, random_style
 from cucumbervision_lab.synthesis.bodies import arc_tube
-from cucumbervision_lab.synthesis.placing import hang, trellis
+from cucumbervision_lab.synthesis.placing import place_hanging, trellis
 from cucumbervision_lab.synthesis.raycast import Plane
 from cucumbervision_lab.synthesis.scene import Scene
 
@@ -79,7 +79,10 @@ def test_real_assets_load(shared_data: Path) -> None:
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 
 
-FRUIT = (hang(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5)), hang(arc_tube(0.15, 0.02), (0.1, 0.0, 0.5)))
+FRUIT = (
+    place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5)),
+    place_hanging(arc_tube(0.15, 0.02), (0.1, 0.0, 0.5)),
+)
 
 
 def test_every_body_gets_a_look() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.compose import MOST_FRUIT, Setting, compose
-from cucumbervision_lab.synthesis.scene import Kind, look, truth_of
+from cucumbervision_lab.synthesis.scene import Kind, render, truth_of
 
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 
@@ -19,7 +19,7 @@ def test_every_scene_can_be_drawn_and_its_parts_have_names(setting: Setting, see
     assert len(staged.stem_roles) == len(scene.stems)
     assert len(staged.cucumber) == len(scene.fruit)
     assert sum(staged.cucumber) <= MOST_FRUIT
-    view = look(scene, CAMERA)
+    view = render(scene, CAMERA)
     for truth in truth_of(scene, CAMERA, view):
         assert 0.0 <= truth.hidden_share <= 1.0
         assert 0.06 <= truth.centreline_m <= 0.4001
@@ -28,7 +28,7 @@ def test_every_scene_can_be_drawn_and_its_parts_have_names(setting: Setting, see
 
 def test_the_same_seed_gives_the_same_scene() -> None:
     a, b = (compose(np.random.default_rng(7), CAMERA, Setting.HANGING) for _ in range(2))
-    np.testing.assert_array_equal(look(a.scene, CAMERA).depth_m, look(b.scene, CAMERA).depth_m)
+    np.testing.assert_array_equal(render(a.scene, CAMERA).depth_m, render(b.scene, CAMERA).depth_m)
 
 
 def test_hanging_fruit_keep_apart() -> None:

@@ -10,7 +10,7 @@ from cucumbervision.geometry.camera import align_depth_to_color
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, color_sources, sense
 from cucumbervision_lab.synthesis.raycast import Leaf, Plane
-from cucumbervision_lab.synthesis.scene import Scene, look
+from cucumbervision_lab.synthesis.scene import Scene, render
 from cucumbervision_lab.synthesis.sensor_statistics import noise_split
 
 COLOR = Intrinsics(640, 360, 462.0, 462.0, 320.0, 180.0)
@@ -26,7 +26,7 @@ def burst_of(scene: Scene, camera: D4xx, frames: int = 1, seed: int = 5) -> list
 def test_a_calm_camera_reads_the_exact_depth_of_a_slanted_wall() -> None:
     wall = Scene((), planes=(Plane.facing(0.6, tilt_deg=15.0, turn_deg=-20.0),))
     reading = burst_of(wall, CALM)[0]
-    exact = look(wall, COLOR).depth_m
+    exact = render(wall, COLOR).depth_m
     read = reading > 0
     assert read.mean() > 0.99
     # A colour pixel takes a depth pixel's reading from up to 0.8 colour pixels away.
@@ -102,7 +102,7 @@ def test_sources_are_those_of_the_sdk_rule() -> None:
         ),
         rotation=tuple(map(tuple, rotation(0.3, -0.2, 0.4).tolist())),
     )
-    seen = look(Scene((tube,), planes=(Plane.facing(0.8),)), camera.depth)
+    seen = render(Scene((tube,), planes=(Plane.facing(0.8),)), camera.depth)
     depth = seen.depth_m.astype(np.float32)
     depth[::7, ::5] = 0.0
     sources = color_sources(depth, camera.depth, camera)
@@ -119,7 +119,7 @@ def test_sources_are_those_of_the_sdk_rule() -> None:
 def test_glare_takes_its_share_of_the_fruit() -> None:
     tube = arc_tube(0.2, 0.022).moved(rotation(-80), (0, 0, 0.45))
     scene = Scene((tube,), planes=(Plane.facing(0.5),))
-    inner = look(scene, COLOR).mask(0)
+    inner = render(scene, COLOR).mask(0)
     dry, wet = (
         (burst_of(scene, replace(CALM, glare_holes=share))[0][inner] > 0).mean()
         for share in (0.0, 0.2)

@@ -8,16 +8,16 @@ from cucumbervision_lab.synthesis.appearance import Assets
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.lighting import (
     Light,
-    corners,
+    ambient_occlusion,
+    dappled_shade,
     harmonics,
     irradiance,
     light_maps,
     random_light,
-    spots,
     sun_shadow,
 )
 from cucumbervision_lab.synthesis.raycast import Plane
-from cucumbervision_lab.synthesis.scene import Scene, look
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 AXES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -112,7 +112,7 @@ def lying() -> np.ndarray:
     """An upright fruit, 4 cm thick, on a wall at 0.6 m, its axis in the picture's middle."""
     fruit = arc_tube(0.2, 0.02).moved(rotation(roll_deg=90.0), (0.0, 0.0, 0.58))
     scene = Scene((fruit,), planes=(Plane.facing(0.6),))
-    return look(scene, CAMERA).depth_m.astype(np.float32)
+    return render(scene, CAMERA).depth_m.astype(np.float32)
 
 
 def test_the_sun_throws_a_shadow_to_the_other_side(lying: np.ndarray) -> None:
@@ -131,23 +131,23 @@ def test_a_bare_wall_has_no_shadow() -> None:
     lit = sun_shadow(np.random.default_rng(1), wall, CAMERA, FROM_LEFT)
     assert lit.shape == wall.shape
     assert lit.min() == pytest.approx(1.0, abs=1e-5)
-    assert corners(wall).min() == pytest.approx(1.0, abs=1e-4)
+    assert ambient_occlusion(wall).min() == pytest.approx(1.0, abs=1e-4)
 
 
 def test_it_is_darker_where_a_fruit_touches_the_ground(lying: np.ndarray) -> None:
-    row = corners(lying)[180]
+    row = ambient_occlusion(lying)[180]
     touching, away = row[320 + 20], row[320 + 150]
     assert touching < 0.8
     assert away > 0.97
     # No bright rim: the last pixels of the fruit are no brighter than its middle.
     assert row[300:320].max() <= row[320] + 0.02
-    assert np.allclose(corners(lying, 0.0), 1.0)
+    assert np.allclose(ambient_occlusion(lying, 0.0), 1.0)
 
 
 def test_leaves_out_of_sight_take_their_share_of_the_sun() -> None:
     wall = np.full((360, 640), 0.6, np.float32)
     light = Light(FROM_LEFT.sun, shade=0.7, spot_m=0.05)
-    seen = spots(np.random.default_rng(4), wall, CAMERA, light)
+    seen = dappled_shade(np.random.default_rng(4), wall, CAMERA, light)
     assert seen.min() == pytest.approx(0.3, abs=1e-5)
     assert seen.max() == pytest.approx(1.0, abs=1e-5)
     assert 0.1 < (seen < 0.4).mean() < 0.9

@@ -5,7 +5,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.bodies import arc_tube, random_fruit
-from cucumbervision_lab.synthesis.placing import Ground, crate_rods, lay
+from cucumbervision_lab.synthesis.placing import Ground, crate_rods, place_lying
 
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 
@@ -16,7 +16,7 @@ def above(ground: Ground, points: np.ndarray) -> np.ndarray:
 
 def test_a_straight_fruit_lies_on_the_ground() -> None:
     ground = Ground.seen(np.random.default_rng(1), 0.6)
-    placed, kept = lay(np.random.default_rng(2), CAMERA, ground, [arc_tube(0.2, 0.02)])
+    placed, kept = place_lying(np.random.default_rng(2), CAMERA, ground, [arc_tube(0.2, 0.02)])
     assert kept == [0]
     # Its axis runs level, a radius above.
     np.testing.assert_allclose(above(ground, placed[0].centres_m), 0.02, atol=1e-9)
@@ -33,7 +33,7 @@ def test_no_fruit_is_inside_another_nor_below_the_ground() -> None:
     rng = np.random.default_rng(3)
     ground = Ground.seen(rng, 0.6)
     bodies = [random_fruit(rng, 0.25, balls=200) for _ in range(9)]
-    placed, kept = lay(rng, CAMERA, ground, bodies, (0.30, 0.15))
+    placed, kept = place_lying(rng, CAMERA, ground, bodies, (0.30, 0.15))
     assert len(placed) == len(kept) == 9
     # Nine fruit of 4 cm do not fit side by side into 15 cm: some lie on others.
     assert max(above(ground, f.centres_m).max() for f in placed) > 0.05

@@ -9,16 +9,16 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.appearance import Assets, Style, random_style
 from cucumbervision_lab.synthesis.bodies import arc_tube
 from cucumbervision_lab.synthesis.lighting import Light
-from cucumbervision_lab.synthesis.placing import hang, string, trellis
+from cucumbervision_lab.synthesis.placing import place_hanging, string, trellis
 from cucumbervision_lab.synthesis.raycast import Leaf, Plane, Stem
-from cucumbervision_lab.synthesis.scene import Kind, Scene, View, look
-from cucumbervision_lab.synthesis.shading import paint_scene
+from cucumbervision_lab.synthesis.scene import Kind, Scene, View, render
+from cucumbervision_lab.synthesis.shading import shade
 from cucumbervision_lab.synthesis.skin import Skin
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 NONE = Assets()
 MATT = Skin((60.0, 110.0, 50.0), (60.0, 110.0, 50.0), (60.0, 110.0, 50.0), gloss=0.0)
-FRUIT = hang(arc_tube(0.2, 0.02), (0.0, 0.0, 0.45), roll_deg=0.0)
+FRUIT = place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.45), roll_deg=0.0)
 EVEN = Light((0.0, -1.0, 0.0), environment=0)
 ALL_ROUND = Assets(environments=(np.full((64, 128, 3), 1.0, np.float32),))
 ON_PAPER = Scene((FRUIT,), planes=(Plane.facing(0.6),))
@@ -27,8 +27,8 @@ ON_PAPER = Scene((FRUIT,), planes=(Plane.facing(0.6),))
 def painted(
     scene: Scene, style: Style, assets: Assets = NONE, seed: int = 1
 ) -> tuple[np.ndarray, View]:
-    view = look(scene, CAMERA)
-    return paint_scene(scene, view, CAMERA, style, assets, np.random.default_rng(seed)), view
+    view = render(scene, CAMERA)
+    return shade(scene, view, CAMERA, style, assets, np.random.default_rng(seed)), view
 
 
 def paper(light: Light, skin: Skin = MATT) -> Style:
@@ -52,7 +52,7 @@ def test_under_even_light_a_body_shows_its_own_colour() -> None:
 def test_the_sunny_side_is_the_bright_one() -> None:
     lights = (replace(EVEN, sun=(0.0, y, -np.sqrt(0.5)), sun_strength=3.0) for y in (-0.707, 0.707))
     above, below = (painted(ON_PAPER, paper(light), ALL_ROUND)[0] for light in lights)
-    view = look(ON_PAPER, CAMERA)
+    view = render(ON_PAPER, CAMERA)
     top = view.mask(0) & (view.normal[..., 1] < -0.4)
     bottom = view.mask(0) & (view.normal[..., 1] > 0.4)
     assert above[top].mean() > 1.8 * above[bottom].mean()

@@ -6,17 +6,17 @@ import pytest
 from cucumbervision_lab.synthesis.appearance import Assets
 from cucumbervision_lab.synthesis.textures import (
     MATERIALS,
-    blade_level,
-    blade_photo,
-    blade_pixel,
-    blade_texture,
-    dimmed,
     far_view,
     jitter,
+    leaf_level,
+    leaf_photo_texture,
+    leaf_texel,
+    leaf_texture,
     material_color,
     material_tile,
     mix,
     sample,
+    scale_colors,
     smooth_noise,
     smoothstep,
     to_linear,
@@ -45,7 +45,7 @@ def test_colours_mix_and_dim_place_by_place() -> None:
     expected = picture + share[..., None] * (np.array([8.0, 0.0, 4.0]) - picture)
     assert np.allclose(mix(picture, (8.0, 0.0, 4.0), share), expected)
     assert np.allclose(mix((8.0, 0.0, 4.0), picture, 1 - share), expected)
-    assert np.allclose(dimmed(picture, share), picture * share[..., None])
+    assert np.allclose(scale_colors(picture, share), picture * share[..., None])
 
 
 def test_smoothstep_falls_where_the_limits_are_swapped() -> None:
@@ -88,38 +88,38 @@ def test_jitter_stays_a_colour_near_its_start() -> None:
 
 
 def test_a_blade_has_veins_and_an_even_tone() -> None:
-    blade = blade_texture(3)
+    blade = leaf_texture(3)
     tone, vein = blade[..., 0], blade[..., 1]
     assert blade.shape == (192, 192, 4)
     assert abs(tone.mean() - 1) < 0.12
     assert 0.05 < (vein > 0.5).mean() < 0.35
     # The middle vein runs from the stalk to the tip, through the texture's middle row.
     assert vein[92:100, 60:150].max(axis=0).mean() > 0.8
-    assert not np.array_equal(blade, blade_texture(4))
+    assert not np.array_equal(blade, leaf_texture(4))
 
 
 def test_a_place_on_the_blade_finds_its_pixel() -> None:
     # The middle lies between pixels 95 and 96; 1.3 half axes away is the texture's rim.
     place = np.array([0.0, -1.3, 1.3], np.float32)
-    assert np.allclose(blade_pixel(place), [95.5, -0.5, 191.5], atol=1e-4)
+    assert np.allclose(leaf_texel(place), [95.5, -0.5, 191.5], atol=1e-4)
 
 
 def test_a_piece_of_a_photo_keeps_its_drawing_not_its_colour() -> None:
     rng = np.random.default_rng(1)
     leaf = rng.integers(60, 120, (300, 400, 3), dtype=np.uint8)
-    piece, *_, coarse = blade_photo(rng, Assets(leaves=(leaf,)))
+    piece, *_, coarse = leaf_photo_texture(rng, Assets(leaves=(leaf,)))
     assert piece.shape == (192, 192, 3)
     assert np.allclose(piece.mean(axis=(0, 1)), 1.0, atol=0.12)
     assert piece.std() > 0.05
     assert coarse.std() < 0.5 * piece.std()
-    assert blade_photo(rng, Assets()) == ()
+    assert leaf_photo_texture(rng, Assets()) == ()
 
 
 def test_a_small_leaf_gets_a_coarse_drawing() -> None:
     # 192 pixels over 2.6 half axes are 74 a half axis; with 18 the texture is four times too fine.
-    level = blade_level(18.5)
+    level = leaf_level(18.5)
     assert level == 2
-    fine, coarse = (np.abs(np.diff(blade_texture(1, k)[..., 1])).mean() for k in (0, level))
+    fine, coarse = (np.abs(np.diff(leaf_texture(1, k)[..., 1])).mean() for k in (0, level))
     assert coarse < 0.6 * fine
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
+    from cucumbervision_lab.synthesis.raycast import Hit
 
 __all__ = ["FruitTruth", "Kind", "Scene", "View", "reaches_border", "render", "truth_of"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
 from cucumbervision.accuracy.records import append_record
+from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
             append_record(out / RECORDS, record)
         provenance = _provenance(measured, truth)
         floor = found.floor and asdict(found.floor)
-        scores = [_plain(asdict(one)) for one in found.scores]
+        scores = [json_value(asdict(one)) for one in found.scores]
         head = {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores}
         text = json.dumps(head, indent=1, ensure_ascii=False)
         (out / SCORES).write_text(text + "\n", encoding="utf-8")
@@ -84,14 +84,3 @@ def _software() -> dict[str, Any]:
         "source": source_offer(),
         "versions": {"python": platform.python_version(), **installed_versions()},
     }
-
-
-def _plain(score: dict[str, Any]) -> dict[str, Any]:
-    """Give a score with None in place of NaN, which JSON does not know."""
-    flat = {**score, "kind": str(score["kind"])}
-    metrics = flat.pop("metrics")
-    return {**_without_nan(flat), "metrics": _without_nan(metrics)}
-
-
-def _without_nan(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.files import json_value
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -134,10 +136,7 @@ class Table:
         return {
             "title": self.title,
             "comment": self.comment,
-            "rows": [
-                {head: _plain(cell) for head, cell in zip(heads, row, strict=True)}
-                for row in self.rows
-            ],
+            "rows": [json_value(dict(zip(heads, row, strict=True))) for row in self.rows],
         }
 
 
@@ -145,7 +144,3 @@ def _python(cell: Any) -> Cell:
     """Give numpy's numbers as Python's own, which JSON knows."""
     value: Cell = cell.item() if hasattr(cell, "item") else cell
     return value
-
-
-def _plain(cell: Cell) -> Cell:
-    return None if isinstance(cell, float) and not math.isfinite(cell) else cell

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import zlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -20,6 +22,7 @@ __all__ = [
     "COLOR_SUFFIXES",
     "DEPTH_SUFFIXES",
     "PHOTO_SUFFIXES",
+    "json_value",
     "parse_model",
     "read_arrays",
     "read_bytes",
@@ -317,6 +320,29 @@ def read_json(path: Path) -> Any:
     except (UnicodeDecodeError, RecursionError):
         fault = "is no JSON text"
     raise CaptureError(fault, source=path, remedy="correct or export it again")
+
+
+def json_value(value: Any) -> Any:
+    """Return a value as JSON can hold it.
+
+    NumPy's numbers and arrays become Python's, numbers that are not finite None, whatever JSON
+    does not know (paths, dates, enums) its text.
+
+    Examples
+    --------
+    >>> json_value({"length_m": np.float32(0.25), "box": np.array([1.0, np.nan])})
+    {'length_m': 0.25, 'box': [1.0, None]}
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): json_value(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(one) for one in value]
+    plain = value is None or isinstance(value, bool | int) or type(value) is str
+    return value if plain else str(value)
 
 
 def parse_model(

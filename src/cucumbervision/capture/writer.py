@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.files import parse_model, write_bytes, write_png
+from cucumbervision.capture.files import json_value, parse_model, write_bytes, write_png
 from cucumbervision.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def write_native(
     times = list(timestamps_s) or ([None] * len(burst) if burst else [capture.timestamp_s])
     unit_m, rounding_m = _choose_unit([d for _, d in frames], folder)
     manifest = _manifest(capture, times, unit_m, rounding_m, fused=not burst)
-    text = json.dumps(manifest, indent=2, default=_plain) + "\n"
+    text = json.dumps(json_value(manifest), indent=2) + "\n"
     parse_model(Manifest, json.loads(text), source=folder)
     try:
         (folder / MASKS if capture.masks else folder).mkdir(parents=True, exist_ok=True)
@@ -158,8 +158,3 @@ def _choose_unit(depths_m: Sequence[NDArray[np.float32]], folder: Path) -> tuple
 def _steps(depth_m: NDArray[np.float32], unit_m: float) -> NDArray[np.float64]:
     finite = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0)
     return np.rint(finite.astype(np.float64) / unit_m)
-
-
-def _plain(value: object) -> object:
-    # Provenance may hold NumPy's numbers and paths.
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)

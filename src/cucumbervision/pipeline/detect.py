@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.capture.files import read_photo, write_bytes, write_jpeg
+from cucumbervision.capture.files import json_value, read_photo, write_bytes, write_jpeg
 from cucumbervision.capture.source import safe_name, unique_name
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.pipeline.coco_results import coco_categories, coco_results, results_text
@@ -242,7 +242,7 @@ class _Folder:
             "licence": LICENCE,
             "source": source_offer(),
             "started": self._started.isoformat(timespec="seconds"),
-            "options": {key: _plain(value) for key, value in vars(self._options).items()},
+            "options": json_value(vars(self._options)),
             "models": result.models,
         }
         pictures = {
@@ -288,7 +288,3 @@ def _write_overlay(path: Path, color_rgb: NDArray[np.uint8], found: tuple[Instan
     from cucumbervision.pipeline.detect_overlay import draw_detections
 
     write_jpeg(path, draw_detections(color_rgb, found), _JPEG_QUALITY)
-
-
-def _plain(value: object) -> object:
-    return str(value) if isinstance(value, Path) else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from cucumbervision._version import __version__
 from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Stop
 from cucumbervision.geometry.tube import arc_positions
 from cucumbervision.measurement.result import Length, Method
@@ -173,7 +173,7 @@ def capture_record(
         simulated=capture.simulated,
         source=capture.source,
         camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
-        provenance=_plain(capture.provenance),
+        provenance=json_value(capture.provenance),
         fruit=tuple(
             fruit_record(capture, number, fruit, row, length)
             for number, (fruit, row) in enumerate(
@@ -297,7 +297,7 @@ def artifact_records(
     for model in models:
         rest = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
         sha256 = str(model.get("sha256") or "")
-        records.append(ArtifactRecord("model", str(model["name"]), sha256, _plain(rest)))
+        records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(rest)))
     if calibration is not None:
         sha256 = hashlib.sha256(calibration.as_text().encode()).hexdigest()
         details = calibration.model_dump(mode="json")
@@ -354,13 +354,3 @@ def _centre(capture: Capture, fruit: Fruit, row: Mapping[str, Cell]) -> Point | 
 
 def _rows_of(values: NDArray[np.float64]) -> tuple[Point, ...]:
     return tuple(tuple(line) for line in values.tolist())
-
-
-def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Give provenance as JSON values: NumPy's numbers as plain ones, anything else as text."""
-
-    def plain(value: object) -> object:
-        return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
-
-    found: dict[str, Any] = json.loads(json.dumps(dict(values), default=plain))
-    return found

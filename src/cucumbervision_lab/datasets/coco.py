@@ -250,15 +250,12 @@ def _rounded(values: list[float]) -> list[float]:
 
 def _json(data: Any) -> str:
     try:
-        return json.dumps(data, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
-    except (TypeError, ValueError) as error:
+        # NumPy's numbers and arrays become Python's.
+        return (
+            json.dumps(data, ensure_ascii=False, allow_nan=False, default=lambda one: one.tolist())
+            + "\n"
+        )
+    except (AttributeError, TypeError, ValueError) as error:
         raise DataSetError(
             f"labels cannot be written as JSON ({error})", remedy="give finite plain numbers"
         ) from error
-
-
-def _plain(value: Any) -> Any:
-    """Give what NumPy holds as Python's own numbers and lists."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is no JSON")

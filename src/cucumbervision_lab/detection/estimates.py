@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.accuracy.statistics import binomial_interval
+from cucumbervision.capture.files import json_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -46,13 +47,8 @@ class Estimate:
 
     def as_json(self) -> dict[str, float | int | None]:
         """Give it for JSON, None in place of NaN."""
-        return {
-            "value": _plain(self.value),
-            "low": _plain(self.low),
-            "high": _plain(self.high),
-            "n": self.count,
-            "scenes": self.scenes,
-        }
+        interval = {"value": self.value, "low": self.low, "high": self.high}
+        return {**json_value(interval), "n": self.count, "scenes": self.scenes}
 
 
 def estimate(
@@ -149,7 +145,3 @@ def _weighted_quantile(
         return float((1 - part) * data[first] + part * data[second])
 
     return find
-
-
-def _plain(value: float) -> float | None:
-    return value if math.isfinite(value) else None

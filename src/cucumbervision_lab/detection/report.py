@@ -13,6 +13,7 @@ from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.report import HTML_NAME, render_page
 from cucumbervision.accuracy.sections import Picture, Section
+from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.exports import write_json
 from cucumbervision.pipeline.rows import defused
@@ -320,7 +321,7 @@ def _length_numbers(one: LengthScore) -> dict[str, Any]:
         "missed": one.missed,
         "error_percent": one.error_percent.as_json(),
         "error_of_measured_percent": one.measured_percent.as_json(),
-        **{name: _plain(value) for name, value in asdict(one.metrics).items()},
+        **json_value(asdict(one.metrics)),
     }
 
 
@@ -330,21 +331,13 @@ def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
         "scenes": photos.scenes,
         "missing": photos.missing,
         "scores": {name: _scores(one) for name, one in photos.scores},
-        "false": [_plain_row(r) for r in photos.found if r.outcome == "false"],
+        "false": [json_value(asdict(r)) for r in photos.found if r.outcome == "false"],
     }
 
 
 def _scores(one: GroupScore) -> dict[str, Any]:
     precision = None if one.precision is None else one.precision.as_json()
     return {"recall": one.recall.as_json(), "precision": precision}
-
-
-def _plain_row(row: FoundRow) -> dict[str, Any]:
-    return {name: _plain(value) for name, value in asdict(row).items()}
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _write_rows(path: Path, kind: type, rows: Iterable[Any]) -> None:

@@ -98,7 +98,7 @@ def straighten(
 def _near(
     color_rgb: NDArray[np.uint8], at: NDArray[np.float64], step_px: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Give the picture about some points, shrunk to their spacing; its corner and scale."""
+    """Return the picture about some points, shrunk to their spacing; its corner and scale."""
     import cv2
 
     height, width = color_rgb.shape[:2]

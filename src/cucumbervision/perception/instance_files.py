@@ -248,7 +248,7 @@ def _polygon(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _keypoints(values: NDArray[np.float64], visible: float) -> NDArray[np.float64]:
-    """Give five keypoints; COCO writes visibility as 0, 1 (hidden) or 2 (visible)."""
+    """Return five keypoints; COCO writes visibility as 0, 1 (hidden) or 2 (visible)."""
     if len(values) != 3 * _KEYPOINTS:
         raise ValueError(f"has {len(values)} keypoint numbers, not {3 * _KEYPOINTS}")
     points = values.reshape(_KEYPOINTS, 3).copy()
@@ -296,7 +296,7 @@ class InstanceFile:
     def for_capture(
         self, names: Sequence[str], width: int, height: int, *, frame: int | None = None
     ) -> FileInstances:
-        """Give the instances of one picture.
+        """Return the instances of one picture.
 
         Parameters
         ----------

@@ -152,7 +152,7 @@ def fit(
     minimal: bool = False,
     stride: int = 32,
 ) -> Letterbox:
-    """Say how a picture is fitted into a network's input.
+    """Return how a picture is fitted into a network's input.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def fit(
 def _mask_weights(
     box: Letterbox, rows: int, columns: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Give the matrices that interpolate the prototypes' rows and columns to the picture's.
+    """Return the matrices that interpolate the prototypes' rows and columns to the picture's.
 
     Where the padding is no whole number of prototype pixels, the prototypes are first enlarged two
     or four times, so that it can be cut off whole.
@@ -232,7 +232,7 @@ def _side_weights(size: int, enlarge: int, target: int, gain: float) -> NDArray[
 
 
 def _linear_weights(size: int, target: int) -> NDArray[np.float64]:
-    """Give the matrix (target, size) of linear interpolation between pixel centres."""
+    """Return the matrix (target, size) of linear interpolation between pixel centres."""
     at = np.clip((np.arange(target) + 0.5) * size / target - 0.5, 0, size - 1)
     low = np.minimum(at.astype(int), max(size - 2, 0))
     weights = np.zeros((target, size))

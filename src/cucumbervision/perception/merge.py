@@ -132,7 +132,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
 
 
 def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Give each fruit of two networks once, with the pose network's keypoints.
+    """Return each fruit of two networks once, with the pose network's keypoints.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _best_first(one: _Region) -> tuple[float, float]:
 
 
 def _shared(a: _Region, b: _Region) -> float:
-    """Give the pixels that two masks share."""
+    """Return the pixels that two masks share."""
     if a.part is None or b.part is None:
         return box_iou(a.instance.box, b.instance.box)
     left, top = max(a.left, b.left), max(a.top, b.top)
@@ -208,7 +208,7 @@ def _inside(shared: float, a: _Region, b: _Region) -> bool:
 
 
 def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
-    """Say whether an instance is a box around several fruit that are also found by themselves."""
+    """Return whether an instance is a box around several fruit that are found one by one too."""
     if one.part is None:
         return False
     parts: list[_Region] = []
@@ -251,7 +251,7 @@ def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
 
 
 def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:
-    """Give a point's distance to a polyline, shape (K, 2)."""
+    """Return a point's distance to a polyline, shape (K, 2)."""
     steps = np.diff(line, axis=0)
     squares = np.maximum((steps**2).sum(axis=1), 1e-12)
     along = np.clip(((point - line[:-1]) * steps).sum(axis=1) / squares, 0, 1)

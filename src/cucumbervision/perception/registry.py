@@ -165,7 +165,7 @@ class Registry:
     user: Path
 
     def get(self, name: str) -> Model:
-        """Give a model by its name.
+        """Return a model by its name.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class Registry:
         raise UnknownModelError(f"no model is called {name!r}", remedy=f"choose one of {names}")
 
     def default(self, task: str) -> Model | None:
-        """Give the package's own network for a task: the first embedded one.
+        """Return the package's own network for a task: the first embedded one.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class Registry:
         return next(own, None)
 
     def folder(self, name: str) -> Path:
-        """Give the folder that a model's files lie in, or would."""
+        """Return the folder that a model's files lie in, or would."""
         return self.embedded if self.get(name).embedded else self.user / name
 
     def state(self, name: str) -> str:
@@ -205,7 +205,7 @@ class Registry:
         return "pulled" if (self.folder(name) / _MANIFEST).is_file() else "not pulled"
 
     def size_bytes(self, name: str) -> int:
-        """Give the size of the files on this machine, or else of the file to fetch."""
+        """Return the size of the files on this machine, or else of the file to fetch."""
         model, folder = self.get(name), self.folder(name)
         here = [folder / f.file for f in model.files if (folder / f.file).is_file()]
         if here:
@@ -213,7 +213,7 @@ class Registry:
         return model.source.size_bytes if model.source else sum(f.size_bytes for f in model.files)
 
     def hashes(self, name: str) -> dict[str, str]:
-        """Give the SHA-256 that each file must have, by file name.
+        """Return the SHA-256 that each file must have, by file name.
 
         Raises
         ------
@@ -265,7 +265,7 @@ class Registry:
         return tuple(check for name in here for check in self.verify(name))
 
     def resolve(self, name: str) -> dict[str, Path]:
-        """Give the paths of a model's files by role, each verified.
+        """Return the paths of a model's files by role, each verified.
 
         Raises
         ------
@@ -399,7 +399,7 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
 
 
 def models_folder() -> Path:
-    """Give the folder for fetched models: `CUCUMBERVISION_MODELS`, or the user's data folder."""
+    """Return the folder for fetched models: `CUCUMBERVISION_MODELS`, or the user's data folder."""
     if chosen := os.environ.get("CUCUMBERVISION_MODELS"):
         return Path(chosen)
     import platformdirs
@@ -408,7 +408,7 @@ def models_folder() -> Path:
 
 
 def file_sha256(path: Path) -> str:
-    """Give a file's SHA-256 in hexadecimal."""
+    """Return a file's SHA-256 in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -262,7 +262,7 @@ def _check_kind(path: Path | bytes, source: str) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    """Give what a runtime says, without its source lines and in at most 200 characters."""
+    """Return what a runtime says, without its source lines and in at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines()]
     told = [line for line in lines if line and not line.startswith("Exception from ")]
     return (" ".join(told) or type(error).__name__)[:200].rstrip(".")
@@ -367,7 +367,7 @@ def _openvino_info(port: Any) -> TensorInfo:
 
 
 def _openvino_metadata(model: Any) -> dict[str, str]:
-    """Give the ONNX file's custom metadata, which OpenVINO keeps as the model's 'framework'."""
+    """Return the ONNX file's custom metadata, which OpenVINO keeps as the model's 'framework'."""
     if not model.has_rt_info("framework"):
         return {}
     return {key: str(value) for key, value in model.get_rt_info("framework").value.items()}

@@ -58,7 +58,7 @@ _STD = np.array([58.395, 57.12, 57.375], np.float32)
 
 
 def scaled_size(height: int, width: int) -> tuple[int, int]:
-    """Give the height and width of a picture whose longer side is scaled to 1024.
+    """Return the height and width of a picture whose longer side is scaled to 1024.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def scaled_size(height: int, width: int) -> tuple[int, int]:
 
 
 def rows_needed(height: int, width: int) -> int:
-    """Give how many of the square's 1024 rows a picture reaches, in whole patches of 16.
+    """Return how many of the square's 1024 rows a picture reaches, in whole patches of 16.
 
     Below them there is only padding, which an encoder of free height need not see.
 
@@ -218,20 +218,20 @@ def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.b
 
 
 def _span(flags: NDArray[np.bool_]) -> slice:
-    """Give the slice from the first to the last set flag; slice(0, 0) if there is none."""
+    """Return the slice from the first to the last set flag; slice(0, 0) if there is none."""
     found = np.flatnonzero(flags)
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
 
 
 @lru_cache(maxsize=8)
 def _enlarging(scaled: int, size: int) -> NDArray[np.float32]:
-    """Give the weights, shape (size, 256), of both bilinear steps along one axis."""
+    """Return the weights, shape (size, 256), of both bilinear steps along one axis."""
     weights = _bilinear(scaled, size) @ _bilinear(_LOW, SIDE)[:scaled]
     return weights.astype(np.float32)
 
 
 def _bilinear(size_in: int, size_out: int) -> NDArray[np.float64]:
-    """Give the weights of a bilinear step (torch's, align_corners false), (size_out, size_in)."""
+    """Return the weights of a bilinear step (torch's, align_corners false), (size_out, size_in)."""
     place = np.maximum((np.arange(size_out) + 0.5) * size_in / size_out - 0.5, 0)
     first = np.minimum(place.astype(int), size_in - 1)
     share = place - first
@@ -245,7 +245,7 @@ def _bilinear(size_in: int, size_out: int) -> NDArray[np.float64]:
 def _scaled_planes(
     color_rgb: NDArray[np.uint8], height: int, width: int
 ) -> list[NDArray[np.float32]]:
-    """Give the colours' planes (height, width), in whole levels.
+    """Return the colours' planes (height, width), in whole levels.
 
     Resized as Pillow does, which SAM was trained with: bilinear, and smoothing when it shrinks.
     """
@@ -265,7 +265,7 @@ def _scaled_planes(
 
 @lru_cache(maxsize=8)
 def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
-    """Give the weights (size_out, size_in): each row a triangle as wide as two output pixels."""
+    """Return the weights (size_out, size_in): each row a triangle as wide as two output pixels."""
     from scipy.sparse import csr_array
 
     scale = size_in / size_out
@@ -423,7 +423,7 @@ class Segmenter:
     def _answers(
         self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64], prompt: str
     ) -> list[_Answer]:
-        """Give each box's masks as logits, and how good SAM believes each to be."""
+        """Return each box's masks as logits, and how good SAM believes each to be."""
         if not len(boxes):
             return []
         height, width = color_rgb.shape[:2]
@@ -442,7 +442,7 @@ class Segmenter:
 
 
 def mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
-    """Say why a mask cannot be the fruit in a box; nothing if it can.
+    """Return why a mask cannot be the fruit in a box; nothing if it can.
 
     Parameters
     ----------
@@ -490,7 +490,7 @@ def _clip(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float
 def _prompts(
     boxes: NDArray[np.float64], prompt: str
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Give points (N, P, 2) in pixels and SAM's labels (N, P).
+    """Return points (N, P, 2) in pixels and SAM's labels (N, P).
 
     As SAM itself does, points come before the corners, and a point without a box is followed by
     an empty one.

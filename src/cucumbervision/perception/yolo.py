@@ -256,7 +256,7 @@ class YoloDetector:
 def with_keypoints(
     instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float = 0.5
 ) -> tuple[Instance, ...]:
-    """Give a pose network's keypoints to the instances that they belong to.
+    """Return instances with the keypoints that a pose network found for them.
 
     Boxes are matched one to one, so that the sum of their overlaps is largest.
 

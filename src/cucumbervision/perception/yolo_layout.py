@@ -80,7 +80,7 @@ class YoloLayout:
     source: str
 
     def raw_classes(self, shape: tuple[int, ...]) -> int | None:
-        """Say how many classes a raw output has, or None where the output is end-to-end.
+        """Return how many classes a raw output has, or None where the output is end-to-end.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ def read_layout(network: Network) -> YoloLayout:
 
 
 def _input_size(network: Network) -> tuple[bool, tuple[int, int]]:
-    """Say whether the input's size is free, and what it is (or what the file recommends)."""
+    """Return whether the input's size is free, and what it is (or what the file recommends)."""
     source, inputs = network.source, network.inputs
     shape = inputs[0].shape if len(inputs) == 1 else ()
     if len(shape) != 4 or shape[1] not in (3, None):

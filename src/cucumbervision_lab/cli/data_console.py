@@ -13,13 +13,16 @@ from cucumbervision.cli.console import progress_bar
 from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.checks import check_folder, open_dataset
 from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.convert import convert_dataset, parse_keep, parse_shares
-from cucumbervision_lab.datasets.labels import SPLITS
-from cucumbervision_lab.datasets.merge import merge_datasets
-from cucumbervision_lab.datasets.pictures import write_text
-from cucumbervision_lab.datasets.pseudo import add_pseudo_masks
+from cucumbervision_lab.datasets.derive import (
+    add_pseudo_masks,
+    convert_dataset,
+    merge_datasets,
+    parse_keep,
+    parse_shares,
+    write_windows,
+)
+from cucumbervision_lab.datasets.labels import SPLITS, write_text
 from cucumbervision_lab.datasets.splits import find_scenes, scenes_by_name, split_by_scene
-from cucumbervision_lab.datasets.windows import write_windows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -14,7 +14,7 @@ import numpy as np
 from cucumbervision.capture.files import read_depth, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.datasets.pictures import place_file, write_text
+from cucumbervision_lab.datasets.labels import place_file, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -162,7 +162,7 @@ def _write_fruit(
 
 
 def _bop_box(mask: NDArray[np.bool_]) -> list[int]:
-    """Give x, y of the first pixel and the box's width and height; -1 for an empty mask."""
+    """Return x, y of the first pixel and the box's width and height; -1 for an empty mask."""
     if not mask.any():
         return [-1, -1, -1, -1]
     x1, y1, x2, y2 = box_of_mask(mask)
@@ -170,7 +170,7 @@ def _bop_box(mask: NDArray[np.bool_]) -> list[int]:
 
 
 def _pose(label: Label) -> dict[str, Any]:
-    """Give rotation (row by row) and translation (mm) of the axis, where it is known."""
+    """Return rotation (row by row) and translation (mm) of the axis, where it is known."""
     axis = np.array(label.extras.get("axis_m", ()), np.float64)
     if axis.ndim != 2 or axis.shape[1] != 3 or len(axis) < 2:
         return {}

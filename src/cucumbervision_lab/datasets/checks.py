@@ -10,17 +10,16 @@ import numpy as np
 
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import CucumberVisionError, DataSetError
-from cucumbervision_lab.datasets.coco_read import ANNOTATIONS, ROBOFLOW, coco_files, read_coco
-from cucumbervision_lab.datasets.fingerprints import (
+from cucumbervision_lab.datasets.coco import ANNOTATIONS, ROBOFLOW, coco_files, read_coco
+from cucumbervision_lab.datasets.labels import SPLITS, picture_size
+from cucumbervision_lab.datasets.polygons import crosses_itself
+from cucumbervision_lab.datasets.splits import (
     Fingerprint,
     copies,
     take_fingerprints,
     views_of_one_scene,
 )
-from cucumbervision_lab.datasets.labels import SPLITS
-from cucumbervision_lab.datasets.pictures import picture_size
-from cucumbervision_lab.datasets.polygons import crosses_itself
-from cucumbervision_lab.datasets.yolo_read import find_yolo, label_file, read_label_line, read_yolo
+from cucumbervision_lab.datasets.yolo import find_yolo, label_file, read_label_line, read_yolo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -1,24 +1,42 @@
-"""What a labelled picture says, and a set of them."""
+"""Labelled pictures: what they say, their classes, and their files."""
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.files import COLOR_SUFFIXES, read_bytes, read_color
+from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
-from cucumbervision.perception.masks import Rle
+from cucumbervision.perception.masks import Rle, box_of_mask
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.errors import CucumberVisionError
 
-__all__ = ["SPLITS", "DataSet", "Label", "LabelledPicture"]
+__all__ = [
+    "SPLITS",
+    "DataSet",
+    "Label",
+    "LabelledPicture",
+    "class_index",
+    "flat_names",
+    "keep_classes",
+    "list_pictures",
+    "picture_size",
+    "place_file",
+    "write_text",
+]
 
 SPLITS = ("train", "val", "test")
 
@@ -100,8 +118,6 @@ class Label:
         ValueError
             If the mask is empty and no box is given.
         """
-        from cucumbervision.perception.masks import box_of_mask
-
         edges = box_of_mask(mask) if box is None else np.asarray(box, np.float64)
         code = Rle.of(mask) if mask.any() else None
         return cls(
@@ -194,11 +210,11 @@ class DataSet:
     refused: tuple[CucumberVisionError, ...] = ()
 
     def path(self, picture: LabelledPicture) -> Path:
-        """Give the file of a picture."""
+        """Return the file of a picture."""
         return self.folder / picture.file
 
     def in_split(self, split: str) -> tuple[LabelledPicture, ...]:
-        """Give the pictures of one split.
+        """Return the pictures of one split.
 
         Examples
         --------
@@ -208,3 +224,186 @@ class DataSet:
         (1, 0)
         """
         return tuple(p for p in self.pictures if p.split == split)
+
+
+def class_index(
+    names: Sequence[str], keep: Mapping[int | str, str]
+) -> tuple[dict[int, int], tuple[str, ...]]:
+    """Return each kept class's new number, and the new names.
+
+    Raises
+    ------
+    DataSetError
+        If a class is not there.
+    """
+    wanted = {str(k): v for k, v in keep.items()}
+    unknown = [k for k in wanted if k not in names and not (k.isdecimal() and int(k) < len(names))]
+    if unknown:
+        raise DataSetError(
+            f"no class is called {', '.join(unknown)}", remedy=f"there are {', '.join(names)}"
+        )
+    categories = tuple(dict.fromkeys(wanted.values()))
+    index = {}
+    for k, name in enumerate(names):
+        new = wanted.get(name, wanted.get(str(k)))
+        if new is not None:
+            index[k] = categories.index(new)
+    return index, categories
+
+
+def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
+    """Rename classes; what is not kept becomes background.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    keep : mapping of int or str to str
+        Number or name of each class to keep, and what it becomes; several may become one.
+
+    Raises
+    ------
+    DataSetError
+        If a class is not there.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+    >>> both = tuple(Label(np.array([0.0, 0, 9, 9]), category=k) for k in (0, 1))
+    >>> data = DataSet(Path("x"), (LabelledPicture("a", 64, 48, both),), ("zucchini", "carrot"))
+    >>> kept = keep_classes(data, {"zucchini": "cucumber"})
+    >>> kept.categories, len(kept.pictures[0].labels)
+    (('cucumber',), 1)
+    """
+    index, categories = class_index(dataset.categories, keep)
+    pictures = tuple(
+        replace(
+            p,
+            labels=tuple(
+                replace(x, category=index[x.category]) for x in p.labels if x.category in index
+            ),
+        )
+        for p in dataset.pictures
+    )
+    return replace(dataset, pictures=pictures, categories=categories)
+
+
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """Return all pictures in a folder and below it, in order."""
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Read a picture's width and height, from the header alone where it is PNG or JPEG.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing or no picture.
+
+    Notes
+    -----
+    PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. An EXIF orientation is not applied.
+    """
+    data = read_bytes(path)
+    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
+        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    found = _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
+    if found is None:
+        height, width = read_color(path).shape[:2]
+        return width, height
+    return found
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    at = 2
+    while at + 9 < len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker in _SOF:
+            height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
+            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
+        # A fill byte may stand before a marker.
+        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None
+
+
+def flat_names(files: Iterable[str]) -> dict[str, str]:
+    """Return a name without folders for every file, none of them twice, even without endings.
+
+    Examples
+    --------
+    >>> flat_names(["images/a.jpg", "train/a.png", "images/b.jpg"])
+    {'images/a.jpg': 'a.jpg', 'train/a.png': 'train_a.png', 'images/b.jpg': 'b.jpg'}
+    """
+    taken: set[str] = set()
+    names: dict[str, str] = {}
+    for file in files:
+        path = PurePosixPath(file)
+        name = path.name
+        if path.stem.lower() in taken:
+            name = "_".join(part for part in path.parts if part != "images")
+        number = 2
+        while PurePosixPath(name).stem.lower() in taken:
+            name, number = f"{path.stem}_{number}{path.suffix}", number + 1
+        taken.add(PurePosixPath(name).stem.lower())
+        names[file] = name
+    return names
+
+
+def place_file(source: Path, target: Path, *, link: bool) -> None:
+    """Put a file elsewhere: as a second name of the same file where the disk can, else copied.
+
+    Raises
+    ------
+    DataSetError
+        If the source is missing or the target cannot be written.
+    """
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.resolve() == source.resolve() or (link and _same(source, target)):
+            return
+        target.unlink(missing_ok=True)
+        if link:
+            try:
+                os.link(source, target)
+            except FileNotFoundError:
+                raise
+            except OSError:  # another disk, or a file system without links
+                shutil.copyfile(source, target)
+        else:
+            shutil.copyfile(source, target)
+    except FileNotFoundError:
+        raise DataSetError(
+            "the file is missing", source=source, remedy="copy the data set again"
+        ) from None
+    except OSError as error:
+        raise DataSetError(
+            f"cannot be written ({error.strerror})", source=target, remedy="choose another folder"
+        ) from None
+
+
+def _same(source: Path, target: Path) -> bool:
+    return target.exists() and target.samefile(source)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all: under another name first, then renamed.
+
+    Raises
+    ------
+    DataSetError
+        If it cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise DataSetError(
+            f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"
+        ) from None

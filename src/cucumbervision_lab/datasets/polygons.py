@@ -1,7 +1,7 @@
 """Masks as polygons and back without losing a pixel, and polygons that cross themselves.
 
 Points count from the picture's corner, as YOLO and COCO files do: the first pixel's centre is
-(0.5, 0.5). `perception.mask_codes.fill_polygon` draws them again.
+(0.5, 0.5). `perception.masks.fill_polygon` draws them again.
 """
 
 from __future__ import annotations
@@ -17,37 +17,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["crosses_itself", "join_parts", "mask_outlines", "one_polygon"]
-
-
-def mask_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
-    """Give the outer outline of each part of a mask, through the middles of the pixels' edges.
-
-    Every pixel centre of the part lies inside, every other outside, holes excepted: they are
-    filled. The outline's box is the part's box.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        Pixels that touch by a corner belong together.
-
-    Returns
-    -------
-    list of ndarray of float64, shape (K, 2)
-        x, y from the picture's corner; the part of the largest area first.
-
-    Examples
-    --------
-    >>> mask = np.zeros((4, 6), bool)
-    >>> mask[1, 2:5] = True
-    >>> mask_outlines(mask)[0].tolist()
-    [[2.5, 1.0], [2.0, 1.5], [2.5, 2.0], [4.5, 2.0], [5.0, 1.5], [4.5, 1.0]]
-    """
-    return [_straightened(points) for points in _traced(mask)]
+__all__ = ["crosses_itself", "join_parts", "one_polygon"]
 
 
 def _traced(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
-    """Give the outlines with a point every half pixel."""
+    """Return each part's outer outline, the largest first, with a point every half pixel.
+
+    It runs through the middles of the pixels' edges: every pixel centre of the part lies inside,
+    every other outside, holes excepted, which are filled. Pixels that touch by a corner belong
+    together.
+    """
     import cv2
 
     window = mask_window(mask)
@@ -60,7 +39,7 @@ def _traced(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
 
 
 def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Give pixel centres, edge middles and corners as one grid of (2 H + 1, 2 W + 1)."""
+    """Return pixel centres, edge middles and corners as one grid of (2 H + 1, 2 W + 1)."""
     height, width = mask.shape
     padded = np.zeros((height + 2, width + 2), np.uint8)
     padded[1:-1, 1:-1] = mask
@@ -129,7 +108,7 @@ def join_parts(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> NDArray[np.float64] | None:
-    """Give a mask as one polygon: its parts joined, specks left out.
+    """Return a mask as one polygon: its parts joined, specks left out.
 
     Parameters
     ----------
@@ -156,7 +135,7 @@ def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> NDArray[n
 
 
 def crosses_itself(points: NDArray[np.float64], slack: float = 2e-3) -> bool:
-    """Say whether two edges of a closed polygon cross, each going through the other.
+    """Return whether two edges of a closed polygon cross, each going through the other.
 
     Edges that only touch or lie on each other, as bridges between parts do, cross nothing.
 
@@ -194,7 +173,7 @@ def _apart(
     b2: NDArray[np.float64],
     slack: float,
 ) -> NDArray[np.bool_]:
-    """Say whether b1 and b2 lie on different sides of the line through a1 and a2."""
+    """Return whether b1 and b2 lie on different sides of the line through a1 and a2."""
     along = (a2 - a1) / np.hypot(*(a2 - a1).T)[:, None]
     left = np.stack([-along[:, 1], along[:, 0]], axis=1)
     s1, s2 = ((b1 - a1) * left).sum(axis=1), ((b2 - a1) * left).sum(axis=1)

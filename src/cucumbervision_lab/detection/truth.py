@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.errors import CaptureError, DataSetError
 from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.pictures import picture_size
+from cucumbervision_lab.datasets.labels import picture_size
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
 if TYPE_CHECKING:

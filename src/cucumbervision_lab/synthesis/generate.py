@@ -16,8 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco import collect_fragments, write_coco, write_fragment
-from cucumbervision_lab.datasets.coco_read import read_coco
+from cucumbervision_lab.datasets.coco import (
+    collect_fragments,
+    read_coco,
+    write_coco,
+    write_fragment,
+)
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture
 from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of

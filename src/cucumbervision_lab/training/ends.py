@@ -199,7 +199,7 @@ def make_network() -> Any:
             )
 
         def forward(self, fruit: Any) -> Any:
-            """Give the logits."""
+            """Return the logits."""
             # Both ways round in one batch: batch norm would else tell one from the other.
             both = torch.cat([fruit, torch.flip(fruit, (2, 3))]) - 0.45
             right, left = self.opinion(both).view(2, -1)

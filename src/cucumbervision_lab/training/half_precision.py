@@ -19,7 +19,7 @@ _FLAGS = ("avx512_bf16", "amx_bf16")
 
 
 def cpu_has_bfloat16(cpuinfo: str | None = None) -> bool:
-    """Tell whether the processor computes in bfloat16 (AVX-512 BF16 or AMX).
+    """Return whether the processor computes in bfloat16 (AVX-512 BF16 or AMX).
 
     Parameters
     ----------

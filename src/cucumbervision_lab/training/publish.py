@@ -99,7 +99,7 @@ def with_entry(toml: str, card: ModelCard) -> str:
 
 
 def registry_entry(card: ModelCard) -> str:
-    """Give a network's entry as `models.toml` has it.
+    """Return a network's entry as `models.toml` has it.
 
     Examples
     --------

@@ -9,11 +9,14 @@ import pytest
 
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.card import dataset_card
-from cucumbervision_lab.datasets.classes import keep_classes
 from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.convert import convert_dataset, parse_keep, parse_shares
-from cucumbervision_lab.datasets.labels import DataSet, Label
-from cucumbervision_lab.datasets.merge import merge_datasets
+from cucumbervision_lab.datasets.derive import (
+    convert_dataset,
+    merge_datasets,
+    parse_keep,
+    parse_shares,
+)
+from cucumbervision_lab.datasets.labels import DataSet, Label, keep_classes
 
 MakeSet = Callable[..., DataSet]
 

@@ -12,7 +12,6 @@ from cucumbervision.perception.masks import box_of_mask, fill_polygon
 from cucumbervision_lab.datasets.polygons import (
     crosses_itself,
     join_parts,
-    mask_outlines,
     one_polygon,
 )
 
@@ -56,20 +55,23 @@ def test_a_bridge_crosses_no_outline_of_long_straight_runs() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(masks)
-def test_outlines_reach_exactly_to_the_masks_box(mask: NDArray[np.bool_]) -> None:
+def test_a_polygon_reaches_exactly_to_the_masks_box(mask: NDArray[np.bool_]) -> None:
     assume(mask.any())
-    points = np.concatenate(mask_outlines(mask)) - 0.5
+    polygon = one_polygon(mask, min_part_px=0)
+    assert polygon is not None
+    points = polygon - 0.5
     edges = [*points.min(axis=0), *points.max(axis=0)]
     assert edges == box_of_mask(mask).tolist()
 
 
 @settings(deadline=None, max_examples=20)
 @given(st.floats(0, np.pi), st.floats(4, 30))
-def test_outlines_of_a_turned_fruit_have_few_points(angle: float, width: float) -> None:
+def test_the_polygon_of_a_turned_fruit_has_few_points(angle: float, width: float) -> None:
     mask = np.zeros((240, 320), np.uint8)
     box = cv2.boxPoints(((160.0, 120.0), (200.0, width), np.rad2deg(angle)))
     cv2.fillPoly(mask, [np.rint(box).astype(np.int32)], 1)
-    (outline,) = mask_outlines(mask > 0)
+    outline = one_polygon(mask > 0)
+    assert outline is not None
     edge = np.count_nonzero(mask[1:] != mask[:-1]) + np.count_nonzero(mask[:, 1:] != mask[:, :-1])
     assert len(outline) <= edge
     assert (fill_polygon(outline, *mask.shape) == (mask > 0)).all()
@@ -89,7 +91,6 @@ def test_specks_are_left_out_but_never_the_only_part() -> None:
     polygon = one_polygon(small)
     assert polygon is not None
     assert (fill_polygon(polygon, 40, 60) == small).all()
-    assert mask_outlines(np.zeros((3, 3), bool)) == []
 
 
 def test_parts_are_joined_at_their_nearest_points() -> None:

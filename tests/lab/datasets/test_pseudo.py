@@ -10,8 +10,8 @@ from cucumbervision.capture.files import write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.sam import Segmenter
 from cucumbervision_lab.datasets.checks import check_dataset
+from cucumbervision_lab.datasets.derive import add_pseudo_masks
 from cucumbervision_lab.datasets.labels import DataSet, Label
-from cucumbervision_lab.datasets.pseudo import add_pseudo_masks
 
 MakeSet = Callable[..., DataSet]
 BOX = np.array([29.5, 39.5, 129.5, 79.5])

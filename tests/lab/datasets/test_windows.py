@@ -6,9 +6,9 @@ import pytest
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco_read import read_coco
+from cucumbervision_lab.datasets.coco import read_coco
+from cucumbervision_lab.datasets.derive import Window, choose_windows, label_in, write_windows
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.datasets.windows import Window, choose_windows, label_in, write_windows
 
 WIDTH, HEIGHT = 200, 120
 

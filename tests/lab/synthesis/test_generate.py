@@ -11,7 +11,7 @@ import pytest
 
 from cucumbervision.capture.files import read_color, read_depth
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco_read import read_coco
+from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.labels import DataSet
 from cucumbervision_lab.synthesis.frame import FrameOptions
 from cucumbervision_lab.synthesis.generate import SynthOptions, generate, parse_options

@@ -28,7 +28,7 @@ def test_pose_gets_the_tolerances(pose_set: Path, tmp_path: Path) -> None:
 
 def test_the_hubs_form_is_written_as_yolo(seg_set: Path, tmp_path: Path) -> None:
     from cucumbervision_lab.datasets.coco import write_coco
-    from cucumbervision_lab.datasets.yolo_read import read_yolo
+    from cucumbervision_lab.datasets.yolo import read_yolo
 
     write_coco(read_yolo(seg_set), tmp_path / "hub")
     written = prepare_data(tmp_path / "hub", "seg", tmp_path / "run")

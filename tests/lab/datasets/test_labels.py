@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cucumbervision.errors import CaptureError, DataSetError
-from cucumbervision_lab.datasets.pictures import flat_names, list_pictures, picture_size, place_file
+from cucumbervision_lab.datasets.labels import flat_names, list_pictures, picture_size, place_file
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])

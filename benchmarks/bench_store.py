@@ -20,7 +20,7 @@ from statistics import median
 from made_stops import made_round, made_stop
 
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import FruitFilter, LinkKind, LinkRecord, Position, Verdict
+from cucumbervision.store.views import DetectionFilter, LinkKind, LinkRecord, Position, Verdict
 
 REPEATS = 15
 
@@ -51,7 +51,7 @@ def fill(store: Store, stops: int, rounds: int, *, images: bool) -> list[str]:
 def link_up(store: Store, key: str) -> tuple[list[LinkRecord], dict[str, Position]]:
     """Link two fruit of each stop to the next stop's, and fit every position."""
     by_stop: dict[str, list[str]] = {}
-    for one in store.fruit(key):
+    for one in store.detections(key):
         by_stop.setdefault(one.stop_key, []).append(one.key)
     groups = list(by_stop.values())
     links = [
@@ -84,15 +84,15 @@ def measure(store: Store, keys: list[str]) -> None:
     began = time.perf_counter()
     store.save_merging(key, links, positions)
     print(f"save_merging, {len(links)} links: {1e3 * (time.perf_counter() - began):.0f} ms")
-    all_keys = [one.key for one in store.fruit(key)]
+    all_keys = [one.key for one in store.detections(key)]
     for at in range(0, len(all_keys), 7):
         store.set_verdict(all_keys[at : at + 1], Verdict.ACCEPTED, by="bench")
     store.pick(all_keys[::5], by="bench")
     timed("rounds()", store.rounds)
     timed("stops(round)", lambda: store.stops(key))
-    timed(f"fruit(round), {len(all_keys)} detections", lambda: store.fruit(key))
-    timed("fruit(round, best)", lambda: store.fruit(key, FruitFilter(best=True)))
-    timed("one_fruit(key)", lambda: store.one_fruit(all_keys[1234 % len(all_keys)]))
+    timed(f"detections(round), {len(all_keys)} detections", lambda: store.detections(key))
+    timed("detections(round, best)", lambda: store.detections(key, DetectionFilter(best=True)))
+    timed("detection(key)", lambda: store.detection(all_keys[1234 % len(all_keys)]))
     timed("stop(key)", lambda: store.stop(store.stops(key)[7].key))
     timed("links(round)", lambda: store.links(key))
     timed("log(round)", lambda: store.log(key))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.agronomy.forecast import Counts, Detection, Forecast, forecast
+from cucumbervision.agronomy.forecast import Counts, DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
@@ -25,7 +25,7 @@ from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, 
 
 NAIVE_M_PER_DAY = 0.03
 CLIP = 0.01  # the least probability that the log score counts for either
-DETECTION = Detection(found=0.95, found_sd=0.01, false=0.02)
+DETECTION = DetectionRates(found=0.95, found_sd=0.01, false=0.02)
 
 
 @dataclass(frozen=True)

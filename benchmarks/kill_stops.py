@@ -26,11 +26,10 @@ from made_stops import FRUIT, METHODS, made_round, made_stop
 from sqlalchemy import func, select
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.store.check import check_store
 from cucumbervision.store.engine import begin
+from cucumbervision.store.images import check_store
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.schema import CaptureLine, FruitLine, MaskLine, MethodLine, StopLine
-from cucumbervision.store.writing import checked_stop
+from cucumbervision.store.schema import CaptureLine, DetectionLine, MaskLine, MethodLine, StopLine
 
 RESENT = 3  # stops that a new child sends again although they were acknowledged
 WALK = made_round("killed")
@@ -83,14 +82,14 @@ def faults_of(store: Store, acknowledged: set[int]) -> tuple[set[str], list[str]
         select(
             StopLine.key,
             func.count(CaptureLine.id.distinct()),
-            func.count(FruitLine.id.distinct()),
+            func.count(DetectionLine.id.distinct()),
             func.count(MaskLine.fruit_id.distinct()),
             func.count(MethodLine.fruit_id),
         )
         .outerjoin(CaptureLine, CaptureLine.stop_id == StopLine.id)
-        .outerjoin(FruitLine, FruitLine.capture_id == CaptureLine.id)
-        .outerjoin(MaskLine, MaskLine.fruit_id == FruitLine.id)
-        .outerjoin(MethodLine, MethodLine.fruit_id == FruitLine.id)
+        .outerjoin(DetectionLine, DetectionLine.capture_id == CaptureLine.id)
+        .outerjoin(MaskLine, MaskLine.fruit_id == DetectionLine.id)
+        .outerjoin(MethodLine, MethodLine.fruit_id == DetectionLine.id)
         .group_by(StopLine.id, StopLine.key)
     )
     with begin(store.engine) as connection:
@@ -108,10 +107,10 @@ def final_faults(store: Store, stops: int) -> list[str]:
     """Hold every stop against what was sent, and every picture against its hash."""
     faults = []
     for number in range(stops):
-        sent = checked_stop(made_stop(WALK, number, store.images))
+        sent = made_stop(WALK, number, store.images)
         if store.stop(sent.key) != sent:
             faults.append(f"stop {number} is not what was sent")
-    found = store.fruit(WALK.key)
+    found = store.detections(WALK.key)
     if len(found) != FRUIT * stops or len({one.key for one in found}) != len(found):
         faults.append(f"{len(found)} fruit instead of {FRUIT * stops}")
     before = check_store(store, grace_s=0, remove=True)

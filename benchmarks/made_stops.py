@@ -11,7 +11,7 @@ from cucumbervision.store.images import DEPTH_UNIT_M, ImageStore
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    FruitRecord,
+    DetectionRecord,
     MethodRecord,
     Point,
     RoundRecord,
@@ -97,7 +97,7 @@ def _capture(
     )
 
 
-def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> FruitRecord:
+def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> DetectionRecord:
     x, y = rng.integers(5, width - 40), rng.integers(5, height - 60)
     mask = np.zeros((height, width), bool)
     for line in range(50):  # a leaning, ragged strip: run lengths as a drawn mask's
@@ -107,7 +107,7 @@ def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> Fr
     path = np.round(np.cumsum(rng.normal(0.005, 0.001, (48, 3)), axis=0), 6)
     points = tuple(tuple(point) for point in path.tolist())
     *others, tube = _methods(length, points)
-    return FruitRecord(
+    return DetectionRecord(
         number=number,
         score=round(float(rng.uniform(0.5, 1.0)), 4),
         box_x1_px=float(x),

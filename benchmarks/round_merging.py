@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cucumbervision.rounds.best import row_fruit
-from cucumbervision.rounds.clusters import cluster_pairs
-from cucumbervision.rounds.count import count_fruit
 from cucumbervision.rounds.day_linking import DayLinks, link_days
-from cucumbervision.rounds.merge import Merged, merge_row
+from cucumbervision.rounds.merge import Merged, cluster_pairs, merge_row
+from cucumbervision.rounds.row_fruit import count_fruit, row_fruit
 from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}

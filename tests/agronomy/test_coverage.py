@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.agronomy.forecast import Detection, Forecast, forecast
+from cucumbervision.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, simulate_house
@@ -14,7 +14,7 @@ from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, 
 LONG = load_profile("long-cucumber")
 PRIOR = GrowthPrior.of(LONG)
 HOUSES = 16
-FOUND = Detection(found=0.95, found_sd=0.01, false=0.02)
+FOUND = DetectionRates(found=0.95, found_sd=0.01, false=0.02)
 
 
 @pytest.fixture(scope="module")

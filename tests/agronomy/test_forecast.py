@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from cucumbervision.agronomy.forecast import Detection, Forecast, FruitState, forecast
+from cucumbervision.agronomy.forecast import DetectionRates, Forecast, FruitState, forecast
 from cucumbervision.agronomy.fruit import mark_picked
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
@@ -87,11 +87,11 @@ def test_scale_error_is_shared_and_not_counted_twice() -> None:
 
 def test_missed_and_invented_fruit_move_the_count() -> None:
     fruit = fruit_of(0.30, 500)
-    half = steadily(fruit, detection=Detection(found=0.5)).house
+    half = steadily(fruit, detection=DetectionRates(found=0.5)).house
     assert half.expected[0, 0] == pytest.approx(1000, rel=0.01)
     # Negative binomial: variance n (1 - q) / q^2 = 1000.
     assert half.high[0, 0] - half.low[0, 0] == pytest.approx(2 * 1.2816 * 1000**0.5, rel=0.12)
-    fewer = steadily(fruit, detection=Detection(false=0.1)).house
+    fewer = steadily(fruit, detection=DetectionRates(false=0.1)).house
     assert fewer.expected[0, 0] == pytest.approx(450, rel=0.01)
 
 
@@ -202,7 +202,7 @@ def test_options_that_cannot_be_are_refused(options: dict[str, float]) -> None:
 @pytest.mark.parametrize("options", [{"found": 0.0}, {"found_sd": -1.0}, {"false": 1.0}])
 def test_detection_that_cannot_be_is_refused(options: dict[str, float]) -> None:
     with pytest.raises(ForecastError, match="give shares"):
-        Detection(**options)
+        DetectionRates(**options)
 
 
 def test_three_thousand_fruit_take_less_than_a_second_of_a_core() -> None:

@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import pytest
 
-from cucumbervision.agronomy.grades import OUT_OF_GRADE, FruitTraits, LengthBelief, Verdict, grade
+from cucumbervision.agronomy.grades import OUT_OF_GRADE, GradingTraits, LengthBelief, Verdict, grade
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.measurement.result import Length
 
 LONG = load_profile("long-cucumber")
 STRICT = LONG.model_copy(update={"size_rules": "decide"})
 # 400 g at 960 kg/m3, straight, as long as the weight asks for.
-SOUND = FruitTraits(
+SOUND = GradingTraits(
     thread_m=0.30, chord_m=0.28, inner_arc_mm_per_10cm=4.0, volume_m3=0.4 / 960, diameter_max_m=0.04
 )
 
 
-def sure(thread_m: float, half: float) -> FruitTraits:
+def sure(thread_m: float, half: float) -> GradingTraits:
     belief = LengthBelief.from_interval(thread_m, thread_m / (1 + half), thread_m * (1 + half))
     return replace(SOUND, thread_m=thread_m, belief=belief, belief_of=Length.THREAD)
 
@@ -115,21 +115,21 @@ def test_interval_of_another_length_says_nothing() -> None:
 
 
 def test_missing_traits_are_named() -> None:
-    found = grade(FruitTraits(thread_m=0.30), LONG)
+    found = grade(GradingTraits(thread_m=0.30), LONG)
     assert found.name == "I"
     assert [m.split(":")[0] for m in found.missing] == [
         "inner arc height",
         "volume",
         "interval of the thread length",
     ]
-    nothing = grade(FruitTraits(centreline_m=0.3), LONG)
+    nothing = grade(GradingTraits(centreline_m=0.3), LONG)
     assert (nothing.verdict, nothing.name) == (Verdict.MISSING, "")
     assert nothing.missing[0].startswith("thread length: no tube could be fitted")
 
 
 @pytest.mark.parametrize(("thread_m", "refused"), [(0.049, True), (0.05, False), (0.801, True)])
 def test_lengths_that_cannot_be_are_refused(thread_m: float, refused: bool) -> None:
-    found = grade(FruitTraits(thread_m=thread_m), LONG)
+    found = grade(GradingTraits(thread_m=thread_m), LONG)
     assert (found.verdict is Verdict.REFUSED) == refused
     if refused:
         assert "is accepted from 5 to 80 cm; measure again" in found.rules[0]
@@ -137,14 +137,14 @@ def test_lengths_that_cannot_be_are_refused(thread_m: float, refused: bool) -> N
 
 def test_aubergine_and_bean_are_graded_by_width() -> None:
     aubergine = load_profile("aubergine")
-    thin = FruitTraits(chord_m=0.18, volume_m3=0.2 / 650, diameter_max_m=0.0399)
+    thin = GradingTraits(chord_m=0.18, volume_m3=0.2 / 650, diameter_max_m=0.0399)
     assert grade(thin, aubergine).rules[0].startswith("too thin: 39.9 mm, at least 40 mm")
     wide = grade(replace(thin, diameter_max_m=0.04), aubergine)
     assert (wide.name, wide.weight_class) == ("ready", "100 to 300 g")
     bean = load_profile("green-bean")
     widths = {0.006: "very fine", 0.0061: "fine", 0.009: "fine", 0.012: "average", 0.0121: ""}
     for width, name in widths.items():
-        pod = FruitTraits(thread_m=0.12, diameter_max_m=width)
+        pod = GradingTraits(thread_m=0.12, diameter_max_m=width)
         assert grade(pod, bean).diameter_class == name
 
 
@@ -161,7 +161,7 @@ def test_row_of_a_table_is_read_with_its_calibration() -> None:
         "volume_ml": "420",
         "diameter_max_mm": None,
     }
-    traits = FruitTraits.from_row(row)
+    traits = GradingTraits.from_row(row)
     assert (traits.thread_m, traits.chord_m, traits.diameter_max_m) == (0.26, 0.24, None)
     assert traits.belief is not None
     assert traits.belief.median_m == 0.26
@@ -177,4 +177,4 @@ def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:
         "interval_high_cm": 26.0,
         "interval_of": "centreline",
     }
-    assert grade(FruitTraits.from_row(row), LONG).verdict is Verdict.MISSING
+    assert grade(GradingTraits.from_row(row), LONG).verdict is Verdict.MISSING

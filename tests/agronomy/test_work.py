@@ -5,8 +5,8 @@ import pytest
 from cucumbervision.agronomy.forecast import FruitState, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
+from cucumbervision.agronomy.picking import Rates, plan_work
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.agronomy.work import Rates, plan_work
 from cucumbervision.errors import ForecastError
 
 LONG = load_profile("long-cucumber")

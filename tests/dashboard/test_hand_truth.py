@@ -23,7 +23,7 @@ WALK = key_of("walk")
 
 
 def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path) -> None:
-    fruit = store.fruit(WALK)
+    fruit = store.detections(WALK)
     true = {}
     for view in fruit:
         said = json.loads((bundled_captures() / view.capture / "truth.json").read_text())
@@ -48,7 +48,7 @@ def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path
 
 
 def test_a_fruit_without_a_length_by_hand_is_left_out(store: Store, tmp_path: Path) -> None:
-    fruit = store.fruit(WALK)
+    fruit = store.detections(WALK)
     path = tmp_path / "a.csv"
     written = write_hand_lengths(path, fruit, {fruit[0].key: (0.2, None)}, Length.CHORD)
     assert written == 1

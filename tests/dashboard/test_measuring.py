@@ -41,7 +41,7 @@ def test_a_stop_is_saved_with_its_fruit_where_they_hang(store: Store, measurer: 
         taken = measurer.take_stop(store, one.key, replace(capture, stop=spot), OPTIONS)
         assert not taken.note
     left, right = (
-        [v for v in store.fruit(one.key) if v.side == side] for side in ("left", "right")
+        [v for v in store.detections(one.key) if v.side == side] for side in ("left", "right")
     )
     # The first fruit of the bench lies 16 cm left of the camera: behind it where the row is on
     # the left, before it on the right.
@@ -94,8 +94,8 @@ def test_a_stored_capture_is_the_frame_again(store: Store) -> None:
 
 
 def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Measurer) -> None:
-    bench = [v for v in store.fruit(WALK) if v.capture == "simulated-bench"]
-    detail = store.one_fruit(bench[2].key)
+    bench = [v for v in store.detections(WALK) if v.capture == "simulated-bench"]
+    detail = store.detection(bench[2].key)
     record = detail.view.record
     assert record.mask is not None
     capture = stored_capture(store.images, detail.capture, detail.stop)
@@ -107,11 +107,11 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Measu
     for mask in (tapped, boxed):
         assert (mask & true).sum() / (mask | true).sum() > 0.9
     measurer.correct(store, detail, boxed, OPTIONS)
-    (now,) = [v for v in store.fruit(WALK) if v.key == detail.view.key]
+    (now,) = [v for v in store.detections(WALK) if v.key == detail.view.key]
     assert now.corrected
     assert now.record.mask_source == MaskSource.SAM
     thread_m = place(SCENES[2].fruit[2]).thread_m
     assert now.record.thread_m == pytest.approx(thread_m, rel=0.06)
     assert now.along_m == pytest.approx(bench[2].along_m, abs=0.01)
     store.undo(WALK)
-    assert not store.one_fruit(detail.view.key).view.corrected
+    assert not store.detection(detail.view.key).view.corrected

@@ -90,7 +90,7 @@ def test_filters_leave_fruit_out(house: Path) -> None:
 
 def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
     with open_store(house) as store:
-        key = store.fruit(WALK)[0].key
+        key = store.detections(WALK)[0].key
     test = app("results", fruit=key)
     assert not test.exception
 
@@ -99,7 +99,7 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
 
     def view() -> Any:
         with open_store(house) as store:
-            return store.one_fruit(key).view
+            return store.detection(key).view
 
     press("Accept")
     assert view().verdict is Verdict.ACCEPTED
@@ -115,7 +115,7 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
 
 def test_before_and_next_walk_through_the_fruit(house: Path) -> None:
     with open_store(house) as store:
-        keys = [view.key for view in store.fruit(WALK)]
+        keys = [view.key for view in store.detections(WALK)]
     test = app("results", fruit=keys[0])
     assert next(b for b in test.button if b.label == "Before").disabled
     next(b for b in test.button if b.label == "Next").click().run()
@@ -196,7 +196,7 @@ def test_the_pick_list_marks_its_fruit_as_picked(house: Path) -> None:
     assert "4 fruit" in ready  # the profile picks class I
     next(b for b in test.button if b.label == "Mark all as picked").click().run()
     with open_store(house) as store:
-        assert sum(view.picked_s is not None for view in store.fruit(WALK)) == 4
+        assert sum(view.picked_s is not None for view in store.detections(WALK)) == 4
 
 
 def test_the_source_is_offered_on_every_page(house: Path) -> None:

@@ -19,15 +19,14 @@ from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports.build import round_tables
-from cucumbervision.exports.columns import COLUMNS
 from cucumbervision.exports.sheet import render_sheet
-from cucumbervision.exports.tables import Cell, ExportColumn, RoundTables, Table
+from cucumbervision.exports.tables import COLUMNS, Cell, ExportColumn, RoundTables, Table
 from cucumbervision.exports.writers import ExportFormat, write_exports
 from cucumbervision.pipeline.rows import defused
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    FruitRecord,
+    DetectionRecord,
     MethodRecord,
     RoundRecord,
     StopRecord,
@@ -42,8 +41,8 @@ CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
 ROOT = Path(__file__).parents[2]
 
 
-def fruit(number: int, length_m: float | None) -> FruitRecord:
-    record = FruitRecord(
+def fruit(number: int, length_m: float | None) -> DetectionRecord:
+    record = DetectionRecord(
         number,
         score=0.9,
         method="M6",
@@ -108,7 +107,7 @@ def store(house: Path) -> Iterator[Store]:
                     failures=({"input": "x", "error": "CaptureError"},) if step == 3 else (),
                 )
             )
-        keys = [view.key for view in opened.fruit(WALK.key)]
+        keys = [view.key for view in opened.detections(WALK.key)]
         opened.pick([keys[4]], at_s=WALK.started_s + 60)
         opened.set_verdict([keys[6]], Verdict.REJECTED)
         yield opened
@@ -245,7 +244,7 @@ def test_parquet_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> Non
 
 def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     openpyxl = pytest.importorskip("openpyxl")
-    from cucumbervision.exports.workbook import SHEETS
+    from cucumbervision.exports.writers import SHEETS
 
     write_exports(tables, tmp_path, [ExportFormat.XLSX])
     book = openpyxl.load_workbook(tmp_path / "round.xlsx")

@@ -9,7 +9,7 @@ import pytest
 
 from cucumbervision.store.records import (
     CaptureRecord,
-    FruitRecord,
+    DetectionRecord,
     RoundRecord,
     StopRecord,
     key_of,
@@ -45,11 +45,11 @@ def save_walk(store: Store) -> SaveWalk:
 
 def _stop(walk: Walk, number: int, record: RoundRecord, row: str) -> StopRecord:
     views, sign = walk.views, 1.0 - 2.0 * float(walk.stops.side[number])
-    fruit: list[FruitRecord] = []
+    fruit: list[DetectionRecord] = []
     for k in (views.stop == number).nonzero()[0].tolist():
         x, up, depth = views.offset_m[k].tolist()
         length, sd = float(views.length_m[k]), float(views.length_sd[k])
-        one = FruitRecord(
+        one = DetectionRecord(
             len(fruit) + 1,
             score=float(views.score[k]),
             flags="end-hidden" if views.partial[k] else "",

@@ -112,7 +112,7 @@ def test_place_and_poses_come_before_the_files(store: Store, tmp_path: Path) -> 
     assert (second.row, second.position_m, second.position_sd_m) == ("3", 7.5, 0.01)
     pose = np.array(store.stop(second.key).pose).reshape(4, 4)
     assert pose[:3, 3].tolist() == [7.5, 1.3, 0.0]
-    at = [v.along_m for v in store.fruit(MORNING) if v.stop_key == second.key]
+    at = [v.along_m for v in store.detections(MORNING) if v.stop_key == second.key]
     # Measured from the camera's true place, 0.40 m.
     expected = [7.5 + along - 0.40 for along, *_ in FRUIT]
     assert sorted(a for a in at if a is not None) == pytest.approx(expected, abs=0.02)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.rounds.count import estimate_count, times_shown
 from cucumbervision.rounds.merge import NO_PAIRS, Merged
+from cucumbervision.rounds.row_fruit import estimate_count, times_shown
 from cucumbervision.rounds.row_views import RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 

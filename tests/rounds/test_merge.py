@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.rounds.best import best_views, row_fruit
-from cucumbervision.rounds.clusters import cluster_pairs, join_clusters, sweep
-from cucumbervision.rounds.count import count_fruit
-from cucumbervision.rounds.merge import ByHand, merge_row
+from cucumbervision.rounds.merge import ByHand, cluster_pairs, join_clusters, merge_row, sweep
+from cucumbervision.rounds.row_fruit import best_views, count_fruit, row_fruit
 from cucumbervision.rounds.row_views import RowStops, RowViews
 from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, simulate_row
 

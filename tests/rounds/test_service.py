@@ -55,9 +55,9 @@ def test_a_round_is_merged_and_counted(store: Store, row: Walk) -> None:
 
 def test_merging_again_changes_nothing(store: Store, row: Walk) -> None:
     del row
-    before = [(v.key, v.group) for v in store.fruit(MORNING)]
+    before = [(v.key, v.group) for v in store.detections(MORNING)]
     merge_round(store, MORNING)
-    assert [(v.key, v.group) for v in store.fruit(MORNING)] == before
+    assert [(v.key, v.group) for v in store.detections(MORNING)] == before
 
 
 def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
@@ -69,7 +69,7 @@ def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
     one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
     store.merge(one.key, other.key, by="kim")
     merge_round(store, MORNING)
-    groups = {view.key: (view.group, view.views) for view in store.fruit(MORNING)}
+    groups = {view.key: (view.group, view.views) for view in store.detections(MORNING)}
     assert groups[many.key] == (many.key, 1)
     assert groups[one.key][0] == groups[other.key][0]
     assert [action.kind for action in store.log(MORNING)] == ["merge", "unmerge"]
@@ -89,7 +89,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     assert len(links) == found.sure
     grown = np.median([link.length1_m - link.length0_m for link in links])
     assert 0.02 < grown < 0.04
-    assert {link.fruit_id for link in links} <= {v.group for v in store.fruit(NEXT.key)}
+    assert {link.fruit_id for link in links} <= {v.group for v in store.detections(NEXT.key)}
     assert store.shifts(NEXT.key)[0].shift_m == pytest.approx(found.shift_m)
     from cucumbervision.agronomy.profiles import load_profile
 
@@ -98,17 +98,17 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
 
 
 def test_growth_is_followed_through_three_rounds(store: Store) -> None:
-    from cucumbervision.store.records import CaptureRecord, FruitRecord, StopRecord
+    from cucumbervision.store.records import CaptureRecord, DetectionRecord, StopRecord
 
     keys = []
     for day in (1, 2, 3):
         record = RoundRecord(key_of("three", day), f"day {day}", "", day * 86400.0)
         store.save_round(record)
-        fruit = FruitRecord(1, length_m=0.1 + 0.03 * day, length_sd_m=0.002)
+        fruit = DetectionRecord(1, length_m=0.1 + 0.03 * day, length_sd_m=0.002)
         capture = CaptureRecord("c", fruit=(fruit,))
         stop = StopRecord(key_of("s", day), record.key, row="1", captures=(capture,))
         store.save_stop(stop)
-        keys.append((record.key, store.fruit(record.key)[0].key))
+        keys.append((record.key, store.detections(record.key)[0].key))
     store.link_growth(keys[0][1], keys[1][1])
     store.link_growth(keys[1][1], keys[2][1])
     links = growth_links(store, keys[2][0])
@@ -161,7 +161,7 @@ def test_stops_without_position_stand_alone(store: Store, save_walk: Save) -> No
     [report] = merge_round(store, MORNING)
     lost = len(stop.captures[0].fruit)
     assert report.unplaced == lost
-    alone = [v for v in store.fruit(MORNING) if v.stop_key == key_of("lost")]
+    alone = [v for v in store.detections(MORNING) if v.stop_key == key_of("lost")]
     assert [v.views for v in alone] == [1] * lost
 
 

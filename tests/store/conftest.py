@@ -12,7 +12,7 @@ import pytest
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    FruitRecord,
+    DetectionRecord,
     MethodRecord,
     RoundRecord,
     StopRecord,
@@ -106,7 +106,7 @@ def make_stop() -> MakeStop:
 
     def make(step: int = 0, /, fruit: int = 2, **changes: Any) -> StopRecord:
         found = tuple(
-            FruitRecord(
+            DetectionRecord(
                 k,
                 method="M6",
                 length_m=0.1 * step + 0.01 * k,

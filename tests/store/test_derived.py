@@ -23,7 +23,7 @@ def keys(store: Store, make_stop: MakeStop) -> list[str]:
     for walk in (RoundRecord(WALK, started_s=1000.0), RoundRecord(NEXT_DAY, started_s=87400.0)):
         for step in (1, 2):
             store.save_stop(make_stop(step, round=walk))
-    return [one.key for walk in (WALK, NEXT_DAY) for one in store.fruit(walk)]
+    return [one.key for walk in (WALK, NEXT_DAY) for one in store.detections(walk)]
 
 
 def same(first: str, second: str, score: float | None = None) -> LinkRecord:
@@ -36,7 +36,7 @@ def test_each_run_replaces_what_the_last_one_said(store: Store, keys: list[str])
     assert store.links(WALK) == [same(keys[0], keys[2], 0.7)]
     view = store.stops(WALK)[1]
     assert (view.position_m, view.fitted_m, view.fitted_sd_m) == (0.8, 0.77, 0.01)
-    fruit = store.fruit(WALK)[2]
+    fruit = store.detections(WALK)[2]
     assert fruit.along_m == pytest.approx(0.77 + 0.1)
     assert fruit.along_sd_m == pytest.approx(hypot(0.01, 0.03))
     assert store.save_merging(WALK, [same(keys[1], keys[2])]) == 1

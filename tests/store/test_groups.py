@@ -2,8 +2,7 @@ from __future__ import annotations
 
 from itertools import permutations
 
-from cucumbervision.store.groups import Candidate, group_fruit, standings
-from cucumbervision.store.views import LinkKind, LinkRecord
+from cucumbervision.store.views import Candidate, LinkKind, LinkRecord, group_detections, standings
 
 
 def same(pair: str, score: float | None = None, *, by_hand: bool = False) -> LinkRecord:
@@ -15,7 +14,7 @@ def apart(pair: str) -> LinkRecord:
 
 
 def shape(keys: str, links: list[LinkRecord]) -> set[str]:
-    return {"".join(sorted(group)) for group in group_fruit(keys, links).values()}
+    return {"".join(sorted(group)) for group in group_detections(keys, links).values()}
 
 
 def test_links_join_whatever_their_order() -> None:

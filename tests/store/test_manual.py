@@ -9,9 +9,9 @@ from sqlalchemy import text
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.engine import begin
-from cucumbervision.store.records import FruitRecord, RoundRecord, key_of, new_key
+from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import FruitFilter, FruitView, LinkKind, LinkRecord, Verdict
+from cucumbervision.store.views import DetectionFilter, DetectionView, LinkKind, LinkRecord, Verdict
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop
@@ -24,16 +24,16 @@ def keys(store: Store, make_stop: MakeStop) -> list[str]:
     """Four detections: two stops with two fruit each."""
     for step in (1, 2):
         store.save_stop(make_stop(step))
-    return [one.key for one in store.fruit(WALK)]
+    return [one.key for one in store.detections(WALK)]
 
 
 def said(store: Store) -> list[Any]:
     """Everything that can be changed by hand."""
-    return [(one, store.links(WALK)) for one in store.fruit(WALK)]
+    return [(one, store.links(WALK)) for one in store.detections(WALK)]
 
 
 def group(store: Store, key: str) -> set[str]:
-    views = store.fruit(WALK)
+    views = store.detections(WALK)
     best = next(one.group for one in views if one.key == key)
     return {one.key for one in views if one.group == best}
 
@@ -42,7 +42,7 @@ def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]
     store.set_verdict(keys[:2], Verdict.ACCEPTED, by="ana")
     store.set_verdict(keys[1:3], Verdict.REJECTED, by="bo")
     store.set_verdict(keys[2:3], None, by="bo")
-    assert [one.verdict for one in store.fruit(WALK)] == [
+    assert [one.verdict for one in store.detections(WALK)] == [
         Verdict.ACCEPTED,
         Verdict.REJECTED,
         None,
@@ -65,7 +65,7 @@ def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]
         lambda s, k: s.set_verdict(k, None),
         lambda s, k: s.pick(k, at_s=9.0),
         lambda s, k: s.unpick(k),
-        lambda s, k: s.correct(k[0], FruitRecord(1, length_m=0.5)),
+        lambda s, k: s.correct(k[0], DetectionRecord(1, length_m=0.5)),
         lambda s, k: s.merge(k[0], k[3]),
         lambda s, k: s.unmerge(k[1]),
     ],
@@ -74,7 +74,7 @@ def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]
 def test_every_action_can_be_taken_back(store: Store, keys: list[str], act: Any) -> None:
     store.set_verdict(keys[:2], Verdict.ACCEPTED)
     store.pick(keys[:1], at_s=4.0)
-    store.correct(keys[0], FruitRecord(1, length_m=0.4))
+    store.correct(keys[0], DetectionRecord(1, length_m=0.4))
     store.save_merging(WALK, [LinkRecord(LinkKind.SAME, keys[1], keys[2], 0.8)])
     before = said(store)
     act(store, keys)
@@ -94,7 +94,7 @@ def test_undo_goes_back_step_by_step_and_then_says_that_there_is_no_more(
     verdicts = []
     for _ in range(2):
         store.undo(WALK)
-        verdicts.append(store.fruit(WALK)[0].verdict)
+        verdicts.append(store.detections(WALK)[0].verdict)
     assert verdicts == [Verdict.ACCEPTED, None]
     with pytest.raises(StoreError, match="nothing to take back"):
         store.undo(WALK)
@@ -109,7 +109,7 @@ def test_an_earlier_action_is_taken_back_unless_a_later_one_stands_on_it(
     with pytest.raises(StoreConflictError, match=f"stands on action {first}; take the later"):
         store.undo(number=first)
     store.undo(number=other)
-    assert [one.verdict for one in store.fruit(WALK)[:2]] == [Verdict.REJECTED, None]
+    assert [one.verdict for one in store.detections(WALK)[:2]] == [Verdict.REJECTED, None]
     with pytest.raises(StoreError, match=f"no action {other}"):
         store.undo(number=other)
     undo = store.log(WALK)[0].number
@@ -125,7 +125,7 @@ def test_what_was_taken_away_does_not_come_back_over_something_newer(
     store.set_verdict(keys[:1], Verdict.REJECTED)
     with pytest.raises(StoreConflictError, match="stands on"):
         store.undo(number=cleared)
-    assert store.fruit(WALK)[0].verdict is Verdict.REJECTED
+    assert store.detections(WALK)[0].verdict is Verdict.REJECTED
     assert len(store.log()) == 3
 
 
@@ -134,10 +134,10 @@ def test_undo_is_of_the_round_that_was_named(store: Store, make_stop: MakeStop) 
     for walk in walks:
         store.save_stop(make_stop(1, round=walk))
     for walk in walks:
-        store.set_verdict([store.fruit(walk.key)[0].key], Verdict.ACCEPTED)
+        store.set_verdict([store.detections(walk.key)[0].key], Verdict.ACCEPTED)
     store.undo(WALK)
-    assert store.fruit(WALK)[0].verdict is None
-    assert store.fruit(NEXT_DAY)[0].verdict is Verdict.ACCEPTED
+    assert store.detections(WALK)[0].verdict is None
+    assert store.detections(NEXT_DAY)[0].verdict is Verdict.ACCEPTED
 
 
 @pytest.mark.parametrize("command", ["UPDATE actions SET at_s = 0", "DELETE FROM actions"])
@@ -154,37 +154,37 @@ def test_the_log_is_only_added_to(store: Store, keys: list[str], command: str) -
 def test_a_corrected_fruit_stands_for_the_first_which_is_kept(
     store: Store, keys: list[str]
 ) -> None:
-    original = store.one_fruit(keys[1]).original
+    original = store.detection(keys[1]).original
     corrected = replace(original, length_m=0.333, mask="45", offset_m=0.7, flags="by-hand")
     store.correct(keys[1], corrected, by="ana")
-    detail = store.one_fruit(keys[1])
+    detail = store.detection(keys[1])
     assert detail.view.record == corrected
     assert detail.original == original
     assert [line.kind for line in detail.log] == ["correct"]
-    listed = store.fruit(WALK)[1]
+    listed = store.detections(WALK)[1]
     assert listed.corrected
     assert listed.record == replace(corrected, mask=None, keypoints=(), methods=())
     assert listed.along_m == pytest.approx(0.4 + 0.7)
-    assert store.fruit(WALK, FruitFilter(min_length_m=0.33)) == [listed]
+    assert store.detections(WALK, DetectionFilter(min_length_m=0.33)) == [listed]
 
 
 def test_a_correction_is_of_the_fruit_whose_number_it_has(store: Store, keys: list[str]) -> None:
     with pytest.raises(StoreConflictError, match="another number than 7"):
-        store.correct(keys[1], FruitRecord(7))
+        store.correct(keys[1], DetectionRecord(7))
 
 
 def test_merged_views_are_one_fruit_of_which_the_best_stands(store: Store, keys: list[str]) -> None:
     a, b, c, d = keys
-    assert [one.best for one in store.fruit(WALK)] == [True] * 4
+    assert [one.best for one in store.detections(WALK)] == [True] * 4
     store.merge(a, c, by="ana")
-    store.correct(c, FruitRecord(1, length_m=0.2, view_score=0.9))
+    store.correct(c, DetectionRecord(1, length_m=0.2, view_score=0.9))
 
-    def shown() -> list[FruitView]:
-        return store.fruit(WALK, FruitFilter(best=True))
+    def shown() -> list[DetectionView]:
+        return store.detections(WALK, DetectionFilter(best=True))
 
     assert [(one.key, one.views) for one in shown()] == [(b, 1), (c, 2), (d, 1)]
-    assert store.one_fruit(a).view.group == c
-    assert store.one_fruit(a).links == (LinkRecord(LinkKind.SAME, a, c, None, True),)
+    assert store.detection(a).view.group == c
+    assert store.detection(a).links == (LinkRecord(LinkKind.SAME, a, c, None, True),)
     # A rejected view does not stand, and a pick counts for every view.
     store.set_verdict([c], Verdict.REJECTED)
     store.pick([c], at_s=7.0)
@@ -218,7 +218,7 @@ def test_only_what_can_be_one_fruit_is_linked(
     store: Store, keys: list[str], make_stop: MakeStop
 ) -> None:
     store.save_stop(make_stop(1, round=RoundRecord(NEXT_DAY, started_s=87400.0)))
-    later = store.fruit(NEXT_DAY)[0].key
+    later = store.detections(NEXT_DAY)[0].key
     wrongs: tuple[Callable[[], int], ...] = (
         lambda: store.merge(keys[0], keys[0]),
         lambda: store.merge(keys[0], later),
@@ -237,22 +237,22 @@ def test_only_what_can_be_one_fruit_is_linked(
 def test_more_fruit_than_a_command_takes_are_picked_at_once(
     store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cucumbervision.store.manual._AT_ONCE", 3)
+    monkeypatch.setattr("cucumbervision.store.corrections._AT_ONCE", 3)
     store.save_stop(make_stop(1, 8))
-    store.pick([one.key for one in store.fruit(WALK)])
-    assert all(one.picked_s for one in store.fruit(WALK))
+    store.pick([one.key for one in store.detections(WALK)])
+    assert all(one.picked_s for one in store.detections(WALK))
 
 
 def test_growth_is_linked_and_unlinked_by_hand(
     store: Store, keys: list[str], make_stop: MakeStop
 ) -> None:
     store.save_stop(make_stop(1, round=RoundRecord(NEXT_DAY, started_s=87400.0)))
-    later = store.fruit(NEXT_DAY)[0].key
+    later = store.detections(NEXT_DAY)[0].key
     store.link_growth(keys[0], later)
     expected = LinkRecord(LinkKind.GROWTH, keys[0], later, None, True)
     assert store.links(WALK) == store.links(NEXT_DAY, LinkKind.GROWTH) == [expected]
     # A link between days makes no group within one.
-    assert store.fruit(WALK)[0].views == 1
+    assert store.detections(WALK)[0].views == 1
     store.unlink_growth(keys[0], later)
     assert [link.kind for link in store.links(WALK)] == [LinkKind.APART]
     assert store.save_growth(WALK, NEXT_DAY, [replace(expected, by_hand=False)]) == 0
@@ -268,5 +268,5 @@ def test_two_pages_that_mark_one_fruit_both_are_heard(
         for n in range(5):
             store.set_verdict(keys[:1], Verdict.ACCEPTED, by=f"a{n}")
             other.set_verdict(keys[:1], Verdict.REJECTED, by=f"b{n}")
-    assert store.fruit(WALK)[0].verdict is Verdict.REJECTED
+    assert store.detections(WALK)[0].verdict is Verdict.REJECTED
     assert len(store.log()) == 10

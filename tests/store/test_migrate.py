@@ -10,8 +10,15 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
 from cucumbervision.errors import StoreError, StoreVersionError
-from cucumbervision.store.engine import begin, database_url, make_engine
-from cucumbervision.store.migrate import HEAD, MIGRATIONS, REVISIONS, VERSION_TABLE
+from cucumbervision.store.engine import (
+    HEAD,
+    MIGRATIONS,
+    REVISIONS,
+    VERSION_TABLE,
+    begin,
+    database_url,
+    make_engine,
+)
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.schema import Base
 
@@ -62,7 +69,7 @@ def test_what_fails_half_way_leaves_nothing_behind(
     engine = make_engine(database_url(address))
     with begin(engine, write=True) as connection:
         connection.execute(text("CREATE TABLE links (name TEXT)"))
-    monkeypatch.setattr("cucumbervision.store.migrate._check_free", lambda *_: None)
+    monkeypatch.setattr("cucumbervision.store.engine._check_free", lambda *_: None)
     with pytest.raises(StoreError, match="already exists"):
         open_store(address)
     with begin(engine) as connection:

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import StoreError
-from cucumbervision.store.lines import fruit_from_json, pack_um, points, unpack_um
 from cucumbervision.store.records import (
-    FruitRecord,
+    DetectionRecord,
     checked_key,
     content_sha256,
     key_of,
     new_key,
     record_json,
 )
+from cucumbervision.store.schema import detection_from_json, pack_um, points, unpack_um
 
 
 def test_new_keys_differ_and_made_keys_do_not() -> None:
@@ -41,18 +41,20 @@ def test_a_key_is_the_same_however_it_is_written() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, np.float32(0.2), object()])
 def test_only_finite_plain_numbers_are_stored(value: float) -> None:
     with pytest.raises(StoreError, match="cannot be stored"):
-        record_json(FruitRecord(1, length_m=value))
+        record_json(DetectionRecord(1, length_m=value))
 
 
 def test_a_content_hash_tells_records_apart_to_the_last_digit() -> None:
-    one = FruitRecord(1, length_m=0.3)
-    assert content_sha256(one) == content_sha256(FruitRecord(1, length_m=0.3))
-    assert content_sha256(one) != content_sha256(FruitRecord(1, length_m=math.nextafter(0.3, 1)))
+    one = DetectionRecord(1, length_m=0.3)
+    assert content_sha256(one) == content_sha256(DetectionRecord(1, length_m=0.3))
+    assert content_sha256(one) != content_sha256(
+        DetectionRecord(1, length_m=math.nextafter(0.3, 1))
+    )
 
 
 def test_a_fruit_comes_back_from_json() -> None:
-    fruit = FruitRecord(3, keypoints=((1.5, 2.5, 0.25),), mask="123", flags="end-hidden")
-    assert fruit_from_json(record_json(fruit)) == fruit
+    fruit = DetectionRecord(3, keypoints=((1.5, 2.5, 0.25),), mask="123", flags="end-hidden")
+    assert detection_from_json(record_json(fruit)) == fruit
 
 
 def test_paths_keep_whole_micrometres() -> None:

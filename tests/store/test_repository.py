@@ -16,7 +16,7 @@ from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.engine import begin
 from cucumbervision.store.records import (
     CaptureRecord,
-    FruitRecord,
+    DetectionRecord,
     MethodRecord,
     RoundRecord,
     StopRecord,
@@ -25,7 +25,7 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.schema import Base
-from cucumbervision.store.views import FruitFilter, Saved, Verdict
+from cucumbervision.store.views import DetectionFilter, Saved, Verdict
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop
@@ -82,7 +82,7 @@ def test_another_stop_under_the_same_key_is_refused_and_the_first_stays(
 def test_a_stop_that_fails_half_way_leaves_nothing(store: Store, make_stop: MakeStop) -> None:
     before = lines(store)
     endless = MethodRecord("M5", path_m=((5000.0, 0.0, 0.0),))
-    fruit = (FruitRecord(1), FruitRecord(2, methods=(endless,)))
+    fruit = (DetectionRecord(1), DetectionRecord(2, methods=(endless,)))
     captures = (make_stop().captures[0], CaptureRecord("b", fruit=fruit))
     with pytest.raises(StoreError, match="no position"):
         store.save_stop(make_stop(1, captures=captures, row="99"))
@@ -99,7 +99,10 @@ def test_a_stop_needs_its_round(store: Store, make_stop: MakeStop) -> None:
     ("captures", "fault"),
     [
         ((CaptureRecord("a"), CaptureRecord("a")), "two captures are called a"),
-        ((CaptureRecord("a", fruit=(FruitRecord(1), FruitRecord(1))),), "two fruit have number 1"),
+        (
+            (CaptureRecord("a", fruit=(DetectionRecord(1), DetectionRecord(1))),),
+            "two fruit have number 1",
+        ),
     ],
 )
 def test_doubles_within_a_stop_are_refused(
@@ -140,11 +143,11 @@ def test_rows_of_a_house_are_kept_once(store: Store, make_stop: MakeStop) -> Non
 
 def test_a_fruit_lies_where_its_stop_and_its_offset_say(store: Store, make_stop: MakeStop) -> None:
     store.save_stop(make_stop(2))
-    _, second = store.fruit(WALK)
+    _, second = store.detections(WALK)
     assert second.along_m == pytest.approx(0.8 + 0.2)
     assert second.along_sd_m == pytest.approx(hypot(0.04, 0.03))
     store.save_stop(make_stop(3, position_m=None))
-    assert store.fruit(WALK)[2].along_m is None
+    assert store.detections(WALK)[2].along_m is None
 
 
 def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
@@ -152,10 +155,10 @@ def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
 ) -> None:
     stop = make_stop(1)
     store.save_stop(stop)
-    listed = store.fruit(WALK)[1]
+    listed = store.detections(WALK)[1]
     whole = stop.captures[0].fruit[1]
     assert listed.record == replace(whole, mask=None, keypoints=(), methods=())
-    detail = store.one_fruit(listed.key)
+    detail = store.detection(listed.key)
     assert detail.view == replace(listed, record=whole)
     assert detail.original == whole
     assert (detail.capture, detail.stop) == (stop.captures[0], stop)
@@ -167,14 +170,14 @@ def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
 def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
     store.save_stop(make_stop(1))
     store.save_stop(make_stop(2, row="4"))
-    unmeasured = CaptureRecord("a", fruit=(FruitRecord(1),))
+    unmeasured = CaptureRecord("a", fruit=(DetectionRecord(1),))
     store.save_stop(make_stop(3, side="right", captures=(unmeasured,)))
-    keys = [one.key for one in store.fruit(WALK)]
+    keys = [one.key for one in store.detections(WALK)]
     store.set_verdict([keys[2]], Verdict.REJECTED)
     store.pick([keys[3]], at_s=5.0)
 
     def kept(**only: Any) -> list[int]:
-        found = store.fruit(WALK, FruitFilter(**only))
+        found = store.detections(WALK, DetectionFilter(**only))
         return [10 * (one.step or 0) + one.record.number for one in found]
 
     assert kept() == [11, 12, 21, 22, 31]
@@ -191,7 +194,16 @@ def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
 
 
 def test_what_is_not_there_is_said(store: Store) -> None:
-    for call in ("stops", "fruit", "links", "measurements", "stop", "one_fruit", "shifts", "undo"):
+    for call in (
+        "stops",
+        "detections",
+        "links",
+        "measurements",
+        "stop",
+        "detection",
+        "shifts",
+        "undo",
+    ):
         with pytest.raises(StoreError, match="is not in the store"):
             getattr(store, call)(new_key())
 
@@ -233,7 +245,7 @@ def test_many_threads_lose_nothing(store: Store, make_stop: MakeStop) -> None:
     with ThreadPoolExecutor(8) as pool:
         said = list(pool.map(store.save_stop, stops))
     assert said.count(Saved.NEW) == said.count(Saved.ALREADY_THERE) == 20
-    assert len(store.fruit(WALK)) == 40
+    assert len(store.detections(WALK)) == 40
 
 
 WRITER = """
@@ -251,7 +263,7 @@ with open_store(address) as store:
 def test_two_programs_and_a_page_write_to_one_store(store: Store, make_stop: MakeStop) -> None:
     address = store.engine.url.render_as_string(hide_password=False)
     store.save_stop(make_stop(1))
-    fruit = store.fruit(WALK)[0].key
+    fruit = store.detections(WALK)[0].key
     writers = [
         subprocess.Popen([sys.executable, "-c", WRITER, address, name], stderr=subprocess.PIPE)
         for name in ("dashboard", "command")
@@ -279,4 +291,4 @@ def test_what_a_server_acknowledged_outlives_its_crash(cluster: Any, make_stop: 
         # The same open store goes on.
         assert store.save_stop(make_stop(4)) is Saved.ALREADY_THERE
         assert store.save_stop(make_stop(5)) is Saved.NEW
-        assert len(store.fruit(WALK)) == 12
+        assert len(store.detections(WALK)) == 12

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import Filtered, Histories, Spreads
     from cucumbervision.agronomy.profiles import CropProfile
 
-__all__ = ["Counts", "Detection", "Forecast", "FruitState", "Futures", "forecast", "simulate"]
+__all__ = ["Counts", "DetectionRates", "Forecast", "FruitState", "Futures", "forecast", "simulate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no 
 
 
 @dataclass(frozen=True)
-class Detection:
+class DetectionRates:
     """How many fruit the camera finds.
 
     Parameters
@@ -293,7 +293,7 @@ def forecast(
     seed: int = 0,
     *,
     today: float | None = None,
-    detection: Detection | None = None,
+    detection: DetectionRates | None = None,
     scale_sd: float = 0.0,
     draws: int = 320,
     level: float = 0.8,
@@ -314,7 +314,7 @@ def forecast(
         The same seed gives the same figures.
     today : float, optional
         Day 0; by default the latest day of the fruit. Fruit seen earlier are carried on to it.
-    detection : Detection, optional
+    detection : DetectionRates, optional
         Share of fruit that the camera misses or invents; by default none. Missed fruit are taken
         to be like the found ones of their row.
     scale_sd : float
@@ -359,7 +359,7 @@ def forecast(
         profile,
         growth.curve.unslowed(profile.edges_m),
         futures,
-        detection or Detection(),
+        detection or DetectionRates(),
         rng,
     )
     shape = (len(left), days + 1, len(profile.outcomes))
@@ -404,7 +404,7 @@ class _Tally:
         profile: CropProfile,
         edges_m: NDArray[np.float64],
         futures: Futures,
-        detection: Detection,
+        detection: DetectionRates,
         rng: np.random.Generator,
     ) -> None:
         names = [c.name for c in profile.classes]
@@ -448,14 +448,14 @@ class _Tally:
 
 
 def _weights(
-    shape: tuple[int, ...], detection: Detection, rng: np.random.Generator
+    shape: tuple[int, ...], detection: DetectionRates, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
     """Draw how many fruit each found one stands for: itself, unless false, and missed ones.
 
     Of fruit found with probability q, the missed ones before each found one are geometric. None
     where each stands for itself.
     """
-    if detection == Detection():
+    if detection == DetectionRates():
         return None
     weights = np.ones(shape, np.float32)
     if detection.false > 0:

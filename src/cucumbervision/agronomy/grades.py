@@ -22,8 +22,8 @@ __all__ = [
     "BORDERLINE",
     "INTERVAL_LEVEL",
     "OUT_OF_GRADE",
-    "FruitTraits",
     "Grade",
+    "GradingTraits",
     "LengthBelief",
     "Verdict",
     "grade",
@@ -129,7 +129,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class FruitTraits:
+class GradingTraits:
     """What is known of a fruit; None where it is not.
 
     Parameters
@@ -167,12 +167,13 @@ class FruitTraits:
         return lengths[kind]
 
     @classmethod
-    def from_row(cls, row: Mapping[str, object]) -> FruitTraits:
+    def from_row(cls, row: Mapping[str, object]) -> GradingTraits:
         """Read a row of `measurements.csv` (or JSON), whose cells may be text or empty.
 
         Examples
         --------
-        >>> traits = FruitTraits.from_row({"thread_cm": "23.5", "chord_cm": 22.1, "volume_ml": ""})
+        >>> row = {"thread_cm": "23.5", "chord_cm": 22.1, "volume_ml": ""}
+        >>> traits = GradingTraits.from_row(row)
         >>> traits.thread_m, traits.volume_m3
         (0.235, None)
         """
@@ -249,12 +250,12 @@ class _Check:
         return replace(self, forbidden=frozenset(), rule=said)
 
 
-def grade(fruit: FruitTraits, profile: CropProfile) -> Grade:
+def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     """Grade a fruit by its length, and lower the class where shape, weight or width ask for it.
 
     Parameters
     ----------
-    fruit : FruitTraits
+    fruit : GradingTraits
         What is known.
     profile : CropProfile
         The crop.
@@ -269,7 +270,7 @@ def grade(fruit: FruitTraits, profile: CropProfile) -> Grade:
     Examples
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> found = grade(FruitTraits(thread_m=0.234), load_profile("long-cucumber"))
+    >>> found = grade(GradingTraits(thread_m=0.234), load_profile("long-cucumber"))
     >>> found.name, found.rules[0]
     ('II', 'class II: thread length 23.4 cm is in [20, 25) (greenhouse classes of the ... paper)')
     """
@@ -325,7 +326,7 @@ def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[s
     return found
 
 
-def _chances(fruit: FruitTraits, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
+def _chances(fruit: GradingTraits, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
     if fruit.belief is None or fruit.belief_of is not profile.length:
         return {}
     below = np.concatenate([[0.0], fruit.belief.below(profile.edges_m), [1.0]])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
-    from cucumbervision.rounds.service import FruitLine, RowLinks, RowReport
+    from cucumbervision.rounds.service import RoundFruit, RowLinks, RowReport
 
 __all__ = ["add_and_show", "show_links", "show_picks", "show_round", "show_rounds", "show_rows"]
 
@@ -125,7 +125,7 @@ def show_round(where: str, name: str, given: str | None, limit: int) -> None:
     _console().print(table)
 
 
-def _cells(line: FruitLine, profile: CropProfile | None) -> list[str]:
+def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
     view, record = line.view, line.view.record
     low, high = record.interval_low_m, record.interval_high_m
     name = ""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.store.records import FruitRecord, MethodRecord
+    from cucumbervision.store.records import DetectionRecord, MethodRecord
 
 __all__ = [
     "METHOD_COLORS",
@@ -109,7 +109,7 @@ def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]
     )
 
 
-def fruit_layers(record: FruitRecord, camera: Intrinsics) -> list[dict[str, Any]]:
+def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, Any]]:
     """Give what was found and measured of a fruit as layers of lines, in pixels.
 
     Returns
@@ -210,7 +210,7 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
 
 
 def crop(
-    thumbnail: NDArray[np.uint8], record: FruitRecord, width_px: int, side_px: int = 96
+    thumbnail: NDArray[np.uint8], record: DetectionRecord, width_px: int, side_px: int = 96
 ) -> NDArray[np.uint8]:
     """Cut a fruit out of its capture's thumbnail, as a square.
 
@@ -225,9 +225,9 @@ def crop(
 
     Examples
     --------
-    >>> from cucumbervision.store.records import FruitRecord
+    >>> from cucumbervision.store.records import DetectionRecord
     >>> small = np.zeros((60, 80, 3), np.uint8)
-    >>> box = FruitRecord(1, box_x1_px=10, box_y1_px=10, box_x2_px=20, box_y2_px=40)
+    >>> box = DetectionRecord(1, box_x1_px=10, box_y1_px=10, box_x2_px=20, box_y2_px=40)
     >>> crop(small, box, 160).shape
     (96, 96, 3)
     """
@@ -266,14 +266,14 @@ MARGIN_PX = 12
 SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
 
 
-def fruit_cloud(capture: Capture, record: FruitRecord) -> dict[str, Any] | None:
+def fruit_cloud(capture: Capture, record: DetectionRecord) -> dict[str, Any] | None:
     """Give a fruit's points and its tube in millimetres about the fruit's middle.
 
     Parameters
     ----------
     capture : Capture
         The frame.
-    record : FruitRecord
+    record : DetectionRecord
         The fruit, with mask and methods.
 
     Returns

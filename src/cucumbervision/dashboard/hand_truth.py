@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.records import MethodRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import FruitView
+    from cucumbervision.store.views import DetectionView
 
 __all__ = ["capture_name", "hand_file", "hand_lengths", "measured_round", "write_hand_lengths"]
 
@@ -41,7 +41,7 @@ def hand_file(store: str, round_key: str) -> Path:
     return folder / f"{round_key}.csv"
 
 
-def capture_name(view: FruitView) -> str:
+def capture_name(view: DetectionView) -> str:
     """Name a capture uniquely within a round."""
     return f"{view.stop_key}/{view.capture}"
 
@@ -66,7 +66,7 @@ def measured_round(
         Every detection a reading, captures named after stop and capture; its report names the
         cameras, as calibration asks for.
     """
-    fruit = store.fruit(round_key)
+    fruit = store.detections(round_key)
     readings = tuple(_reading(view, methods.get(view.key, ())) for view in fruit)
     captures: list[dict[str, Any]] = []
     report: dict[str, Any] = {"captures": captures}
@@ -104,7 +104,7 @@ def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
     return found
 
 
-def _reading(view: FruitView, methods: Sequence[MethodRecord]) -> Reading:
+def _reading(view: DetectionView, methods: Sequence[MethodRecord]) -> Reading:
     record = view.record
     lengths = {one.method: one.length_m for one in methods}
     tube = next((one for one in methods if one.thread_m is not None), None)
@@ -127,7 +127,7 @@ def _reading(view: FruitView, methods: Sequence[MethodRecord]) -> Reading:
 
 def write_hand_lengths(
     path: Path,
-    fruit: Sequence[FruitView],
+    fruit: Sequence[DetectionView],
     lengths: Mapping[str, tuple[float | None, float | None]],
     kind: Length,
 ) -> int:
@@ -137,7 +137,7 @@ def write_hand_lengths(
     ----------
     path : Path
         The table; replaced in one step.
-    fruit : sequence of FruitView
+    fruit : sequence of DetectionView
         The fruit that could be measured by hand.
     lengths : mapping of str to tuple of float
         By fruit key: the first and second measurement in metres, or None.
@@ -168,7 +168,7 @@ def write_hand_lengths(
 
 
 def hand_lengths(
-    path: Path, fruit: Sequence[FruitView]
+    path: Path, fruit: Sequence[DetectionView]
 ) -> dict[str, tuple[float | None, float | None]]:
     """Read the table back by fruit key; empty where there is none."""
     if not path.exists():

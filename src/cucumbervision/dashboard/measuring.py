@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.images import ImageStore
     from cucumbervision.store.records import CaptureRecord, StopRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import FruitDetail
+    from cucumbervision.store.views import DetectionDetail
 
 __all__ = ["Measurer", "TakenStop", "stored_capture"]
 
@@ -187,7 +187,11 @@ class Measurer:
         return _some(found.mask)
 
     def correct(
-        self, store: Store, detail: FruitDetail, mask: NDArray[np.bool_], options: MeasureOptions
+        self,
+        store: Store,
+        detail: DetectionDetail,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
     ) -> int:
         """Measure a fruit of the store anew with this mask, and let that stand; logged."""
         capture = stored_capture(store.images, detail.capture, detail.stop)

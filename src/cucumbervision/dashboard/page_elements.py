@@ -15,7 +15,7 @@ from cucumbervision.store.records import RoundRecord
 if TYPE_CHECKING:
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision.store.views import FruitView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = [
     "CLASSES",
@@ -145,7 +145,7 @@ def progress(job: Job | None) -> None:
     _bar()
 
 
-def thumbnail_of(view: FruitView) -> str | None:
+def thumbnail_of(view: DetectionView) -> str | None:
     """Give a fruit's little picture; None where none was kept."""
     if view.thumbnail is None:
         return None

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.store.views import FruitDetail, RoundView
+    from cucumbervision.store.views import DetectionDetail, RoundView
 
 __all__ = [
     "camera",
@@ -221,12 +221,12 @@ def forecast_of(one: RoundView) -> Forecast:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
-def _detail(fruit_key: str, version: tuple[object, ...], place: str) -> FruitDetail:
+def _detail(fruit_key: str, version: tuple[object, ...], place: str) -> DetectionDetail:
     del version, place
-    return store().one_fruit(fruit_key)
+    return store().detection(fruit_key)
 
 
-def fruit_detail(one: RoundView, fruit_key: str) -> FruitDetail:
+def fruit_detail(one: RoundView, fruit_key: str) -> DetectionDetail:
     """Give one fruit with everything."""
     return _detail(fruit_key, _version(one), where())
 
@@ -241,11 +241,11 @@ def capture_widths(stop_key: str) -> dict[str, int]:
 def thumbnail(sha256: str, box: tuple[float, float, float, float], width_px: int) -> str:
     """Give a fruit's little picture as a data URL."""
     from cucumbervision.dashboard.fruit_view import as_data_url, crop
-    from cucumbervision.store.records import FruitRecord, ImageRef
+    from cucumbervision.store.records import DetectionRecord, ImageRef
 
     small = store().images.read_color(ImageRef(sha256, ".jpg", 0, 0, 0))
     x1, y1, x2, y2 = box
-    record = FruitRecord(1, box_x1_px=x1, box_y1_px=y1, box_x2_px=x2, box_y2_px=y2)
+    record = DetectionRecord(1, box_x1_px=x1, box_y1_px=y1, box_x2_px=x2, box_y2_px=y2)
     return as_data_url(crop(small, record, width_px))
 
 

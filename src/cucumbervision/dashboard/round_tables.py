@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.store.records import MethodRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import FruitView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = [
     "RoundLists",
@@ -39,7 +39,7 @@ class RoundLists:
 
     Parameters
     ----------
-    fruit : tuple of FruitView
+    fruit : tuple of DetectionView
         Each fruit once: the view that stands.
     grades : dict of str to Grade
         By fruit key.
@@ -49,7 +49,7 @@ class RoundLists:
         How many detections the fruit are made of.
     """
 
-    fruit: tuple[FruitView, ...]
+    fruit: tuple[DetectionView, ...]
     grades: Mapping[str, Grade]
     methods: Mapping[str, tuple[MethodRecord, ...]]
     detections: int
@@ -63,7 +63,7 @@ def round_version(store: Store, one: RoundView) -> tuple[object, ...]:
 
 def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists:
     """Read a round and grade its fruit."""
-    every = store.fruit(round_key)
+    every = store.detections(round_key)
     fruit = tuple(view for view in every if view.best)
     grades = {view.key: grade_of(view.record, profile) for view in fruit}
     return RoundLists(fruit, grades, store.measurements(round_key), len(every))
@@ -74,9 +74,9 @@ def grade_name(grade: Grade) -> str:
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.grades import FruitTraits, grade
+    >>> from cucumbervision.agronomy.grades import GradingTraits, grade
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> grade_name(grade(FruitTraits(thread_m=0.26), load_profile("long-cucumber")))
+    >>> grade_name(grade(GradingTraits(thread_m=0.26), load_profile("long-cucumber")))
     'class I'
     """
     if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):
@@ -108,7 +108,7 @@ def statistics(lists: RoundLists) -> dict[str, float | int | None]:
 
 
 def length_lines(
-    fruit: Sequence[FruitView], grades: Mapping[str, Grade], units: Units
+    fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
 ) -> list[dict[str, Any]]:
     """Give a line a measured fruit for the histogram: length and class."""
     return [
@@ -130,7 +130,7 @@ def method_lines(lists: RoundLists, keys: set[str], units: Units) -> list[dict[s
 
 
 def map_lines(
-    fruit: Sequence[FruitView], grades: Mapping[str, Grade], units: Units
+    fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
 ) -> list[dict[str, Any]]:
     """Give a line for each fruit whose place is known: along the row, height, class, length."""
     return [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cucumbervision.agronomy.work import Rates
+from cucumbervision.agronomy.picking import Rates
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import Length
 from cucumbervision.measurement.selector import Selector
@@ -97,7 +97,7 @@ class Settings(BaseModel):
     calibration : str
         Path of a site's calibration; empty for none.
     fruit_per_hour, minutes_per_row, fruit_per_crate
-        As in `agronomy.work.Rates`.
+        As in `agronomy.picking.Rates`.
     """
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)

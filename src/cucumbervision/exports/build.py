@@ -3,37 +3,347 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from collections import Counter
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
+from cucumbervision.agronomy.picking import pick_list, plan_work
 from cucumbervision.errors import CucumberVisionError, ForecastError
-from cucumbervision.exports.charts import Charts, class_days, length_bins
-from cucumbervision.exports.columns import COLUMNS
-from cucumbervision.exports.forecast_rows import forecast_records, pick_records, work_records
-from cucumbervision.exports.fruit_rows import fruit_records
-from cucumbervision.exports.provenance import StopArtifacts, hashes_of, stop_artifacts, utc
-from cucumbervision.exports.tables import RoundTables, Table
-from cucumbervision.rounds.forecasting import forecast_for
+from cucumbervision.exports.tables import (
+    COLUMNS,
+    Charts,
+    RoundTables,
+    Table,
+    class_days,
+    length_bins,
+)
+from cucumbervision.measurement.result import Method
+from cucumbervision.rounds.forecasting import forecast_for, grade_of
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import fruit_table, row_reports
+from cucumbervision.rounds.service import DAY_S, fruit_table, row_reports
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.agronomy.forecast import Forecast
+    from cucumbervision.agronomy.forecast import Counts, Forecast
+    from cucumbervision.agronomy.picking import Rates
     from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.agronomy.work import Rates
-    from cucumbervision.rounds.service import FruitLine, RowReport
-    from cucumbervision.store.records import ImageRef
+    from cucumbervision.rounds.service import RoundFruit, RowReport
+    from cucumbervision.store.records import DetectionRecord, ImageRef, MethodRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import RoundView, StopView
+    from cucumbervision.store.views import DetectionView, RoundView, StopView
 
-__all__ = ["round_tables"]
+__all__ = [
+    "StopArtifacts",
+    "forecast_records",
+    "fruit_records",
+    "hashes_of",
+    "pick_records",
+    "round_tables",
+    "scaled",
+    "stop_artifacts",
+    "utc",
+    "work_records",
+]
+
+
+@dataclass(frozen=True)
+class StopArtifacts:
+    """What stops were measured with.
+
+    Parameters
+    ----------
+    by_stop : mapping of str to tuple of (kind, name, sha256)
+        By the stops' keys.
+    counted : tuple of mapping
+        Each once: kind, name, sha256 and the number of stops.
+    """
+
+    by_stop: Mapping[str, tuple[tuple[str, str, str], ...]]
+    counted: tuple[dict[str, Any], ...]
+
+
+def stop_artifacts(store: Store, round_key: str) -> StopArtifacts:
+    """Read models, calibrations and options of a round's stops, in one query."""
+    from sqlalchemy import select
+
+    from cucumbervision.store.engine import begin
+    from cucumbervision.store.schema import Artifact, Round, StopArtifact, StopLine
+
+    query = (
+        select(StopLine.key, Artifact.kind, Artifact.name, Artifact.sha256)
+        .join(StopArtifact, StopArtifact.stop_id == StopLine.id)
+        .join(Artifact, Artifact.id == StopArtifact.artifact_id)
+        .join(Round, Round.id == StopLine.round_id)
+        .where(Round.key == round_key)
+        .order_by(StopLine.id, StopArtifact.number)
+    )
+    by_stop: dict[str, list[tuple[str, str, str]]] = {}
+    with begin(store.engine) as connection:
+        for key, kind, name, sha256 in connection.execute(query):
+            by_stop.setdefault(key, []).append((kind, name, sha256))
+    counts = Counter(one for used in by_stop.values() for one in used)
+    return StopArtifacts(
+        {key: tuple(used) for key, used in by_stop.items()},
+        tuple(
+            {"kind": kind, "name": name, "sha256": sha256, "stops": number}
+            for (kind, name, sha256), number in sorted(counts.items())
+        ),
+    )
+
+
+def hashes_of(artifacts: StopArtifacts, stop_key: str) -> dict[str, str]:
+    """Give the hashes of a stop's options, networks and calibration; several by blanks."""
+    used = artifacts.by_stop.get(stop_key, ())
+    return {
+        column: " ".join(sha256 for kind, _, sha256 in used if kind == wanted and sha256)
+        for column, wanted in (
+            ("config_sha256", "config"),
+            ("models_sha256", "model"),
+            ("calibration_sha256", "calibration"),
+        )
+    }
+
+
+def utc(seconds: float | None) -> str | None:
+    """Give a time as people and programs read it; None stays None.
+
+    Examples
+    --------
+    >>> utc(86400.5)
+    '1970-01-02T00:00:00Z'
+    """
+    if seconds is None:
+        return None
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def fruit_records(
+    lines: Sequence[RoundFruit],
+    methods: Mapping[str, Sequence[MethodRecord]],
+    profile: CropProfile | None,
+    forecast: Forecast | None,
+    artifacts: StopArtifacts,
+    pictures: Mapping[str, str],
+) -> list[dict[str, Any]]:
+    """Fill the rows of the table 'fruit'.
+
+    Parameters
+    ----------
+    lines : sequence of RoundFruit
+        From `service.fruit_table`.
+    methods : mapping
+        `Store.measurements`.
+    profile : CropProfile, optional
+        For the grades.
+    forecast : Forecast, optional
+        For the probability to be ready.
+    artifacts : StopArtifacts
+        What the stops were measured with.
+    pictures : mapping of str to str
+        Names of small pictures by their hash.
+    """
+    ready = {} if forecast is None else _ready(forecast)
+    return [
+        {
+            "number": line.number,
+            **_place(line.view),
+            **_lengths(line.view.record),
+            "combined_cm": scaled(line.combined_m, 100),
+            "combined_sd_cm": scaled(line.combined_sd_m, 100),
+            **_grade(line.view.record, profile),
+            "ready_today": ready.get(line.view.key),
+            **_methods(methods.get(line.view.key, ())),
+            **_traits(line.view.record),
+            "views": line.seen,
+            **_marks(line.view, pictures),
+            **hashes_of(artifacts, line.view.stop_key),
+        }
+        for line in lines
+    ]
+
+
+def scaled(value: float | None, per_unit: float, digits: int = 3) -> float | None:
+    """Give a length or volume in another unit, rounded; None stays None.
+
+    Examples
+    --------
+    >>> scaled(0.31234567, 100), scaled(None, 100)
+    (31.235, None)
+    """
+    return None if value is None else round(per_unit * value, digits)
+
+
+def _ready(forecast: Forecast) -> dict[str, float]:
+    return {
+        one.fruit_id: round(float(share), 4)
+        for one, share in zip(forecast.fruit, forecast.ready, strict=True)
+    }
+
+
+def _place(view: DetectionView) -> dict[str, Any]:
+    return {
+        "key": view.key,
+        "row": view.row,
+        "side": view.side,
+        "along_m": scaled(view.along_m, 1, 4),
+        "along_sd_m": scaled(view.along_sd_m, 1, 4),
+    }
+
+
+def _lengths(record: DetectionRecord) -> dict[str, Any]:
+    return {
+        "length_cm": scaled(record.length_m, 100),
+        "length_kind": record.length_kind,
+        "interval_low_cm": scaled(record.interval_low_m, 100),
+        "interval_high_cm": scaled(record.interval_high_m, 100),
+        "interval_of": record.interval_of,
+        "thread_cm": scaled(record.thread_m, 100),
+        "centreline_cm": scaled(record.centreline_m, 100),
+        "chord_cm": scaled(record.chord_m, 100),
+    }
+
+
+def _grade(record: DetectionRecord, profile: CropProfile | None) -> dict[str, Any]:
+    if profile is None:
+        names = ("grade", "grade_verdict", "grade_probability", "grade_rule")
+        return dict.fromkeys((*names, "weight_class", "shape", "mass_g"))
+    found = grade_of(record, profile)
+    share = found.probabilities.get(found.name)
+    return {
+        "grade": found.name,
+        "grade_verdict": str(found.verdict),
+        "grade_probability": None if share is None else round(share, 4),
+        "grade_rule": found.rules[0] if found.rules else "; ".join(found.missing),
+        "weight_class": found.weight_class,
+        "shape": found.shape,
+        "mass_g": scaled(found.mass_g, 1, 1),
+    }
+
+
+def _methods(found: Sequence[MethodRecord]) -> dict[str, Any]:
+    lengths = {one.method.upper(): one.length_m for one in found}
+    return {f"{m.value.lower()}_cm": scaled(lengths.get(m.value.upper()), 100) for m in Method}
+
+
+def _traits(record: DetectionRecord) -> dict[str, Any]:
+    return {
+        "inner_arc_mm": scaled(record.inner_arc_m, 1000),
+        "diameter_max_mm": scaled(record.diameter_max_m, 1000),
+        "diameter_mean_mm": scaled(record.diameter_mean_m, 1000),
+        "volume_ml": scaled(record.volume_m3, 1e6),
+        "method": record.method,
+        "reason": record.reason,
+        "fallback": record.fallback,
+        "flags": record.flags,
+        "score": scaled(record.score, 1, 4),
+        "distance_cm": scaled(record.distance_m, 100),
+        "tilt_deg": scaled(record.tilt_deg, 1),
+        "hidden_share": scaled(record.hidden_share, 1, 4),
+        "fill": scaled(record.fill, 1, 4),
+    }
+
+
+def _marks(view: DetectionView, pictures: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "verdict": view.verdict and str(view.verdict),
+        "corrected": view.corrected,
+        "picked_utc": utc(view.picked_s),
+        "capture": view.capture,
+        "stop_key": view.stop_key,
+        "taken_utc": utc(view.taken_s),
+        "simulated": view.simulated,
+        "picture": view.thumbnail and pictures.get(view.thumbnail.sha256),
+    }
+
+
+def forecast_records(forecast: Forecast | None, started_s: float) -> list[dict[str, Any]]:
+    """Fill the rows of the table 'forecast': the house, then its rows; by day and class."""
+    if forecast is None:
+        return []
+    scopes: list[tuple[str, str | None, int | None]] = [("house", None, None)]
+    scopes += [("row", row, number) for number, row in enumerate(forecast.rows)]
+    return [
+        {
+            "scope": scope,
+            "row": row,
+            "day": day,
+            "date_utc": _date(started_s, day),
+            "class": name,
+            "picked_class": name in forecast.pick,
+            **_counts("", forecast.house if at is None else forecast.by_row, at, k, c),
+            **_counts(
+                "newly_ready", forecast.picks if at is None else forecast.row_picks, at, k, c
+            ),
+            "complete": bool(forecast.complete[k, c]),
+        }
+        for scope, row, at in scopes
+        for k, day in enumerate(forecast.days.tolist())
+        for c, name in enumerate(forecast.classes)
+    ]
+
+
+def _counts(name: str, counts: Counts, row: int | None, day: int, cls: int) -> dict[str, float]:
+    at = (day, cls) if row is None else (row, day, cls)
+    return {
+        name or "expected": round(float(counts.expected[at]), 3),
+        f"{name}_low".lstrip("_"): float(counts.low[at]),
+        f"{name}_high".lstrip("_"): float(counts.high[at]),
+    }
+
+
+def pick_records(forecast: Forecast | None, lines: Sequence[RoundFruit]) -> list[dict[str, Any]]:
+    """Fill the rows of the table 'picks', in the order of the walk."""
+    if forecast is None:
+        return []
+    numbers = {line.view.key: line.number for line in lines}
+    return [
+        {
+            "order": order,
+            "number": numbers.get(pick.fruit.fruit_id),
+            "row": pick.fruit.row,
+            "side": pick.fruit.side,
+            "along_m": scaled(pick.fruit.position_m, 1, 4),
+            "length_cm": scaled(pick.fruit.length_m, 100),
+            "class": pick.name,
+            "ready": round(pick.ready, 4),
+            "key": pick.fruit.fruit_id,
+        }
+        for order, pick in enumerate(pick_list(forecast), 1)
+    ]
+
+
+def work_records(
+    forecast: Forecast | None, started_s: float, rates: Rates | None
+) -> list[dict[str, Any]]:
+    """Fill the rows of the table 'work'."""
+    if forecast is None:
+        return []
+    return [
+        {
+            "day": work.day,
+            "date_utc": _date(started_s, work.day),
+            "fruit": round(work.fruit.expected, 2),
+            "fruit_low": work.fruit.low,
+            "fruit_high": work.fruit.high,
+            "hours": round(work.hours.expected, 3),
+            "hours_low": round(work.hours.low, 3),
+            "hours_high": round(work.hours.high, 3),
+            "crates": sum(crates.expected for crates in work.crates.values()),
+            "complete": work.complete,
+        }
+        for work in plan_work(forecast, rates)
+    ]
+
+
+def _date(started_s: float, day: int) -> str:
+    return (utc(started_s + day * DAY_S) or "")[:10]
+
 
 PICTURES = "pictures"
 
@@ -137,7 +447,7 @@ def _pictures(store: Store, thumbnails: list[ImageRef | None]) -> dict[str, Path
 def _summary(
     view: RoundView,
     stops: Sequence[StopView],
-    lines: Sequence[FruitLine],
+    lines: Sequence[RoundFruit],
     reports: Sequence[RowReport],
     forecast: Forecast | None,
 ) -> dict[str, Any]:
@@ -167,7 +477,7 @@ def _summary(
     }
 
 
-def _hanging_cm(lines: Sequence[FruitLine]) -> list[float]:
+def _hanging_cm(lines: Sequence[RoundFruit]) -> list[float]:
     return [
         round(100 * line.view.record.length_m, 3)
         for line in lines
@@ -232,7 +542,7 @@ def _about(view: RoundView, provenance: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _charts(lines: Sequence[FruitLine], forecast: Forecast | None) -> Charts:
+def _charts(lines: Sequence[RoundFruit], forecast: Forecast | None) -> Charts:
     charts = Charts(length_bins(_hanging_cm(lines)))
     if forecast is None:
         return charts

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-    from cucumbervision.exports.charts import Charts
-    from cucumbervision.exports.tables import Cell, RoundTables
+    from cucumbervision.exports.tables import Cell, Charts, RoundTables
 
 __all__ = ["Bar", "bars", "render_sheet", "stacks", "write_sheet"]
 
@@ -40,7 +39,7 @@ def bars(charts: Charts) -> tuple[Bar, ...]:
 
     Examples
     --------
-    >>> from cucumbervision.exports.charts import Charts
+    >>> from cucumbervision.exports.tables import Charts
     >>> [(bar.label, bar.height) for bar in bars(Charts(bins=((20, 22, 1), (22, 24, 2))))]
     [('20', 50.0), ('22', 100.0)]
     """
@@ -56,7 +55,7 @@ def stacks(charts: Charts) -> tuple[tuple[int, tuple[Bar, ...]], ...]:
 
     Examples
     --------
-    >>> from cucumbervision.exports.charts import Charts
+    >>> from cucumbervision.exports.tables import Charts
     >>> found = stacks(Charts(classes=("I", "II"), days=((0, (1.0, 3.0)),)))
     >>> [(bar.label, bar.top, bar.height) for bar in found[0][1]]
     [('I', 75.0, 25.0), ('II', 0.0, 75.0)]

@@ -1,4 +1,4 @@
-"""CSV, JSON and Parquet of a round, and all formats at once."""
+"""A round as CSV, JSON, Parquet and an Excel workbook, and all formats at once."""
 
 from __future__ import annotations
 
@@ -9,14 +9,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.pipeline.exports import CsvSink, write_json
+from cucumbervision.pipeline.exports import HEAD_COLOR, CsvSink, cell_value, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
+    from pathlib import Path
 
-    from cucumbervision.exports.tables import RoundTables, Table
+    from cucumbervision.exports.tables import Cell, ExportColumn, RoundTables, Table
 
-__all__ = ["ExportFormat", "write_csv", "write_exports", "write_json_round", "write_parquet"]
+__all__ = [
+    "SHEETS",
+    "ExportFormat",
+    "write_csv",
+    "write_exports",
+    "write_json_round",
+    "write_parquet",
+    "write_round_workbook",
+]
 
 
 class ExportFormat(StrEnum):
@@ -56,7 +65,6 @@ def write_exports(
         If the folder cannot be written.
     """
     from cucumbervision.exports.sheet import write_sheet
-    from cucumbervision.exports.workbook import write_round_workbook
 
     writers: dict[ExportFormat, Callable[[RoundTables, Path], list[Path]]] = {
         ExportFormat.CSV: write_csv,
@@ -145,3 +153,188 @@ def write_parquet(tables: RoundTables, out: Path) -> list[Path]:
         paths.append(out / f"{table.name}.parquet")
         pq.write_table(pa.Table.from_pylist(table.records(), schema=schema), paths[-1])
     return paths
+
+
+SHEETS = {
+    "fruit": ("Fruit", 3),
+    "stops": ("Stops", 2),
+    "forecast": ("Forecast", 0),
+    "picks": ("Pick list", 0),
+    "work": ("Work", 0),
+    "rows": ("Rows", 0),
+    "provenance": ("Provenance", 0),
+}
+
+_FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.000", "g": "0", "ml": "0", "deg": "0.0", "h": "0.00"}
+
+_WIDE = frozenset({"key", "stop_key", "grade_rule", "reason", "flags", "name", "sha256", "note"})
+
+# Texts are written as texts, whatever they start with: never as formulas or links.
+_SAFE = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+
+
+def write_round_workbook(tables: RoundTables, out: Path) -> list[Path]:
+    """Write `round.xlsx`: summary with charts, fruit, stops, forecast, picks, work, provenance.
+
+    Heads have units and stay in place, numbers have formats, pictures are linked.
+    """
+    import xlsxwriter
+
+    path = out / "round.xlsx"
+    with xlsxwriter.Workbook(path, _SAFE) as book:
+        book.set_properties(
+            {
+                "title": tables.title,
+                "comments": f"{tables.provenance['software']}, {tables.provenance['licence']}, "
+                f"{tables.provenance['source']}",
+            }
+        )
+        writer = _Writer(book)
+        summary = book.add_worksheet("Summary")
+        writer.summary(summary, tables)
+        for name, (title, frozen) in SHEETS.items():
+            writer.table(book.add_worksheet(title), tables[name], frozen)
+        writer.columns(book.add_worksheet("Columns"), tables)
+        writer.charts(summary, book.add_worksheet("Charts"), tables)
+    return [path]
+
+
+class _Writer:
+    """Writes sheets of one workbook."""
+
+    def __init__(self, book: Any) -> None:
+        self.book = book
+        self.head = book.add_format(
+            {"bold": True, "font_color": "white", "bg_color": HEAD_COLOR, "text_wrap": True}
+        )
+        self.bold = book.add_format({"bold": True, "font_size": 14})
+        self.wrap = book.add_format({"text_wrap": True, "valign": "top"})
+        self.link = book.add_format({"font_color": "blue", "underline": 1})
+        self._numbers: dict[str, Any] = {}
+
+    def number(self, column: ExportColumn) -> Any:
+        """Give the format of a column's numbers; None for texts."""
+        if column.type in {"text", "yes/no"}:
+            return None
+        shape = "0" if column.type == "whole" else _FORMATS.get(column.unit, "0.00")
+        if shape not in self._numbers:
+            self._numbers[shape] = self.book.add_format({"num_format": shape})
+        return self._numbers[shape]
+
+    def summary(self, sheet: Any, tables: RoundTables) -> None:
+        """Write the one row of the summary as lines, and what it rests on."""
+        sheet.set_column(0, 0, 28)
+        sheet.set_column(1, 1, 24)
+        sheet.set_column(2, 2, 8)
+        sheet.set_column(3, 3, 52)
+        sheet.write_string(0, 0, str(cell_value(tables.title)), self.bold)
+        for at, text in enumerate(("what", "value", "unit", "what it says")):
+            sheet.write_string(1, at, text, self.head)
+        sheet.freeze_panes(2, 0)
+        line = 2
+        for column, cell in zip(tables["summary"].columns, tables["summary"].rows[0], strict=True):
+            sheet.write_string(line, 0, column.title.split(" [")[0])
+            self.write(sheet, line, 1, cell, column)
+            sheet.write_string(line, 2, column.unit)
+            sheet.write_string(line, 3, column.says)
+            line += 1
+        if tables.note:
+            sheet.write_string(line, 0, "no forecast")
+            sheet.write_string(line, 1, str(cell_value(tables.note)))
+            line += 1
+        for name in ("software", "licence", "source", "written_utc"):
+            sheet.write_string(line + 1, 0, name.replace("_", " "))
+            sheet.write_string(line + 1, 1, str(cell_value(str(tables.provenance[name]))))
+            line += 1
+        for one in tables.provenance["hashes"]:
+            sheet.write_string(line + 1, 0, f"{one['kind']} SHA-256")
+            sheet.write_string(line + 1, 1, str(cell_value(one["sha256"])))
+            sheet.write_string(line + 1, 3, str(cell_value(one["name"])))
+            line += 1
+
+    def table(self, sheet: Any, table: Table, frozen: int) -> None:
+        """Write a table with its head, formats, filter and links."""
+        for at, column in enumerate(table.columns):
+            sheet.write_string(0, at, column.title, self.head)
+            wide = 26 if column.name in _WIDE or "sha256" in column.name else 12
+            sheet.set_column(at, at, wide, self.number(column))
+        sheet.set_row(0, 32)
+        sheet.freeze_panes(1, frozen)
+        if table.rows:
+            sheet.autofilter(0, 0, len(table.rows), len(table.columns) - 1)
+        for line, row in enumerate(table.rows, start=1):
+            for at, (column, cell) in enumerate(zip(table.columns, row, strict=True)):
+                self.write(sheet, line, at, cell, column)
+
+    def write(self, sheet: Any, line: int, at: int, cell: Cell, column: ExportColumn) -> None:
+        """Write one cell as what it is."""
+        if cell is None:
+            return
+        if isinstance(cell, bool):
+            sheet.write_boolean(line, at, cell)
+        elif isinstance(cell, int | float):
+            sheet.write_number(line, at, cell, self.number(column))
+        elif column.name == "picture":
+            # Named by hash: nothing of a stranger's is in it.
+            sheet.write_url(line, at, f"external:{cell}", self.link, "picture")
+        else:
+            sheet.write_string(line, at, str(cell_value(cell)))
+
+    def columns(self, sheet: Any, tables: RoundTables) -> None:
+        """Write what each column says."""
+        sheet.set_column(0, 2, 18)
+        sheet.set_column(3, 3, 70)
+        for at, text in enumerate(("table", "column", "unit", "what it says")):
+            sheet.write_string(0, at, text, self.head)
+        line = 1
+        for table in tables.tables.values():
+            for column in table.columns:
+                cells = (table.name, column.name, column.unit, column.says)
+                for at, text in enumerate(cells):
+                    sheet.write_string(line, at, text)
+                line += 1
+        sheet.freeze_panes(1, 0)
+
+    def charts(self, summary: Any, sheet: Any, tables: RoundTables) -> None:
+        """Draw the lengths and the forecast onto the summary; their figures stand on `sheet`."""
+        bins, days = tables.charts.bins, tables.charts.days
+        sheet.set_column(0, 12, 12)
+        sheet.write_row(0, 0, ["length [cm]", "fruit"], self.head)
+        for line, (low, high, count) in enumerate(bins, start=1):
+            sheet.write_string(line, 0, f"{low}–{high}")
+            sheet.write_number(line, 1, count)
+        if bins:
+            chart = self.book.add_chart({"type": "column"})
+            chart.add_series(
+                {
+                    "name": "fruit on the plant",
+                    "categories": ["Charts", 1, 0, len(bins), 0],
+                    "values": ["Charts", 1, 1, len(bins), 1],
+                    "fill": {"color": HEAD_COLOR},
+                    "gap": 10,
+                }
+            )
+            _axes(chart, "Lengths on the plant", "length [cm]")
+            chart.set_legend({"none": True})
+            summary.insert_chart("F2", chart)
+        sheet.write_row(0, 4, ["day", *map(cell_value, tables.charts.classes)], self.head)
+        for line, (day, counts) in enumerate(days, start=1):
+            sheet.write_row(line, 4, [day, *counts])
+        if days:
+            chart = self.book.add_chart({"type": "column", "subtype": "stacked"})
+            for k in range(len(tables.charts.classes)):
+                chart.add_series(
+                    {
+                        "name": ["Charts", 0, 5 + k],
+                        "categories": ["Charts", 1, 4, len(days), 4],
+                        "values": ["Charts", 1, 5 + k, len(days), 5 + k],
+                    }
+                )
+            _axes(chart, "Forecast: fruit by class if nothing is picked", "days from the round")
+            summary.insert_chart("F18", chart)
+
+
+def _axes(chart: Any, title: str, x: str) -> None:
+    chart.set_title({"name": title, "name_font": {"size": 11}})
+    chart.set_x_axis({"name": x})
+    chart.set_y_axis({"name": "fruit", "major_gridlines": {"visible": True}})

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, RoundError
-from cucumbervision.rounds.coordinates import is_partial, middle_offset, middle_sd
-from cucumbervision.rounds.poses import MIDDLE_SD_M, PoseLine, pose_matrix, sign_of_side
+from cucumbervision.rounds.poses import (
+    MIDDLE_SD_M,
+    PoseLine,
+    is_partial,
+    middle_offset,
+    middle_sd,
+    pose_matrix,
+    sign_of_side,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.pipeline.finders import Finder
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.store.records import FruitRecord, StopRecord
+    from cucumbervision.store.records import DetectionRecord, StopRecord
     from cucumbervision.store.repository import Store
 
 __all__ = ["Added", "Place", "add_captures", "placed_fruit", "placed_stop"]
@@ -260,13 +267,13 @@ def _spot(
     return Stop(row, side, position, step), None if position is None else sd, pose
 
 
-def placed_fruit(fruit: FruitRecord, pose: NDArray[np.float64]) -> FruitRecord:
+def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> DetectionRecord:
     """Give a fruit its offset along the row from the camera's pose.
 
     Examples
     --------
-    >>> from cucumbervision.store.records import FruitRecord
-    >>> fruit = FruitRecord(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
     >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
     -0.1
     """

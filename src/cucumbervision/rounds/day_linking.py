@@ -18,7 +18,7 @@ from cucumbervision.rounds.similarity import log_density
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision.rounds.best import RowFruit
+    from cucumbervision.rounds.row_fruit import RowFruit
 
 __all__ = ["DayLinks", "LinkSettings", "link_days"]
 
@@ -108,7 +108,7 @@ def link_days(
 
     Examples
     --------
-    >>> from cucumbervision.rounds.best import RowFruit
+    >>> from cucumbervision.rounds.row_fruit import RowFruit
     >>> place = np.array([[0.5, 0.1, 0.0], [1.1, -0.1, 0.0], [1.9, 0.2, 0.0], [2.6, 0.0, 0.0]])
     >>> def fruit(place, length):
     ...     few = np.full(4, 0.02)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.forecast import forecast
 from cucumbervision.agronomy.fruit import FruitState
-from cucumbervision.agronomy.grades import FruitTraits, LengthBelief, grade
+from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, grade
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.measurement.result import Length
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.picking import Pick
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.service import RowReport
-    from cucumbervision.store.records import FruitRecord
+    from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import FruitView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = [
     "RoundSummary",
@@ -96,14 +96,14 @@ def round_summary(store: Store, round_key: str, profile: CropProfile | None = No
     )
 
 
-def grade_of(record: FruitRecord, profile: CropProfile) -> Grade:
+def grade_of(record: DetectionRecord, profile: CropProfile) -> Grade:
     """Grade a fruit as it is stored.
 
     Examples
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> from cucumbervision.store.records import FruitRecord
-    >>> fruit = FruitRecord(1, thread_m=0.30, length_m=0.30, length_kind="thread")
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, thread_m=0.30, length_m=0.30, length_kind="thread")
     >>> grade_of(fruit, load_profile("long-cucumber")).name
     'I'
     """
@@ -123,7 +123,7 @@ def grade_of(record: FruitRecord, profile: CropProfile) -> Grade:
         measured, low, high = lengths[about], record.interval_low_m, record.interval_high_m
         if measured and low and high:
             belief = LengthBelief.from_interval(measured, low, high)
-    traits = FruitTraits(
+    traits = GradingTraits(
         lengths[Length.THREAD],
         lengths[Length.CENTRELINE],
         lengths[Length.CHORD],
@@ -161,7 +161,7 @@ def fruit_states(store: Store, round_key: str, profile: CropProfile) -> list[Fru
     return states
 
 
-def _belief(view: FruitView) -> tuple[float, float]:
+def _belief(view: DetectionView) -> tuple[float, float]:
     record = view.record
     length = record.length_m or 0.0
     low, high = record.interval_low_m, record.interval_high_m
@@ -186,7 +186,7 @@ def growth_links(store: Store, round_key: str, least: float | None = None) -> li
     limit = LinkSettings().least if least is None else least
     rounds = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
     newest = round_key
-    todo = store.fruit(round_key)
+    todo = store.detections(round_key)
     names = {view.key: view.group for view in todo}
     found: list[Link] = []
     seen_rounds = {newest}
@@ -202,7 +202,7 @@ def growth_links(store: Store, round_key: str, least: float | None = None) -> li
             view = level[later][link.second]
             for key in rounds:
                 if rounds[key] < rounds[later] and key not in level:
-                    level[key] = {one.key: one for one in store.fruit(key)}
+                    level[key] = {one.key: one for one in store.detections(key)}
             home = next((k for k, views in level.items() if link.first in views), None)
             if home is None:
                 continue
@@ -221,7 +221,9 @@ def growth_links(store: Store, round_key: str, least: float | None = None) -> li
     return found
 
 
-def _link(name: str, before: FruitView, day0: float, after: FruitView, day1: float) -> Link | None:
+def _link(
+    name: str, before: DetectionView, day0: float, after: DetectionView, day1: float
+) -> Link | None:
     if before.record.length_m is None or after.record.length_m is None or day1 <= day0:
         return None
     (length0, sd0), (length1, sd1) = _belief(before), _belief(after)

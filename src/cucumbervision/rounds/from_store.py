@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.clusters import cluster_pairs
-from cucumbervision.rounds.coordinates import is_partial, middle_offset, middle_sd
-from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged
-from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
+from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
+from cucumbervision.rounds.poses import (
+    MIDDLE_SD_M,
+    is_partial,
+    middle_offset,
+    middle_sd,
+    pose_matrix,
+    sign_of_side,
+)
 from cucumbervision.rounds.row_views import ALONG, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import FittedStops
 from cucumbervision.store.views import LinkKind, Verdict
@@ -21,9 +26,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.store.records import FruitRecord
+    from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import FruitView, LinkRecord, StopView
+    from cucumbervision.store.views import DetectionView, LinkRecord, StopView
 
 __all__ = [
     "RoundContent",
@@ -81,7 +86,7 @@ class RoundContent:
         The round's.
     stops : tuple of StopView
         Its stops.
-    views : tuple of FruitView
+    views : tuple of DetectionView
         Its detections, in groups.
     frames : mapping
         Poses and cameras by the stops' keys.
@@ -89,7 +94,7 @@ class RoundContent:
 
     key: str
     stops: tuple[StopView, ...]
-    views: tuple[FruitView, ...]
+    views: tuple[DetectionView, ...]
     frames: Mapping[str, _Frame]
 
 
@@ -101,7 +106,7 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     StoreError
         If it is not there.
     """
-    stops, views = store.stops(round_key), store.fruit(round_key)
+    stops, views = store.stops(round_key), store.detections(round_key)
     return RoundContent(round_key, tuple(stops), tuple(views), _frames(store, round_key))
 
 
@@ -117,7 +122,7 @@ def load_rows(content: RoundContent) -> list[StoredRow]:
     for stop in content.stops:
         by_row.setdefault(stop.row or "", []).append(stop)
     known = {stop.key for stop in content.stops}  # a stop may be saved while we read
-    fruit: dict[str, list[FruitView]] = {}
+    fruit: dict[str, list[DetectionView]] = {}
     for view in content.views:
         if view.verdict is not Verdict.REJECTED and view.stop_key in known:
             fruit.setdefault(view.row or "", []).append(view)
@@ -158,7 +163,7 @@ def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
 def _row(
     name: str,
     stops: Sequence[StopView],
-    fruit: Sequence[FruitView],
+    fruit: Sequence[DetectionView],
     frames: Mapping[str, _Frame],
 ) -> StoredRow:
     sides = tuple(sorted({stop.side or "" for stop in stops}))
@@ -181,7 +186,7 @@ def _row(
     )
 
 
-def _has_place(record: FruitRecord) -> bool:
+def _has_place(record: DetectionRecord) -> bool:
     return None not in (record.centre_x_m, record.centre_y_m, record.centre_z_m)
 
 
@@ -201,7 +206,7 @@ def _stops(
 
 
 def _views(
-    fruit: Sequence[FruitView],
+    fruit: Sequence[DetectionView],
     index: Mapping[str, int],
     sides: Sequence[str],
     frames: Mapping[str, _Frame],
@@ -234,7 +239,7 @@ def _views(
     )
 
 
-def _length(record: FruitRecord) -> tuple[float, float]:
+def _length(record: DetectionRecord) -> tuple[float, float]:
     """Give the length and its relative standard deviation."""
     if record.length_m is None or not record.length_m > 0:
         return np.nan, UNKNOWN_SD

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.best import combined_length, row_fruit
-from cucumbervision.rounds.count import FruitCount, count_fruit
 from cucumbervision.rounds.day_linking import LinkSettings, link_days
 from cucumbervision.rounds.from_store import (
     RoundContent,
@@ -19,6 +17,7 @@ from cucumbervision.rounds.from_store import (
     stored_merging,
 )
 from cucumbervision.rounds.merge import Merged, MergeSettings, merge_row
+from cucumbervision.rounds.row_fruit import CountEstimate, combined_length, count_fruit, row_fruit
 from cucumbervision.rounds.row_views import ALONG
 from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord, Verdict
 
@@ -29,10 +28,10 @@ if TYPE_CHECKING:
 
     from cucumbervision.rounds.from_store import StoredRow
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import FruitView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = [
-    "FruitLine",
+    "RoundFruit",
     "RowLinks",
     "RowReport",
     "find_fruit",
@@ -107,14 +106,14 @@ class RowLinks:
 
 
 @dataclass(frozen=True)
-class FruitLine:
+class RoundFruit:
     """One fruit of a round.
 
     Parameters
     ----------
     number : int
         Its number in the table, from 1, by row and position.
-    view : FruitView
+    view : DetectionView
         The view that stands, with its measurement.
     combined_m, combined_sd_m : float, optional
         Length that all whole views give together.
@@ -123,7 +122,7 @@ class FruitLine:
     """
 
     number: int
-    view: FruitView
+    view: DetectionView
     combined_m: float | None
     combined_sd_m: float | None
     seen: int
@@ -204,7 +203,7 @@ def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[Link
 
 def _report(row: StoredRow, merged: Merged) -> RowReport:
     nothing: NDArray[np.int64] = np.zeros(0, np.int64)
-    count = FruitCount(0.0, 0.0, nothing, nothing, np.zeros(0), 0.0)
+    count = CountEstimate(0.0, 0.0, nothing, nothing, np.zeros(0), 0.0)
     if len(row.views):
         count = count_fruit(merged, row.stops, row.views)
     return RowReport(
@@ -282,7 +281,7 @@ def link_rounds(
 
 def fruit_table(
     store: Store, round_key: str, content: RoundContent | None = None
-) -> list[FruitLine]:
+) -> list[RoundFruit]:
     """List a round's fruit, each once, by row and position; rejected ones are left out.
 
     `content` is what `from_store.read_round` gave of the round, where it was read already.
@@ -296,7 +295,7 @@ def fruit_table(
     lines = []
     for number, view in enumerate(best, 1):
         length_m, sd_m = combined.get(view.key, (None, None))
-        lines.append(FruitLine(number, view, length_m, sd_m, view.views))
+        lines.append(RoundFruit(number, view, length_m, sd_m, view.views))
     return lines
 
 
@@ -316,7 +315,7 @@ def _combined(content: RoundContent) -> dict[str, tuple[float, float]]:
     return found
 
 
-def find_fruit(store: Store, round_key: str, name: str) -> FruitView:
+def find_fruit(store: Store, round_key: str, name: str) -> DetectionView:
     """Find a fruit of a round by its key, the start of it, or its number in `fruit_table`.
 
     Raises
@@ -329,7 +328,7 @@ def find_fruit(store: Store, round_key: str, name: str) -> FruitView:
         lines = [line.view for line in fruit_table(store, round_key)]
         found = lines[int(wanted) - 1 : int(wanted)] if int(wanted) else []
     else:
-        found = [v for v in store.fruit(round_key) if wanted and v.key.startswith(wanted)]
+        found = [v for v in store.detections(round_key) if wanted and v.key.startswith(wanted)]
     if len(found) != 1:
         raise RoundError(
             f"{'several' if found else 'no'} fruit called '{name}'",

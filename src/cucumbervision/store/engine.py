@@ -1,21 +1,41 @@
-"""The connection to a database: SQLite made safe, PostgreSQL by URL, faults in one line."""
+"""The connection to a database: SQLite made safe, PostgreSQL by URL, errors in one line.
+
+A database is brought to the software's own version when it is opened, or refused untouched.
+"""
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from cucumbervision.errors import MissingExtraError, StoreError
+from cucumbervision.errors import MissingExtraError, StoreError, StoreVersionError
+from cucumbervision.store.images import ImageStore
+from cucumbervision.store.schema import Base
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from typing import Self
 
-__all__ = ["BUSY_TIMEOUT_S", "begin", "database_url", "make_engine", "named", "store_errors"]
+__all__ = [
+    "BUSY_TIMEOUT_S",
+    "HEAD",
+    "MIGRATIONS",
+    "REVISIONS",
+    "VERSION_TABLE",
+    "Database",
+    "begin",
+    "database_url",
+    "make_engine",
+    "migrate",
+    "named",
+    "store_errors",
+    "stored_revision",
+]
 
 BUSY_TIMEOUT_S = 30.0
 _WRITES = "cucumbervision_writes"
@@ -69,7 +89,7 @@ _USAGE = "give the path of a file, or postgresql://user@host/database"
 
 
 def named(url: URL) -> str:
-    """Give a database's name for errors: never with its password.
+    """Return a database's name for errors, without its password.
 
     Examples
     --------
@@ -84,11 +104,11 @@ def named(url: URL) -> str:
 def make_engine(url: URL) -> Engine:
     """Make the engine.
 
-    SQLite runs in WAL mode, so that who reads never waits for who writes; foreign keys are
-    checked; a commit is on the disk before it is acknowledged (`synchronous = FULL`); a writer
-    waits for another up to `BUSY_TIMEOUT_S`. A transaction that writes says so when it begins
-    (`BEGIN IMMEDIATE`): one that begins by reading and writes later would fail at once, without
-    any wait, where another has written in between (SQLite, "Isolation", SQLITE_BUSY_SNAPSHOT).
+    SQLite runs in WAL mode, so that readers never wait for writers; foreign keys are checked; a
+    commit is on the disk before it is acknowledged (`synchronous = FULL`); a writer waits for
+    another up to `BUSY_TIMEOUT_S`. A writing transaction begins with `BEGIN IMMEDIATE`: one that
+    begins by reading and writes later would fail at once where another has written in between
+    (SQLite, "Isolation", SQLITE_BUSY_SNAPSHOT).
 
     Raises
     ------
@@ -138,7 +158,7 @@ def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
     Raises
     ------
     StoreError
-        If the database says no.
+        If the database reports an error.
     """
     with store_errors(engine.url), engine.connect() as connection:
         options: dict[str, Any] = {_WRITES: write}
@@ -165,3 +185,122 @@ def store_errors(url: URL) -> Iterator[None]:
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
         raise StoreError(fault, source=named(url), remedy=remedy) from error
+
+
+class Database:
+    """An open database and the folder of its pictures. Any number of threads may use one.
+
+    Parameters
+    ----------
+    engine : sqlalchemy.Engine
+        The connection, as `make_engine` makes it.
+    images : Path, optional
+        Folder of the pictures, where it is known.
+    """
+
+    def __init__(self, engine: Engine, images: Path | None) -> None:
+        self.engine = engine
+        self._images = images
+
+    @property
+    def name(self) -> str:
+        """The database's name, without its password."""
+        return named(self.engine.url)
+
+    @property
+    def images(self) -> ImageStore:
+        """The pictures beside the database."""
+        if self._images is None:
+            raise StoreError(
+                "the folder of the pictures is not known",
+                source=self.name,
+                remedy="open the store with images=FOLDER",
+            )
+        return ImageStore(self._images)
+
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Open a transaction that only reads."""
+        return begin(self.engine)
+
+    def writing(self) -> AbstractContextManager[Connection]:
+        """Open a transaction that writes."""
+        return begin(self.engine, write=True)
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.engine.dispose()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+REVISIONS = ("0001",)
+HEAD = REVISIONS[-1]
+VERSION_TABLE = "cucumbervision_version"
+MIGRATIONS = Path(__file__).with_name("migrations")
+
+_POSTGRES_LOCK = 0x63766D31  # any number that nobody else takes for an advisory lock
+
+
+def migrate(engine: Engine) -> None:
+    """Make the tables, or bring them up to date, in one transaction.
+
+    Two programs that open a new store at once wait for each other; one that is killed meanwhile
+    leaves the database as it was.
+
+    Raises
+    ------
+    StoreVersionError
+        If a newer version of the software wrote it; nothing is changed.
+    StoreError
+        If the database holds tables of ours that no version made.
+    """
+    with begin(engine) as connection:
+        if stored_revision(connection) == HEAD:
+            return
+    with begin(engine, write=True) as connection:
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
+        found = stored_revision(connection)
+        if found == HEAD:
+            return
+        if found is not None and found not in REVISIONS:
+            raise StoreVersionError(
+                f"its version {found} is newer than this software's {HEAD}",
+                source=named(engine.url),
+                remedy="update cucumbervision; nothing was changed",
+            )
+        if found is None:
+            _check_free(connection, named(engine.url))
+        _upgrade(connection)
+
+
+def stored_revision(connection: Connection) -> str | None:
+    """Return the revision that the database was left at; None where there is no store yet."""
+    if not inspect(connection).has_table(VERSION_TABLE):
+        return None
+    found = connection.execute(text(f"SELECT version_num FROM {VERSION_TABLE}")).scalar()
+    return None if found is None else str(found)
+
+
+def _check_free(connection: Connection, source: str) -> None:
+    taken = set(inspect(connection).get_table_names()) & set(Base.metadata.tables)
+    if taken:
+        raise StoreError(
+            f"holds tables of another program ({', '.join(sorted(taken))})",
+            source=source,
+            remedy="name another database; nothing was changed",
+        )
+
+
+def _upgrade(connection: Connection) -> None:
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    config.attributes["connection"] = connection
+    command.upgrade(config, "head")

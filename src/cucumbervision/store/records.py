@@ -15,7 +15,7 @@ from cucumbervision.errors import StoreError
 __all__ = [
     "ArtifactRecord",
     "CaptureRecord",
-    "FruitRecord",
+    "DetectionRecord",
     "ImageRef",
     "MethodRecord",
     "Point",
@@ -187,7 +187,7 @@ class MethodRecord:
 
 
 @dataclass(frozen=True)
-class FruitRecord:
+class DetectionRecord:
     """One detected fruit of one capture.
 
     Names are those of `session.rows.COLUMNS`, in metres in place of centimetres.
@@ -269,7 +269,7 @@ class CaptureRecord:
         Its pictures in the `ImageStore`.
     depth_unit_m : float, optional
         Metres of one step of the depth picture.
-    fruit : tuple of FruitRecord
+    fruit : tuple of DetectionRecord
         Its fruit, each number once.
     """
 
@@ -289,7 +289,7 @@ class CaptureRecord:
     color: ImageRef | None = None
     depth: ImageRef | None = None
     thumbnail: ImageRef | None = None
-    fruit: tuple[FruitRecord, ...] = ()
+    fruit: tuple[DetectionRecord, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -362,7 +362,7 @@ def content_sha256(record: Any) -> str:
 
     Examples
     --------
-    >>> content_sha256(FruitRecord(1)) == content_sha256(FruitRecord(2))
+    >>> content_sha256(DetectionRecord(1)) == content_sha256(DetectionRecord(2))
     False
     """
     text = json.dumps(record_json(record), sort_keys=True, ensure_ascii=False)

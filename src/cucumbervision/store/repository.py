@@ -1,46 +1,59 @@
-"""The store: rounds, stops and fruit in a database, their pictures beside it."""
+"""The store: rounds, stops and detections in a database, their pictures beside it."""
 
 from __future__ import annotations
 
-import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
-from cucumbervision.errors import StoreError
-from cucumbervision.store import derived, details, manual, reading, writing
-from cucumbervision.store.engine import begin, database_url, make_engine, named
-from cucumbervision.store.images import ImageStore
-from cucumbervision.store.migrate import migrate
-from cucumbervision.store.views import FruitFilter, LinkKind
+from sqlalchemy import delete, insert, select, update
+from sqlalchemy.dialects import postgresql, sqlite
+
+from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.store.corrections import Corrections, find_detections, lock_rounds
+from cucumbervision.store.engine import database_url, make_engine, migrate, named
+from cucumbervision.store.queries import Queries, round_id_of
+from cucumbervision.store.records import (
+    RoundRecord,
+    StopRecord,
+    checked_key,
+    content_sha256,
+    key_of,
+    record_json,
+)
+from cucumbervision.store.schema import (
+    CAPTURE_CELLS,
+    DETECTION_CELLS,
+    METHOD_CELLS,
+    Artifact,
+    Base,
+    CaptureLine,
+    DetectionLine,
+    Image,
+    Link,
+    MaskLine,
+    MethodLine,
+    Round,
+    Row,
+    Shift,
+    StopArtifact,
+    StopLine,
+    pack_um,
+)
+from cucumbervision.store.views import LinkKind, Saved
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from types import TracebackType
-    from typing import Self
 
-    from sqlalchemy import Engine
+    from sqlalchemy import Connection
 
-    from cucumbervision.store.records import (
-        FruitRecord,
-        MethodRecord,
-        RoundRecord,
-        StopRecord,
-    )
-    from cucumbervision.store.views import (
-        ActionView,
-        CameraAt,
-        FruitDetail,
-        FruitView,
-        LinkRecord,
-        Position,
-        RoundView,
-        Saved,
-        ShiftRecord,
-        StopView,
-        Verdict,
-    )
+    from cucumbervision.store.records import ArtifactRecord, CaptureRecord, DetectionRecord
+    from cucumbervision.store.views import LinkRecord, Position, ShiftRecord
 
 __all__ = ["Store", "open_store"]
+
+_ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
+_STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
 
 
 def open_store(where: str | Path, *, images: Path | None = None, create: bool = True) -> Store:
@@ -54,7 +67,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
         Folder of the pictures. Beside an SQLite file 'house.db' it is 'house.images'; with
         PostgreSQL it must be named before pictures are read or written.
     create : bool
-        False refuses an SQLite file that is not there, for who only wants to read.
+        False refuses an SQLite file that is not there: for reading alone.
 
     Raises
     ------
@@ -68,15 +81,15 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     Examples
     --------
     >>> import tempfile
-    >>> from cucumbervision.store.records import CaptureRecord, FruitRecord, RoundRecord
+    >>> from cucumbervision.store.records import CaptureRecord, DetectionRecord, RoundRecord
     >>> from cucumbervision.store.records import StopRecord, new_key
     >>> walk, stop = RoundRecord(name="morning"), new_key()
-    >>> capture = CaptureRecord("a", fruit=(FruitRecord(1, length_m=0.31),))
+    >>> capture = CaptureRecord("a", fruit=(DetectionRecord(1, length_m=0.31),))
     >>> record = StopRecord(stop, walk.key, row="3", position_m=1.2, captures=(capture,))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with open_store(Path(folder) / "house.db") as store:
     ...         print(store.save_round(walk), store.save_stop(record), store.save_stop(record))
-    ...         [fruit] = store.fruit(walk.key)
+    ...         [fruit] = store.detections(walk.key)
     ...         print(fruit.row, fruit.along_m, fruit.record.length_m)
     new new already-there
     3 1.2 0.31
@@ -95,49 +108,13 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     return Store(engine, images)
 
 
-class Store:
+class Store(Queries, Corrections):
     """An open store; `open_store` makes it. Any number of threads may use one.
 
     Each method is one transaction: what it writes is there whole or not at all, and on the disk
-    when it returns. All raise `StoreError` where the database says no, or a key is not there.
+    when it returns. All raise `StoreError` where the database reports an error, or a key is not
+    there.
     """
-
-    def __init__(self, engine: Engine, images: Path | None) -> None:
-        self.engine = engine
-        self._images = images
-
-    @property
-    def name(self) -> str:
-        """The database's name, without its password."""
-        return named(self.engine.url)
-
-    @property
-    def images(self) -> ImageStore:
-        """The pictures beside the database."""
-        if self._images is None:
-            raise StoreError(
-                "it is not said where the pictures lie",
-                source=self.name,
-                remedy="open the store with images=FOLDER",
-            )
-        return ImageStore(self._images)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self.engine.dispose()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    # Writing what was measured.
 
     def save_round(self, record: RoundRecord) -> Saved:
         """Add a round; the same one sent again changes nothing.
@@ -147,8 +124,15 @@ class Store:
         StoreConflictError
             If another round has its key.
         """
-        with begin(self.engine, write=True) as connection:
-            return writing.save_round(connection, record)
+        record = replace(record, key=checked_key(record.key, "round"))
+        with self.writing() as connection:
+            if _insert_new(connection, Round, _cells(record, _ROUND_CELLS), "key") is not None:
+                return Saved.NEW
+            columns = [getattr(Round, name) for name in _ROUND_CELLS]
+            found = connection.execute(select(*columns).where(Round.key == record.key)).one()
+            if RoundRecord(*found) != record:
+                raise _conflict("round", record.key)
+            return Saved.ALREADY_THERE
 
     def save_stop(self, stop: StopRecord) -> Saved:
         """Add a stop with all that is in it; the same one sent again changes nothing.
@@ -160,63 +144,36 @@ class Store:
         ------
         StoreConflictError
             If another stop has its key.
+        StoreError
+            If its round is not there, a key is no UUID, two captures have one name or two fruit of
+            a capture one number.
         """
-        stop = writing.checked_stop(stop)
-        with begin(self.engine, write=True) as connection:
-            return writing.save_stop(connection, stop)
-
-    # Reading.
-
-    def rounds(self, house: str | None = None) -> list[RoundView]:
-        """List rounds, the newest first."""
-        with begin(self.engine) as connection:
-            return reading.round_views(connection, house)
-
-    def stops(self, round_key: str) -> list[StopView]:
-        """List a round's stops in the order in which they were made."""
-        with begin(self.engine) as connection:
-            return reading.stop_views(connection, round_key)
-
-    def fruit(self, round_key: str, only: FruitFilter | None = None) -> list[FruitView]:
-        """List a round's detections in the order of its stops, or those that a filter keeps.
-
-        `FruitFilter(best=True)` gives every fruit once, however often it was seen.
-        """
-        with begin(self.engine) as connection:
-            views = reading.fruit_views(connection, round_key)
-        return views if only is None else [view for view in views if only.keeps(view)]
-
-    def measurements(self, round_key: str) -> dict[str, tuple[MethodRecord, ...]]:
-        """Give every method's first measurement by fruit key, without the paths."""
-        with begin(self.engine) as connection:
-            return reading.method_records(connection, round_key)
-
-    def cameras(self, round_key: str) -> dict[str, CameraAt]:
-        """Give where the cameras of a round stood, by the stops' keys."""
-        with begin(self.engine) as connection:
-            return reading.cameras_at(connection, round_key)
-
-    def stop(self, stop_key: str) -> StopRecord:
-        """Give a stop with everything, as it was saved."""
-        with begin(self.engine) as connection:
-            return details.stop_record(connection, stop_key)
-
-    def one_fruit(self, fruit_key: str) -> FruitDetail:
-        """Give a detection with everything: mask, methods, paths, capture, links and log."""
-        with begin(self.engine) as connection:
-            return details.fruit_detail(connection, fruit_key)
-
-    def links(self, round_key: str, kind: LinkKind | None = None) -> list[LinkRecord]:
-        """List the links that touch a round; of growth both from earlier and to later rounds."""
-        with begin(self.engine) as connection:
-            return reading.link_records(connection, round_key, kind)
-
-    def shifts(self, later: str) -> list[ShiftRecord]:
-        """List how far rows were moved between earlier rounds and this one."""
-        with begin(self.engine) as connection:
-            return reading.shift_records(connection, later)
-
-    # What algorithms say of whole rounds.
+        stop = _checked_stop(stop)
+        sha256 = content_sha256(stop)
+        with self.writing() as connection:
+            round_id = round_id_of(connection, stop.round_key)
+            cells = {
+                **_cells(stop, _STOP_CELLS),
+                "content_sha256": sha256,
+                "round_id": round_id,
+                "row_id": None if stop.row is None else _row_id(connection, round_id, stop.row),
+                "pose": list(stop.pose),
+                "failures": [dict(failure) for failure in stop.failures],
+            }
+            stop_id = _insert_new(connection, StopLine, cells, "key")
+            if stop_id is None:
+                stored = select(StopLine.content_sha256).where(StopLine.key == stop.key)
+                if connection.execute(stored).scalar_one() != sha256:
+                    raise _conflict("stop", stop.key)
+                return Saved.ALREADY_THERE
+            _add_artifacts(connection, stop_id, stop.artifacts)
+            _add_images(connection, stop.captures)
+            for number, capture in enumerate(stop.captures):
+                capture_id = _add_capture(connection, stop_id, number, capture)
+                # The same key on every machine: from the stop's, the capture's place, the number.
+                keys = [key_of("fruit", stop.key, number, one.number) for one in capture.fruit]
+                _add_detections(connection, capture_id, round_id, keys, capture.fruit)
+        return Saved.NEW
 
     def save_merging(
         self,
@@ -226,10 +183,28 @@ class Store:
     ) -> int:
         """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions.
 
-        What was linked or parted by hand stands; the number of links written is given.
+        Returns
+        -------
+        int
+            How many links were written; those of pairs that were decided by hand were not.
         """
-        with begin(self.engine, write=True) as connection:
-            return derived.save_merging(connection, round_key, links, positions or {})
+        with self.writing() as connection:
+            round_id = round_id_of(connection, round_key)
+            lock_rounds(connection, [round_id])
+            _forget_links(connection, LinkKind.SAME, (round_id, round_id))
+            in_round = StopLine.round_id == round_id
+            nowhere = {"fitted_m": None, "fitted_sd_m": None}
+            connection.execute(update(StopLine).where(in_round).values(**nowhere))
+            for key, position in (positions or {}).items():
+                values = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
+                fitted = connection.execute(
+                    update(StopLine).where(in_round, StopLine.key == key).values(**values)
+                )
+                if fitted.rowcount != 1:
+                    raise StoreError(
+                        f"stop {key} is not in round {round_key}", remedy="see stops()"
+                    )
+            return _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
 
     def save_growth(
         self,
@@ -240,74 +215,223 @@ class Store:
     ) -> int:
         """Replace the links of `LinkKind.GROWTH` between two rounds, and their rows' shifts.
 
-        What was linked or parted by hand stands; the number of links written is given.
+        Returns
+        -------
+        int
+            How many links were written; those of pairs that were decided by hand were not.
         """
-        with begin(self.engine, write=True) as connection:
-            return derived.save_growth(connection, earlier, later, links, shifts)
+        with self.writing() as connection:
+            rounds = round_id_of(connection, earlier), round_id_of(connection, later)
+            lock_rounds(connection, rounds)
+            _forget_links(connection, LinkKind.GROWTH, rounds)
+            between = (Shift.earlier_id == rounds[0], Shift.later_id == rounds[1])
+            connection.execute(delete(Shift).where(*between))
+            for shift in shifts:
+                row = (
+                    select(Row.id)
+                    .join(StopLine, StopLine.row_id == Row.id)
+                    .where(StopLine.round_id == rounds[1], Row.name == shift.row)
+                    .limit(1)
+                )
+                row_id = connection.execute(row).scalar()
+                if row_id is None:
+                    raise StoreError(
+                        f"round {later} has no row '{shift.row}'", remedy="see stops()"
+                    )
+                cells = {"row_id": row_id, "earlier_id": rounds[0], "later_id": rounds[1]}
+                line = insert(Shift).values(**cells, shift_m=shift.shift_m, sd_m=shift.sd_m)
+                connection.execute(line)
+            return _add_links(connection, LinkKind.GROWTH, links, rounds)
 
-    # What people do by hand; each gives its line's number in the log.
 
-    def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None, *, by: str = "") -> int:
-        """Accept or reject fruit; None takes the verdict away."""
-        with begin(self.engine, write=True) as connection:
-            return manual.set_verdict(connection, fruit, verdict, by)
+def _checked_stop(stop: StopRecord) -> StopRecord:
+    """Return a stop with its keys in canonical form."""
+    stop = replace(
+        stop,
+        key=checked_key(stop.key, "stop"),
+        round_key=checked_key(stop.round_key, "round"),
+    )
+    _check_once([capture.name for capture in stop.captures], stop.key, "captures are called")
+    for capture in stop.captures:
+        _check_once([fruit.number for fruit in capture.fruit], capture.name, "fruit have number")
+    return stop
 
-    def pick(self, fruit: Sequence[str], *, at_s: float | None = None, by: str = "") -> int:
-        """Say that fruit were picked: now, or when."""
-        with begin(self.engine, write=True) as connection:
-            return manual.pick(connection, fruit, time.time() if at_s is None else at_s, by)
 
-    def unpick(self, fruit: Sequence[str], *, by: str = "") -> int:
-        """Say that fruit were not picked."""
-        with begin(self.engine, write=True) as connection:
-            return manual.pick(connection, fruit, None, by)
+def _check_once(names: Sequence[object], source: str, what: str) -> None:
+    double = next((name for name in names if names.count(name) > 1), None)
+    if double is not None:
+        raise StoreError(f"two {what} {double}", source=source, remedy="give each its own")
 
-    def correct(self, fruit_key: str, fruit: FruitRecord, *, by: str = "") -> int:
-        """Let a fruit measured anew, with a corrected mask, stand for the first measurement."""
-        with begin(self.engine, write=True) as connection:
-            return manual.correct(connection, fruit_key, fruit, by)
 
-    def merge(self, first: str, second: str, *, by: str = "") -> int:
-        """Say that two detections of a round are one fruit, and so all that each is merged with."""
-        with begin(self.engine, write=True) as connection:
-            return manual.merge(connection, first, second, by)
+def _cells(record: Any, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(record, name) for name in names}
 
-    def unmerge(self, fruit_key: str, *, by: str = "") -> int:
-        """Say that a detection is another fruit than all that it is merged with.
 
-        Raises
-        ------
-        StoreError
-            If it is merged with none.
-        """
-        with begin(self.engine, write=True) as connection:
-            return manual.unmerge(connection, fruit_key, by)
+def _insert_new(
+    connection: Connection, table: type[Base], cells: dict[str, Any], *unique: str
+) -> int | None:
+    """Insert one line and return its id; None where one with that key is there already.
 
-    def link_growth(self, earlier: str, later: str, *, by: str = "") -> int:
-        """Say that a fruit of a later round is this fruit of an earlier one."""
-        with begin(self.engine, write=True) as connection:
-            return manual.link(connection, LinkKind.GROWTH, [(earlier, later)], "link-growth", by)
+    Where another transaction is just inserting the same key, PostgreSQL waits for its end.
+    """
+    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
+    line = dialect.insert(table).values(**cells).on_conflict_do_nothing(index_elements=unique)
+    key: Any = next(iter(table.__table__.primary_key))
+    return cast("int | None", connection.execute(line.returning(key)).scalar())
 
-    def unlink_growth(self, earlier: str, later: str, *, by: str = "") -> int:
-        """Say that two fruit of different rounds are not one."""
-        with begin(self.engine, write=True) as connection:
-            return manual.link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth", by)
 
-    def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[ActionView]:
-        """List what was done by hand, the newest first."""
-        with begin(self.engine) as connection:
-            return details.action_views(connection, round_key, limit)
+def _id_of(connection: Connection, table: Any, cells: dict[str, Any], *unique: str) -> int:
+    """Return the id of the line with these cells, inserted where it is not there yet."""
+    query = select(table.id).where(*(getattr(table, name) == cells[name] for name in unique))
+    found = connection.execute(query).scalar()
+    if found is None:
+        found = _insert_new(connection, table, cells, *unique)
+    return cast("int", connection.execute(query).scalar_one() if found is None else found)
 
-    def undo(self, round_key: str | None = None, *, number: int | None = None, by: str = "") -> int:
-        """Take back an action: the round's newest that was not taken back, or the one named.
 
-        Raises
-        ------
-        StoreConflictError
-            If a later action stands on it.
-        StoreError
-            If there is nothing to take back.
-        """
-        with begin(self.engine, write=True) as connection:
-            round_id = None if round_key is None else writing.round_id_of(connection, round_key)
-            return manual.undo(connection, by, number, round_id)
+def _row_id(connection: Connection, round_id: int, name: str) -> int:
+    house = connection.execute(select(Round.house).where(Round.id == round_id)).scalar_one()
+    return _id_of(connection, Row, {"house": house, "name": name}, "house", "name")
+
+
+def _add_artifacts(
+    connection: Connection, stop_id: int, artifacts: Sequence[ArtifactRecord]
+) -> None:
+    unique = ("kind", "name", "sha256")
+    # In one order for all, so that two writers never wait for each other in a circle.
+    ids = {
+        number: _id_of(connection, Artifact, record_json(artifacts[number]), *unique)
+        for number in sorted(
+            range(len(artifacts)), key=lambda n: [getattr(artifacts[n], one) for one in unique]
+        )
+    }
+    lines = [
+        {"stop_id": stop_id, "number": number, "artifact_id": ids[number]} for number in sorted(ids)
+    ]
+    _insert_all(connection, StopArtifact, lines)
+
+
+def _add_images(connection: Connection, captures: Sequence[CaptureRecord]) -> None:
+    refs = (ref for one in captures for ref in (one.color, one.depth, one.thumbnail))
+    images = {ref.sha256: ref for ref in refs if ref is not None}
+    for sha256 in sorted(images):
+        _insert_new(connection, Image, vars(images[sha256]), "sha256")
+
+
+def _add_capture(connection: Connection, stop_id: int, number: int, capture: CaptureRecord) -> int:
+    refs = {"color": capture.color, "depth": capture.depth, "thumbnail": capture.thumbnail}
+    cells = {
+        **_cells(capture, CAPTURE_CELLS),
+        "camera": dict(capture.camera),
+        "provenance": dict(capture.provenance),
+        **{f"{name}_sha256": ref and ref.sha256 for name, ref in refs.items()},
+        "stop_id": stop_id,
+        "number": number,
+    }
+    line = insert(CaptureLine).values(**cells).returning(CaptureLine.id)
+    return connection.execute(line).scalar_one()
+
+
+def _add_detections(
+    connection: Connection,
+    capture_id: int,
+    round_id: int,
+    keys: Sequence[str],
+    records: Sequence[DetectionRecord],
+) -> None:
+    if not records:
+        return
+    lines = [
+        {
+            **_cells(record, DETECTION_CELLS),
+            "key": key,
+            "capture_id": capture_id,
+            "round_id": round_id,
+        }
+        for key, record in zip(keys, records, strict=True)
+    ]
+    add = insert(DetectionLine).returning(DetectionLine.id, sort_by_parameter_order=True)
+    ids = connection.execute(add, lines).scalars().all()
+    masks = [
+        {"fruit_id": i, "rle": record.mask, "keypoints": [list(p) for p in record.keypoints]}
+        for i, record in zip(ids, records, strict=True)
+    ]
+    _insert_all(connection, MaskLine, masks)
+    methods = [
+        {
+            **_cells(method, METHOD_CELLS),
+            "fruit_id": i,
+            "number": number,
+            "path_um": pack_um(method.path_m),
+            "diameter_um": pack_um(method.diameter_m),
+        }
+        for i, record in zip(ids, records, strict=True)
+        for number, method in enumerate(record.methods)
+    ]
+    _insert_all(connection, MethodLine, methods)
+
+
+def _insert_all(connection: Connection, table: type[Base], lines: list[dict[str, Any]]) -> None:
+    if lines:
+        connection.execute(insert(table), lines)
+
+
+def _conflict(what: str, key: str) -> StoreConflictError:
+    return StoreConflictError(
+        f"{what} {key} is already stored with another content",
+        remedy="give what differs a key of its own, from records.new_key()",
+    )
+
+
+def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
+    """Remove the links that an algorithm made between two rounds, or within one."""
+    connection.execute(
+        delete(Link).where(
+            Link.kind == str(kind),
+            Link.action_id.is_(None),
+            Link.ended_by_id.is_(None),
+            Link.first_round_id == rounds[0],
+            Link.second_round_id == rounds[1],
+        )
+    )
+
+
+def _add_links(
+    connection: Connection, kind: LinkKind, links: Sequence[LinkRecord], rounds: tuple[int, int]
+) -> int:
+    if not links:
+        return 0
+    keys = sorted({key for link in links for key in (link.first, link.second)})
+    found = dict(zip(keys, find_detections(connection, keys), strict=True))
+    decided = _decided_pairs(connection, rounds)
+    lines = {}
+    for link in links:
+        first, second = found[link.first], found[link.second]
+        between = (first.round_id, second.round_id)
+        if between != rounds or first.id == second.id or link.kind != kind:
+            raise StoreError(
+                f"the link of {link.first} and {link.second} is not '{kind}' of these rounds",
+                remedy="link two fruit of the rounds named, the earlier first",
+            )
+        pair = frozenset((first.id, second.id))
+        if pair not in decided:
+            lines[pair] = {
+                "kind": str(kind),
+                "first_id": first.id,
+                "second_id": second.id,
+                "first_round_id": rounds[0],
+                "second_round_id": rounds[1],
+                "score": link.score,
+            }
+    _insert_all(connection, Link, list(lines.values()))
+    return len(lines)
+
+
+def _decided_pairs(connection: Connection, rounds: tuple[int, int]) -> set[frozenset[int]]:
+    query = select(Link.first_id, Link.second_id).where(
+        Link.action_id.is_not(None),
+        Link.ended_by_id.is_(None),
+        Link.first_round_id.in_(rounds),
+        Link.second_round_id.in_(rounds),
+    )
+    return {frozenset((first, second)) for first, second in connection.execute(query)}

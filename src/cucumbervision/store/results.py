@@ -20,7 +20,7 @@ from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    FruitRecord,
+    DetectionRecord,
     MethodRecord,
     Point,
     StopRecord,
@@ -201,7 +201,7 @@ def fruit_record(
     fruit: Fruit,
     row: Mapping[str, Cell],
     length: Length = Length.THREAD,
-) -> FruitRecord:
+) -> DetectionRecord:
     """Make a record of one fruit from what was measured and its row.
 
     Lengths are the row's: calibrated where the run was, with its intervals. The fruit's offset
@@ -222,7 +222,7 @@ def fruit_record(
         The length that the run was asked for.
     """
     keypoints = fruit.instance.keypoints
-    return FruitRecord(
+    return DetectionRecord(
         number=number,
         score=round(fruit.instance.confidence, 4),
         reason=str(row.get("reason") or ""),

@@ -1,4 +1,4 @@
-"""The tables, for SQLite and PostgreSQL alike.
+"""The tables, for SQLite and PostgreSQL alike, and how records are laid into them.
 
 What was measured is written once and never changed. What people and algorithms say of it later
 stands in `marks`, `links` and the stops' fitted positions; every manual action is a line of
@@ -7,14 +7,19 @@ stands in `marks`, `links` and the stops' fitted positions; every manual action 
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
+from types import UnionType
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
 
+import numpy as np
 from sqlalchemy import (
     JSON,
+    Boolean,
     CheckConstraint,
     Double,
     ForeignKey,
     Index,
+    Integer,
     LargeBinary,
     MetaData,
     Text,
@@ -23,12 +28,30 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from cucumbervision.errors import StoreError
+from cucumbervision.store.records import (
+    CaptureRecord,
+    DetectionRecord,
+    ImageRef,
+    MethodRecord,
+    Point,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from sqlalchemy import Connection
+
 __all__ = [
+    "CAPTURE_CELLS",
+    "DETECTION_CELLS",
+    "IMAGE_COLUMNS",
+    "METHOD_CELLS",
     "Action",
     "Artifact",
     "Base",
     "CaptureLine",
-    "FruitLine",
+    "DetectionLine",
     "Image",
     "Link",
     "Mark",
@@ -39,6 +62,14 @@ __all__ = [
     "Shift",
     "StopArtifact",
     "StopLine",
+    "built",
+    "cells_of",
+    "columns_of",
+    "detection_from_json",
+    "image_ref",
+    "pack_um",
+    "points",
+    "unpack_um",
 ]
 
 _ACTIVE = text("ended_by_id IS NULL")
@@ -143,7 +174,7 @@ class StopArtifact(Base):
 
 
 class CaptureLine(Base):
-    """One RGB-D frame."""
+    """One RGB-D frame; the other columns are the fields of `CaptureRecord`."""
 
     __tablename__ = "captures"
     __table_args__ = (UniqueConstraint("stop_id", "number"), UniqueConstraint("stop_id", "name"))
@@ -152,27 +183,17 @@ class CaptureLine(Base):
     stop_id: Mapped[int] = mapped_column(ForeignKey("stops.id"))
     number: Mapped[int]
     name: Mapped[str]
-    frame: Mapped[int]
-    burst_frame: Mapped[int]
-    burst_size: Mapped[int]
-    timestamp_s: Mapped[float | None]
-    width_px: Mapped[int]
-    height_px: Mapped[int]
-    fill: Mapped[float | None]
     simulated: Mapped[bool]
-    source: Mapped[str]
     camera: Mapped[dict[str, Any]]
-    provenance: Mapped[dict[str, Any]]
-    depth_unit_m: Mapped[float | None]
     color_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
     depth_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
     thumbnail_sha256: Mapped[str | None] = mapped_column(ForeignKey("images.sha256"), index=True)
 
 
-class FruitLine(Base):
-    """One detected fruit of one capture, with what lists show of it.
+class DetectionLine(Base):
+    """One detected fruit of one capture; the other columns are the fields of `DetectionRecord`.
 
-    Round and row stand here too, so that a list of fruit needs no walk over stops and captures.
+    The round stands here too, so that a list needs no join over stops and captures.
     """
 
     __tablename__ = "fruit"
@@ -183,44 +204,6 @@ class FruitLine(Base):
     capture_id: Mapped[int] = mapped_column(ForeignKey("captures.id"))
     round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     number: Mapped[int]
-    label: Mapped[str]
-    score: Mapped[float]
-    box_x1_px: Mapped[float]
-    box_y1_px: Mapped[float]
-    box_x2_px: Mapped[float]
-    box_y2_px: Mapped[float]
-    method: Mapped[str | None]
-    reason: Mapped[str]
-    fallback: Mapped[str]
-    flags: Mapped[str]
-    length_m: Mapped[float | None]
-    length_kind: Mapped[str | None]
-    length_sd_m: Mapped[float | None]
-    interval_low_m: Mapped[float | None]
-    interval_high_m: Mapped[float | None]
-    interval_of: Mapped[str | None]
-    interval_basis: Mapped[str | None]
-    centreline_m: Mapped[float | None]
-    thread_m: Mapped[float | None]
-    chord_m: Mapped[float | None]
-    inner_arc_m: Mapped[float | None]
-    diameter_max_m: Mapped[float | None]
-    diameter_mean_m: Mapped[float | None]
-    volume_m3: Mapped[float | None]
-    tilt_deg: Mapped[float | None]
-    hidden_share: Mapped[float | None]
-    mask_source: Mapped[str | None]
-    mask_px: Mapped[int | None]
-    fill: Mapped[float | None]
-    distance_m: Mapped[float | None]
-    raw_length_m: Mapped[float | None]
-    raw_length_kind: Mapped[str | None]
-    centre_x_m: Mapped[float | None]
-    centre_y_m: Mapped[float | None]
-    centre_z_m: Mapped[float | None]
-    offset_m: Mapped[float | None]
-    offset_sd_m: Mapped[float | None]
-    view_score: Mapped[float]
 
 
 class MaskLine(Base):
@@ -234,23 +217,12 @@ class MaskLine(Base):
 
 
 class MethodLine(Base):
-    """One method on one fruit."""
+    """One method on one detection; the other columns are the fields of `MethodRecord`."""
 
     __tablename__ = "measurements"
 
     fruit_id: Mapped[int] = mapped_column(ForeignKey("fruit.id"), primary_key=True)
     number: Mapped[int] = mapped_column(primary_key=True)
-    method: Mapped[str]
-    length_m: Mapped[float | None]
-    kind: Mapped[str | None]
-    reason: Mapped[str]
-    fallback: Mapped[str]
-    measured_by: Mapped[str | None]
-    centreline_m: Mapped[float | None]
-    thread_m: Mapped[float | None]
-    chord_m: Mapped[float | None]
-    centreline_sd_m: Mapped[float | None]
-    thread_sd_m: Mapped[float | None]
     path_um: Mapped[bytes] = mapped_column(LargeBinary)
     diameter_um: Mapped[bytes] = mapped_column(LargeBinary)
 
@@ -331,3 +303,110 @@ class Shift(Base):
     later_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), primary_key=True)
     shift_m: Mapped[float]
     sd_m: Mapped[float | None]
+
+
+_TYPES = {float: Double, int: Integer, str: Text, bool: Boolean}
+
+
+def _lay_out(table: type[Base], record: type, leave_out: Sequence[str]) -> tuple[str, ...]:
+    """Add a column for each field of a record that is not there yet; return all their names."""
+    hints = get_type_hints(record)
+    names = tuple(one.name for one in fields(record) if one.name not in leave_out)
+    for name in names:
+        hint = hints[name]
+        kinds = set(get_args(hint)) if isinstance(hint, UnionType) else {hint}
+        if not hasattr(table, name):
+            sql = next((_TYPES[kind] for kind in kinds if kind in _TYPES), JSON)
+            setattr(table, name, mapped_column(sql, nullable=type(None) in kinds))
+    return names
+
+
+CAPTURE_CELLS = _lay_out(CaptureLine, CaptureRecord, ("color", "depth", "thumbnail", "fruit"))
+DETECTION_CELLS = _lay_out(DetectionLine, DetectionRecord, ("keypoints", "mask", "methods"))
+METHOD_CELLS = _lay_out(MethodLine, MethodRecord, ("path_m", "diameter_m"))
+IMAGE_COLUMNS = (Image.sha256, Image.suffix, Image.size_bytes, Image.width_px, Image.height_px)
+
+T = TypeVar("T")
+
+_REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
+
+
+def columns_of(table: type[Base], names: Sequence[str]) -> list[Any]:
+    """Return a table's columns of these names, for a query."""
+    return [getattr(table, name) for name in names]
+
+
+def pack_um(values_m: Sequence[float] | Sequence[Point]) -> bytes:
+    """Pack lengths as whole micrometres: little-endian, 32 bits each.
+
+    Raises
+    ------
+    StoreError
+        If one is not finite or beyond 2 km.
+
+    Examples
+    --------
+    >>> unpack_um(pack_um([0.1234567, -0.5]))
+    (0.123457, -0.5)
+    """
+    values = np.asarray(values_m, np.float64).ravel()
+    if not (np.abs(values) < _REACH_M).all():
+        raise StoreError("a path holds a number that is no position", remedy="give metres")
+    return np.rint(values * 1e6).astype("<i4").tobytes()
+
+
+def unpack_um(data: bytes) -> tuple[float, ...]:
+    """Return metres from what `pack_um` packed."""
+    return tuple((np.frombuffer(data, "<i4") / 1e6).tolist())
+
+
+def points(data: bytes) -> tuple[Point, ...]:
+    """Return points (x, y, z) in metres from what `pack_um` packed."""
+    flat = unpack_um(data)
+    return tuple(zip(flat[0::3], flat[1::3], flat[2::3], strict=True))
+
+
+def detection_from_json(values: Mapping[str, Any]) -> DetectionRecord:
+    """Return the detection that `record_json` was given.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.records import record_json
+    >>> fruit = DetectionRecord(1, methods=(MethodRecord("M1", 0.2, path_m=((0.0, 0.0, 1.0),)),))
+    >>> detection_from_json(record_json(fruit)) == fruit
+    True
+    """
+    methods = tuple(
+        MethodRecord(
+            **{
+                **method,
+                "path_m": tuple(tuple(point) for point in method["path_m"]),
+                "diameter_m": tuple(method["diameter_m"]),
+            }
+        )
+        for method in values["methods"]
+    )
+    keypoints = tuple(tuple(point) for point in values["keypoints"])
+    return DetectionRecord(**{**values, "methods": methods, "keypoints": keypoints})
+
+
+def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
+    """Run a query and return its rows as plain tuples."""
+    return cast("list[tuple[Any, ...]]", connection.execute(query).all())
+
+
+def built(kind: type[T], *cells: Any) -> T:
+    """Make a record from its fields in order.
+
+    Examples
+    --------
+    >>> built(MethodRecord, "M1", 0.2).length_m
+    0.2
+    """
+    make: Callable[..., T] = kind
+    return make(*cells)
+
+
+def image_ref(cells: Sequence[Any]) -> ImageRef | None:
+    """Return a picture from its five cells, or None where the first is empty."""
+    return None if cells[0] is None else ImageRef(*cells)

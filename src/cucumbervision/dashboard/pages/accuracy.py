@@ -23,7 +23,7 @@ from cucumbervision.measurement.result import Length
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.round_tables import RoundLists
-    from cucumbervision.store.views import FruitView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = ["page"]
 
@@ -52,7 +52,7 @@ def page() -> None:
         _scores(one, lists, path)
 
 
-def _table(fruit: list[FruitView], path: Path) -> None:
+def _table(fruit: list[DetectionView], path: Path) -> None:
     units = resources.settings().units
     known = hand_lengths(path, fruit)
     pages = -(-len(fruit) // LINES)
@@ -92,7 +92,7 @@ def _table(fruit: list[FruitView], path: Path) -> None:
         st.rerun()
 
 
-def _line(view: FruitView, known: tuple[float | None, float | None]) -> dict[str, Any]:
+def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
     along = "" if view.along_m is None else f", {view.along_m:.2f} m"
     return {

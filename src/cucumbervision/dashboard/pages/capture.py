@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import streamlit as st
 
-from cucumbervision.agronomy.grades import FruitTraits, grade
+from cucumbervision.agronomy.grades import GradingTraits, grade
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
@@ -224,7 +224,7 @@ def _lengths(one: RoundView, taken: TakenStop) -> None:
     for row in taken.measured.rows:
         length_cm = row["length_cm"]
         length_m = float(length_cm) / 100 if isinstance(length_cm, int | float) else None
-        found = grade(FruitTraits.from_row(row), resources.profile(one))
+        found = grade(GradingTraits.from_row(row), resources.profile(one))
         lines.append(
             {
                 "Fruit": row["fruit"],

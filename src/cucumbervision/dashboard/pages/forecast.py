@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.picking import pick_list
-from cucumbervision.agronomy.work import plan_work
+from cucumbervision.agronomy.picking import pick_list, plan_work
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard.charts import class_name, day_name
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
-    from cucumbervision.store.records import FruitRecord, MethodRecord
-    from cucumbervision.store.views import FruitDetail, RoundView
+    from cucumbervision.store.records import DetectionRecord, MethodRecord
+    from cucumbervision.store.views import DetectionDetail, RoundView
 
 __all__ = ["show"]
 
@@ -80,7 +80,7 @@ def _head(lists: RoundLists, key: str) -> None:
     )
 
 
-def _figures(lists: RoundLists, detail: FruitDetail) -> None:
+def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
     record, units, found = (
         detail.view.record,
         resources.settings().units,
@@ -112,7 +112,7 @@ def _figures(lists: RoundLists, detail: FruitDetail) -> None:
         st.caption(f"Remarks: {record.flags.replace('-', ' ')}")
 
 
-def _verdict(one: RoundView, detail: FruitDetail) -> None:
+def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     key, now, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
@@ -154,7 +154,7 @@ def _undo(one: RoundView) -> None:
         st.session_state["undo_fault"] = str(error)
 
 
-def _pictures(one: RoundView, detail: FruitDetail) -> None:
+def _pictures(one: RoundView, detail: DetectionDetail) -> None:
     try:
         capture = _capture(detail)
     except CucumberVisionError as error:
@@ -178,12 +178,12 @@ def _loaded(key: str, sha256: str, _detail: object) -> Capture:
     return stored_capture(resources.store().images, _detail.capture, _detail.stop)  # type: ignore[attr-defined]
 
 
-def _capture(detail: FruitDetail) -> Capture:
+def _capture(detail: DetectionDetail) -> Capture:
     color = detail.capture.color
     return _loaded(detail.view.stop_key, color.sha256 if color else "", detail)
 
 
-def _picture(one: RoundView, detail: FruitDetail, capture: Capture) -> None:
+def _picture(one: RoundView, detail: DetectionDetail, capture: Capture) -> None:
     depth, words = depth_picture(capture.depth_m)
     record, units = detail.view.record, resources.settings().units
     ruler = st.session_state.get("ruler")
@@ -214,7 +214,7 @@ def _picture(one: RoundView, detail: FruitDetail, capture: Capture) -> None:
 
 def _correct(
     one: RoundView,
-    detail: FruitDetail,
+    detail: DetectionDetail,
     capture: Capture,
     point: list[float] | None,
     box: list[float] | None,
@@ -250,13 +250,13 @@ def _correction() -> None:
         st.session_state.pop("correction")
 
 
-def _said(method: MethodRecord, record: FruitRecord) -> str:
+def _said(method: MethodRecord, record: DetectionRecord) -> str:
     if method.method == record.method:
         return "chosen"
     return "" if method.reason == "ok" else method.reason.replace("-", " ")
 
 
-def _methods(detail: FruitDetail) -> None:
+def _methods(detail: DetectionDetail) -> None:
     units, record = resources.settings().units, detail.view.record
     lines = []
     for method in record.methods:

@@ -17,12 +17,12 @@ from cucumbervision.dashboard.round_tables import (
     method_lines,
     statistics,
 )
-from cucumbervision.store.views import FruitFilter, Verdict
+from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.store.views import FruitView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = ["page"]
 
@@ -34,7 +34,7 @@ VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ r
 class _Kept:
     """What the filters leave."""
 
-    fruit: list[FruitView]
+    fruit: list[DetectionView]
     filtered: bool
 
 
@@ -112,7 +112,7 @@ def _filters(lists: RoundLists) -> _Kept:
         highest = 20.0 if units.name == "in" else 50.0
         low, high = st.slider(f"Length [{units.name}]", 0.0, highest, (0.0, highest), 0.5)
         limited = (low, high) != (0.0, highest)
-        only = FruitFilter(
+        only = DetectionFilter(
             row=chosen_row,
             method=chosen_method,
             verdict=chosen_verdict,
@@ -128,7 +128,7 @@ def _filters(lists: RoundLists) -> _Kept:
     return _Kept(fruit, len(fruit) < len(lists.fruit))
 
 
-def _charts(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
+def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
     lengths, methods = st.columns(2)
     if lines := length_lines(fruit, lists.grades, units):
@@ -144,7 +144,7 @@ def _charts(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
             st.altair_chart(charts.method_chart(lines, units))
 
 
-def _table(lists: RoundLists, fruit: Sequence[FruitView]) -> None:
+def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
     pages = -(-len(fruit) // LINES)
     number = min(int(st.session_state.get("list_page", 1)), pages)
@@ -189,7 +189,7 @@ def _merge(one: RoundView) -> None:
         page_elements.progress(job)
 
 
-def _line(lists: RoundLists, view: FruitView) -> dict[str, Any]:
+def _line(lists: RoundLists, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     low, high = units.value(record.interval_low_m), units.value(record.interval_high_m)
     return {

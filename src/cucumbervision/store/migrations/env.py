@@ -1,8 +1,8 @@
-"""Alembic's entry: runs the migrations on the connection that `store.migrate` opened."""
+"""Alembic's entry: runs the migrations on the connection that `engine.migrate` opened."""
 
 from alembic import context
 
-from cucumbervision.store.migrate import VERSION_TABLE
+from cucumbervision.store.engine import VERSION_TABLE
 from cucumbervision.store.schema import Base
 
 if __name__ == "env_py":  # as Alembic loads it; who merely imports it has no database

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision.store.check import check_store
+from cucumbervision.store.images import check_store
 from cucumbervision.store.records import CaptureRecord, ImageRef
 from cucumbervision.store.repository import Store
 

@@ -1,0 +1,302 @@
+"""What people decide by hand: marks, merges, corrections; each logged, each to be undone."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from sqlalchemy import and_, insert, or_, select, update
+from sqlalchemy.exc import IntegrityError
+
+from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.store.engine import Database
+from cucumbervision.store.queries import links_of, round_id_of
+from cucumbervision.store.records import DetectionRecord, checked_key, record_json
+from cucumbervision.store.schema import Action, DetectionLine, Link, Mark, Round
+from cucumbervision.store.views import LinkKind, Verdict, group_detections
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from sqlalchemy import Connection
+
+__all__ = ["Corrections", "DetectionId", "find_detections", "lock_rounds"]
+
+_AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
+
+
+class Corrections(Database):
+    """What can be said of a stored round by hand. Each method returns its line's number in the log.
+
+    `by` is who says so. All raise `StoreError` where a detection is not there.
+    """
+
+    def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None, *, by: str = "") -> int:
+        """Accept or reject detections; None takes the verdict away."""
+        kinds = {Verdict.ACCEPTED: "accept", Verdict.REJECTED: "reject", None: "clear"}
+        with self.writing() as connection:
+            found = find_detections(connection, fruit)
+            action = _log(connection, kinds[verdict], by, found)
+            _mark(connection, action, found, "verdict", verdict)
+        return action
+
+    def pick(self, fruit: Sequence[str], *, at_s: float | None = None, by: str = "") -> int:
+        """Record that fruit were picked at a time, by default now."""
+        details = {"at_s": time.time() if at_s is None else at_s}
+        with self.writing() as connection:
+            found = find_detections(connection, fruit)
+            action = _log(connection, "pick", by, found, details)
+            _mark(connection, action, found, "picked", "picked", details)
+        return action
+
+    def unpick(self, fruit: Sequence[str], *, by: str = "") -> int:
+        """Record that fruit were not picked."""
+        with self.writing() as connection:
+            found = find_detections(connection, fruit)
+            action = _log(connection, "unpick", by, found)
+            _mark(connection, action, found, "picked", None)
+        return action
+
+    def correct(self, key: str, record: DetectionRecord, *, by: str = "") -> int:
+        """Let a new measurement, with a corrected mask, stand for the first one.
+
+        Raises
+        ------
+        StoreConflictError
+            If its number is another detection's.
+        """
+        with self.writing() as connection:
+            found = find_detections(connection, [key])
+            query = select(DetectionLine.number).where(DetectionLine.id == found[0].id)
+            if connection.execute(query).scalar_one() != record.number:
+                raise StoreConflictError(
+                    f"fruit {key} has another number than {record.number}",
+                    remedy="measure the fruit that the mask belongs to",
+                )
+            action = _log(connection, "correct", by, found)
+            _mark(connection, action, found, "mask", "corrected", record_json(record))
+        return action
+
+    def merge(self, first: str, second: str, *, by: str = "") -> int:
+        """Record that two detections of a round are one fruit, with all that each is merged with.
+
+        Whatever parted the two groups before ends.
+        """
+        with self.writing() as connection:
+            a, b = find_detections(connection, [first, second])
+            groups = [_group_of(connection, one) for one in (a, b)]
+            action = _link(connection, LinkKind.SAME, [(first, second)], "merge", by)
+            some, others = (
+                [one.id for one in find_detections(connection, sorted(group))] for group in groups
+            )
+            there = Link.first_id.in_(some) & Link.second_id.in_(others)
+            back = Link.first_id.in_(others) & Link.second_id.in_(some)
+            parted = and_(Link.kind == str(LinkKind.APART), or_(there, back))
+            _end(connection, Link, action, parted)
+        return action
+
+    def unmerge(self, key: str, *, by: str = "") -> int:
+        """Record that a detection is another fruit than all that it is merged with.
+
+        Raises
+        ------
+        StoreError
+            If it is merged with none.
+        """
+        with self.writing() as connection:
+            found = find_detections(connection, [key])[0]
+            others = sorted(_group_of(connection, found) - {found.key})
+            if not others:
+                raise StoreError(f"fruit {found.key} is merged with none", remedy="see its group")
+            pairs = [(found.key, other) for other in others]
+            return _link(connection, LinkKind.APART, pairs, "unmerge", by)
+
+    def link_growth(self, earlier: str, later: str, *, by: str = "") -> int:
+        """Record that a fruit of a later round is this fruit of an earlier one."""
+        with self.writing() as connection:
+            return _link(connection, LinkKind.GROWTH, [(earlier, later)], "link-growth", by)
+
+    def unlink_growth(self, earlier: str, later: str, *, by: str = "") -> int:
+        """Record that two fruit of different rounds are not one."""
+        with self.writing() as connection:
+            return _link(connection, LinkKind.APART, [(earlier, later)], "unlink-growth", by)
+
+    def undo(self, round_key: str | None = None, *, number: int | None = None, by: str = "") -> int:
+        """Undo an action: the round's newest that has not been undone, or the one named.
+
+        Raises
+        ------
+        StoreConflictError
+            If a later action stands on it.
+        StoreError
+            If there is nothing to undo.
+        """
+        with self.writing() as connection:
+            action = _action_to_undo(connection, number, round_key)
+            lock_rounds(connection, [action.round_id])
+            for table in (Mark, Link):
+                ended = select(table.id).where(
+                    table.action_id == action.id, table.ended_by_id.is_not(None)
+                )
+                if connection.execute(ended.limit(1)).first() is not None:
+                    raise _stands_on(action.id)
+            line = insert(Action).values(
+                at_s=time.time(),
+                by=by,
+                kind="undo",
+                round_id=action.round_id,
+                fruit=action.fruit,
+                details={"kind": action.kind},
+                undoes_id=action.id,
+            )
+            try:
+                made = connection.execute(line.returning(Action.id)).scalar_one()
+                for table in (Mark, Link):
+                    _end(connection, table, made, table.action_id == action.id)
+                    begun_again = update(table).where(table.ended_by_id == action.id)
+                    connection.execute(begun_again.values(ended_by_id=None))
+            except IntegrityError:  # something newer stands where the old would stand again
+                raise _stands_on(action.id) from None
+        return made
+
+
+class DetectionId(NamedTuple):
+    """Where a detection is in the tables."""
+
+    key: str
+    id: int
+    round_id: int
+
+
+def find_detections(connection: Connection, keys: Sequence[str]) -> list[DetectionId]:
+    """Find detections by their keys, in that order, and keep others from marking or linking them.
+
+    Raises
+    ------
+    StoreError
+        If one is not there, or none was named.
+    """
+    wanted = [checked_key(key, "fruit") for key in keys]
+    if not wanted:
+        raise StoreError("no fruit was named", remedy="name at least one")
+    found: dict[str, DetectionId] = {}
+    for at in range(0, len(wanted), _AT_ONCE):
+        query = select(DetectionLine.key, DetectionLine.id, DetectionLine.round_id).where(
+            DetectionLine.key.in_(wanted[at : at + _AT_ONCE])
+        )
+        found.update({row.key: DetectionId(*row) for row in connection.execute(query)})
+    missing = next((key for key in wanted if key not in found), None)
+    if missing is not None:
+        raise StoreError(
+            f"fruit {missing} is not in the store", remedy="look it up in detections()"
+        )
+    lock_rounds(connection, {row.round_id for row in found.values()})
+    return [found[key] for key in wanted]
+
+
+def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
+    """Keep others from marking or linking in rounds until the transaction ends.
+
+    Stops can still be saved. In SQLite a writing transaction is alone anyway.
+    """
+    query = select(Round.id).where(Round.id.in_(sorted(set(round_ids)))).order_by(Round.id)
+    connection.execute(query.with_for_update(key_share=True))
+
+
+def _link(
+    connection: Connection, kind: LinkKind, pairs: Sequence[tuple[str, str]], name: str, by: str
+) -> int:
+    """Link pairs by hand, or part them; whatever linked a pair before, in either order, ends."""
+    keys = list(dict.fromkeys(key for pair in pairs for key in pair))
+    fruit = {row.key: row for row in find_detections(connection, keys)}
+    action = _log(connection, name, by, list(fruit.values()), {"kind": str(kind)})
+    for pair in pairs:
+        first, second = (fruit[checked_key(key, "fruit")] for key in pair)
+        within = first.round_id == second.round_id
+        places = {LinkKind.SAME: within, LinkKind.GROWTH: not within, LinkKind.APART: True}
+        if first.id == second.id or not places[kind]:
+            raise StoreError(
+                f"{first.key} and {second.key} are not two fruit that can be linked so",
+                remedy="merge two of one round, link growth between two rounds",
+            )
+        ends = (first.id, second.id)
+        _end(connection, Link, action, Link.first_id.in_(ends) & Link.second_id.in_(ends))
+        connection.execute(
+            insert(Link).values(
+                kind=str(kind),
+                first_id=first.id,
+                second_id=second.id,
+                first_round_id=first.round_id,
+                second_round_id=second.round_id,
+                action_id=action,
+            )
+        )
+    return action
+
+
+def _group_of(connection: Connection, one: DetectionId) -> frozenset[str]:
+    query = select(Round.key).where(Round.id == one.round_id)
+    links = links_of(connection, connection.execute(query).scalar_one())
+    keys = {one.key, *(end for link in links for end in (link.first, link.second))}
+    return group_detections(keys, links)[one.key]
+
+
+def _action_to_undo(connection: Connection, number: int | None, round_key: str | None) -> Any:
+    undone = select(Action.undoes_id).where(Action.undoes_id.is_not(None))
+    query = select(Action.id, Action.kind, Action.round_id, Action.fruit).where(
+        Action.kind != "undo", Action.id.not_in(undone)
+    )
+    if number is not None:
+        query = query.where(Action.id == number)
+    if round_key is not None:
+        query = query.where(Action.round_id == round_id_of(connection, round_key))
+    found = connection.execute(query.order_by(Action.id.desc()).limit(1)).one_or_none()
+    if found is None:
+        which = "nothing" if number is None else f"no action {number}"
+        raise StoreError(f"there is {which} to take back", remedy="see the log")
+    return found
+
+
+def _stands_on(number: int) -> StoreConflictError:
+    return StoreConflictError(
+        f"a later action stands on action {number}", remedy="take the later one back first"
+    )
+
+
+def _log(
+    connection: Connection,
+    kind: str,
+    by: str,
+    fruit: Sequence[DetectionId],
+    details: dict[str, Any] | None = None,
+) -> int:
+    line = insert(Action).values(
+        at_s=time.time(),
+        by=by,
+        kind=kind,
+        round_id=fruit[-1].round_id,
+        fruit=[one.key for one in fruit],
+        details=details or {},
+    )
+    return connection.execute(line.returning(Action.id)).scalar_one()
+
+
+def _mark(
+    connection: Connection,
+    action: int,
+    fruit: Sequence[DetectionId],
+    slot: str,
+    value: str | None,
+    details: dict[str, Any] | None = None,
+) -> None:
+    """End what stands in a slot of each detection, and put a value there if one is given."""
+    ids = sorted({one.id for one in fruit})
+    _end(connection, Mark, action, (Mark.fruit_id.in_(ids)) & (Mark.slot == slot))
+    if value is not None:
+        cells = {"slot": slot, "value": str(value), "details": details or {}, "action_id": action}
+        connection.execute(insert(Mark), [{"fruit_id": one, **cells} for one in ids])
+
+
+def _end(connection: Connection, table: type[Mark] | type[Link], action: int, which: Any) -> None:
+    ending = update(table).where(table.ended_by_id.is_(None), which)
+    connection.execute(ending.values(ended_by_id=action))

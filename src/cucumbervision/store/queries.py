@@ -1,0 +1,587 @@
+"""Read rounds, stops, detections, links and the log; each list a handful of indexed queries."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import hypot
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import and_, func, or_, select
+from sqlalchemy.orm import aliased
+
+from cucumbervision.errors import StoreError
+from cucumbervision.store.engine import Database
+from cucumbervision.store.records import (
+    ArtifactRecord,
+    CaptureRecord,
+    DetectionRecord,
+    ImageRef,
+    MethodRecord,
+    RoundRecord,
+    StopRecord,
+    checked_key,
+)
+from cucumbervision.store.schema import (
+    CAPTURE_CELLS,
+    DETECTION_CELLS,
+    IMAGE_COLUMNS,
+    METHOD_CELLS,
+    Action,
+    Artifact,
+    CaptureLine,
+    DetectionLine,
+    Image,
+    Link,
+    Mark,
+    MaskLine,
+    MethodLine,
+    Round,
+    Row,
+    Shift,
+    StopArtifact,
+    StopLine,
+    built,
+    cells_of,
+    columns_of,
+    detection_from_json,
+    image_ref,
+    points,
+    unpack_um,
+)
+from cucumbervision.store.views import (
+    ActionView,
+    CameraAt,
+    Candidate,
+    DetectionDetail,
+    DetectionFilter,
+    DetectionView,
+    LinkKind,
+    LinkRecord,
+    RoundView,
+    ShiftRecord,
+    Standing,
+    StopView,
+    Verdict,
+    group_detections,
+    standings,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from sqlalchemy import Connection
+
+__all__ = ["Queries", "links_of", "round_id_of"]
+
+_IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, DetectionLine.number)
+
+
+class Queries(Database):
+    """What a store can be asked. Each method sees the database as it was when it began."""
+
+    def rounds(self, house: str | None = None) -> list[RoundView]:
+        """Return the rounds, the newest first; those of one house where one is named."""
+        stops = (
+            select(
+                StopLine.round_id, func.count().label("n"), func.max(StopLine.taken_s).label("last")
+            )
+            .group_by(StopLine.round_id)
+            .subquery()
+        )
+        detections = (
+            select(DetectionLine.round_id, func.count().label("n"))
+            .group_by(DetectionLine.round_id)
+            .subquery()
+        )
+        query = (
+            select(
+                Round.key,
+                Round.name,
+                Round.house,
+                Round.started_s,
+                Round.profile,
+                Round.note,
+                func.coalesce(stops.c.n, 0),
+                func.coalesce(detections.c.n, 0),
+                stops.c.last,
+            )
+            .outerjoin(stops, stops.c.round_id == Round.id)
+            .outerjoin(detections, detections.c.round_id == Round.id)
+            .order_by(Round.started_s.desc(), Round.id.desc())
+        )
+        if house is not None:
+            query = query.where(Round.house == house)
+        with self.reading() as connection:
+            rows = cells_of(connection, query)
+        return [RoundView(RoundRecord(*row[:6]), *row[6:]) for row in rows]
+
+    def stops(self, round_key: str) -> list[StopView]:
+        """Return a round's stops in the order in which they were made."""
+        with self.reading() as connection:
+            rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
+        return [
+            built(StopView, row[0], round_key, *row[1:12], len(row[12]), image_ref(row[13:18]))
+            for row in rows
+        ]
+
+    def detections(
+        self, round_key: str, only: DetectionFilter | None = None
+    ) -> list[DetectionView]:
+        """Return a round's detections in the order of its stops, or those that a filter keeps.
+
+        `DetectionFilter(best=True)` gives every fruit once, however often it was seen.
+        """
+        with self.reading() as connection:
+            views = _detections_of(connection, round_key)
+        return views if only is None else [view for view in views if only.keeps(view)]
+
+    def detection(self, key: str) -> DetectionDetail:
+        """Return one detection with everything: mask, methods, paths, capture, links and log.
+
+        Raises
+        ------
+        StoreError
+            If it is not there.
+        """
+        key = checked_key(key, "fruit")
+        query = (
+            select(
+                DetectionLine.id,
+                DetectionLine.number,
+                CaptureLine.number,
+                StopLine.key,
+                Round.key,
+                Mark.details,
+            )
+            .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
+            .join(StopLine, StopLine.id == CaptureLine.stop_id)
+            .join(Round, Round.id == DetectionLine.round_id)
+            .outerjoin(
+                Mark,
+                and_(
+                    Mark.fruit_id == DetectionLine.id,
+                    Mark.slot == "mask",
+                    Mark.ended_by_id.is_(None),
+                ),
+            )
+            .where(DetectionLine.key == key)
+        )
+        with self.reading() as connection:
+            found = connection.execute(query).one_or_none()
+            if found is None:
+                raise StoreError(
+                    f"fruit {key} is not in the store", remedy="look it up in detections()"
+                )
+            _, number, capture_number, stop_key, round_key, correction = found
+            stop = _stop_of(connection, stop_key)
+            links = links_of(connection, round_key)
+            ends = {key, *(end for link in links for end in (link.first, link.second))}
+            group = group_detections(ends, links)[key]
+            views = _detections_of(connection, round_key, sorted(group))
+            log = _actions_of(connection, round_key, None)
+        capture = stop.captures[capture_number]
+        original = next(one for one in capture.fruit if one.number == number)
+        view = next(one for one in views if one.key == key)
+        corrected = None if correction is None else detection_from_json(correction)
+        return DetectionDetail(
+            replace(view, record=corrected or original),
+            original,
+            capture,
+            stop,
+            tuple(link for link in links if key in (link.first, link.second)),
+            tuple(action for action in log if key in action.fruit),
+        )
+
+    def measurements(self, round_key: str) -> dict[str, tuple[MethodRecord, ...]]:
+        """Return every method's first measurement by the detections' keys, without the paths."""
+        found: dict[str, list[MethodRecord]] = {}
+        with self.reading() as connection:
+            query = (
+                select(DetectionLine.key, *columns_of(MethodLine, METHOD_CELLS))
+                .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
+                .where(DetectionLine.round_id == round_id_of(connection, round_key))
+                .order_by(MethodLine.fruit_id, MethodLine.number)
+            )
+            for row in cells_of(connection, query):
+                found.setdefault(row[0], []).append(MethodRecord(*row[1:]))
+        return {key: tuple(methods) for key, methods in found.items()}
+
+    def cameras(self, round_key: str) -> dict[str, CameraAt]:
+        """Return where the cameras of a round stood, by the stops' keys."""
+        query = (
+            select(
+                StopLine.key, StopLine.pose, CaptureLine.id, CaptureLine.name, CaptureLine.camera
+            )
+            .join(Round, Round.id == StopLine.round_id)
+            .outerjoin(CaptureLine, CaptureLine.stop_id == StopLine.id)
+            .where(Round.key == round_key)
+            .order_by(StopLine.id, CaptureLine.number)
+        )
+        found: dict[str, CameraAt] = {}
+        numbers: dict[str, dict[str, int]] = {}
+        with self.reading() as connection:
+            for key, pose, number, name, camera in connection.execute(query):
+                if key not in found:
+                    numbers[key] = {}
+                    found[key] = CameraAt(pose, numbers[key], camera or {})
+                if number is not None:
+                    numbers[key][name] = number
+        return found
+
+    def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
+        """Return what the stops of a round were measured with, by the stops' keys."""
+        query = (
+            select(StopLine.key, Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
+            .join(StopArtifact, StopArtifact.stop_id == StopLine.id)
+            .join(Artifact, Artifact.id == StopArtifact.artifact_id)
+            .join(Round, Round.id == StopLine.round_id)
+            .where(Round.key == round_key)
+            .order_by(StopLine.id, StopArtifact.number)
+        )
+        found: dict[str, list[ArtifactRecord]] = {}
+        with self.reading() as connection:
+            for key, *cells in cells_of(connection, query):
+                found.setdefault(key, []).append(ArtifactRecord(*cells))
+        return {key: tuple(artifacts) for key, artifacts in found.items()}
+
+    def stop(self, stop_key: str) -> StopRecord:
+        """Return a stop with everything, as it was saved.
+
+        Raises
+        ------
+        StoreError
+            If it is not there.
+        """
+        with self.reading() as connection:
+            return _stop_of(connection, stop_key)
+
+    def links(self, round_key: str, kind: LinkKind | None = None) -> list[LinkRecord]:
+        """Return the links that touch a round; of growth both from earlier and to later rounds."""
+        with self.reading() as connection:
+            return links_of(connection, round_key, kind)
+
+    def shifts(self, later: str) -> list[ShiftRecord]:
+        """Return how far rows were moved between earlier rounds and this one."""
+        first, second = aliased(Round), aliased(Round)
+        with self.reading() as connection:
+            query = (
+                select(Row.name, first.key, second.key, Shift.shift_m, Shift.sd_m)
+                .join(Row, Row.id == Shift.row_id)
+                .join(first, first.id == Shift.earlier_id)
+                .join(second, second.id == Shift.later_id)
+                .where(second.id == round_id_of(connection, later))
+                .order_by(Row.name, first.started_s)
+            )
+            return [ShiftRecord(*row) for row in cells_of(connection, query)]
+
+    def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[ActionView]:
+        """Return what was done by hand, the newest first."""
+        with self.reading() as connection:
+            return _actions_of(connection, round_key, limit)
+
+
+def round_id_of(connection: Connection, key: str) -> int:
+    """Return a round's number in the tables.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    query = select(Round.id).where(Round.key == checked_key(key, "round"))
+    found = connection.execute(query).scalar()
+    if found is None:
+        raise StoreError(f"round {key} is not in the store", remedy="save the round first")
+    return found
+
+
+def links_of(
+    connection: Connection, round_key: str, kind: LinkKind | None = None
+) -> list[LinkRecord]:
+    """Return the links that have not ended and touch a round."""
+    round_id = round_id_of(connection, round_key)
+    first, second = aliased(DetectionLine), aliased(DetectionLine)
+    query = (
+        select(Link.kind, first.key, second.key, Link.score, Link.action_id)
+        .join(first, first.id == Link.first_id)
+        .join(second, second.id == Link.second_id)
+        .where(
+            Link.ended_by_id.is_(None),
+            or_(Link.first_round_id == round_id, Link.second_round_id == round_id),
+        )
+        .order_by(Link.id)
+    )
+    if kind is not None:
+        query = query.where(Link.kind == str(kind))
+    kinds = {str(one): one for one in LinkKind}
+    return [
+        LinkRecord(kinds[row[0]], row[1], row[2], row[3], row[4] is not None)
+        for row in cells_of(connection, query)
+    ]
+
+
+def _stop_query(round_id: int) -> Any:
+    captures = (
+        select(CaptureLine.stop_id, func.count().label("n"))
+        .join(StopLine, StopLine.id == CaptureLine.stop_id)
+        .where(StopLine.round_id == round_id)
+        .group_by(CaptureLine.stop_id)
+        .subquery()
+    )
+    detections = (
+        select(CaptureLine.stop_id, func.count().label("n"))
+        .join(DetectionLine, DetectionLine.capture_id == CaptureLine.id)
+        .where(DetectionLine.round_id == round_id)
+        .group_by(CaptureLine.stop_id)
+        .subquery()
+    )
+    first = aliased(CaptureLine)
+    return (
+        select(
+            StopLine.key,
+            Row.name,
+            StopLine.side,
+            StopLine.position_m,
+            StopLine.position_sd_m,
+            StopLine.fitted_m,
+            StopLine.fitted_sd_m,
+            StopLine.step,
+            StopLine.taken_s,
+            StopLine.note,
+            func.coalesce(captures.c.n, 0),
+            func.coalesce(detections.c.n, 0),
+            StopLine.failures,
+            *IMAGE_COLUMNS,
+        )
+        .outerjoin(Row, Row.id == StopLine.row_id)
+        .outerjoin(captures, captures.c.stop_id == StopLine.id)
+        .outerjoin(detections, detections.c.stop_id == StopLine.id)
+        .outerjoin(first, and_(first.stop_id == StopLine.id, first.number == 0))
+        .outerjoin(Image, Image.sha256 == first.thumbnail_sha256)
+        .where(StopLine.round_id == round_id)
+        .order_by(StopLine.taken_s, StopLine.id)
+    )
+
+
+def _detections_of(
+    connection: Connection, round_key: str, keys: Sequence[str] | None = None
+) -> list[DetectionView]:
+    """Return a round's detections in the order of its stops, with marks and groups.
+
+    `keys` gives those alone; their groups are right where all members are among them.
+    """
+    round_id = round_id_of(connection, round_key)
+    marks = _marks_of(connection, round_id)
+    query = _detection_query(round_id)
+    if keys is not None:
+        query = query.where(DetectionLine.key.in_(keys))
+    rows = [
+        (row, marks.get(row[0], {})) for row in cells_of(connection, query.order_by(*_IN_ORDER))
+    ]
+    records = {row[0]: own.get("mask") or DetectionRecord(*row[17:]) for row, own in rows}
+    candidates = {
+        row[0]: Candidate(
+            own.get("verdict") is not Verdict.REJECTED,
+            records[row[0]].length_m is not None,
+            records[row[0]].view_score,
+        )
+        for row, own in rows
+    }
+    picked = {row[0]: own["picked"] for row, own in rows if "picked" in own}
+    groups = standings(candidates, picked, links_of(connection, round_key))
+    return [
+        _detection_view(row, round_key, records[row[0]], own, groups[row[0]]) for row, own in rows
+    ]
+
+
+def _detection_query(round_id: int) -> Any:
+    return (
+        select(
+            DetectionLine.key,
+            StopLine.key,
+            CaptureLine.name,
+            Row.name,
+            StopLine.side,
+            StopLine.step,
+            StopLine.taken_s,
+            CaptureLine.simulated,
+            StopLine.position_m,
+            StopLine.position_sd_m,
+            StopLine.fitted_m,
+            StopLine.fitted_sd_m,
+            *IMAGE_COLUMNS,
+            *columns_of(DetectionLine, DETECTION_CELLS),
+        )
+        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
+        .join(StopLine, StopLine.id == CaptureLine.stop_id)
+        .outerjoin(Row, Row.id == StopLine.row_id)
+        .outerjoin(Image, Image.sha256 == CaptureLine.thumbnail_sha256)
+        .where(DetectionLine.round_id == round_id)
+    )
+
+
+def _detection_view(
+    row: Sequence[Any],
+    round_key: str,
+    record: DetectionRecord,
+    marks: Mapping[str, Any],
+    group: Standing,
+) -> DetectionView:
+    given, given_sd, fitted, fitted_sd = row[8:12]
+    stop_m, stop_sd_m = (given, given_sd) if fitted is None else (fitted, fitted_sd)
+    along_m = None if stop_m is None else stop_m + (record.offset_m or 0.0)
+    sd_known = stop_m is not None and stop_sd_m is not None
+    return built(
+        DetectionView,
+        *row[:2],
+        round_key,
+        *row[2:8],
+        along_m,
+        hypot(stop_sd_m, record.offset_sd_m or 0.0) if sd_known else None,
+        image_ref(row[12:17]),
+        record,
+        marks.get("verdict"),
+        group.picked_s,
+        "mask" in marks,
+        group.best,
+        group.views,
+    )
+
+
+def _marks_of(connection: Connection, round_id: int) -> dict[str, dict[str, Any]]:
+    """Return verdict, time of picking and corrected record by the detections' keys."""
+    query = (
+        select(DetectionLine.key, Mark.slot, Mark.value, Mark.details)
+        .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
+        .where(DetectionLine.round_id == round_id, Mark.ended_by_id.is_(None))
+    )
+    verdicts = {str(verdict): verdict for verdict in Verdict}
+    marks: dict[str, dict[str, Any]] = {}
+    for key, slot, value, details in cells_of(connection, query):
+        mark: Any = verdicts[value] if slot == "verdict" else details.get("at_s")
+        if slot == "mask":
+            mark = replace(detection_from_json(details), keypoints=(), mask=None, methods=())
+        marks.setdefault(key, {})[slot] = mark
+    return marks
+
+
+def _stop_of(connection: Connection, key: str) -> StopRecord:
+    key = checked_key(key, "stop")
+    query = (
+        select(StopLine, Round.key.label("round_key"), Row.name.label("row"))
+        .join(Round, Round.id == StopLine.round_id)
+        .outerjoin(Row, Row.id == StopLine.row_id)
+        .where(StopLine.key == key)
+    )
+    # A Core connection gives the entity's columns one by one.
+    found = connection.execute(query).mappings().one_or_none()
+    if found is None:
+        raise StoreError(f"stop {key} is not in the store", remedy="look it up in stops()")
+    artifacts = (
+        select(Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
+        .join(StopArtifact, StopArtifact.artifact_id == Artifact.id)
+        .where(StopArtifact.stop_id == found["id"])
+        .order_by(StopArtifact.number)
+    )
+    as_saved = ("round_key", "row", "side", "position_m", "position_sd_m", "step", "taken_s")
+    return StopRecord(
+        key=key,
+        **{name: found[name] for name in (*as_saved, "note")},
+        pose=tuple(found["pose"]),
+        captures=_captures_of(connection, found["id"]),
+        artifacts=tuple(ArtifactRecord(*row) for row in cells_of(connection, artifacts)),
+        failures=tuple(found["failures"]),
+    )
+
+
+def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, ...]:
+    detections = _records_of(connection, stop_id)
+    refs = (CaptureLine.color_sha256, CaptureLine.depth_sha256, CaptureLine.thumbnail_sha256)
+    query = (
+        select(CaptureLine.id, *refs, *columns_of(CaptureLine, CAPTURE_CELLS))
+        .where(CaptureLine.stop_id == stop_id)
+        .order_by(CaptureLine.number)
+    )
+    rows = cells_of(connection, query)
+    wanted = {sha256 for row in rows for sha256 in row[1:4] if sha256}
+    of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(wanted))
+    images = {row[0]: ImageRef(*row) for row in cells_of(connection, of_images)}
+    return tuple(
+        built(
+            CaptureRecord,
+            *row[4:],
+            *(images.get(sha256) for sha256 in row[1:4]),
+            tuple(detections.get(row[0], ())),
+        )
+        for row in rows
+    )
+
+
+def _records_of(connection: Connection, stop_id: int) -> dict[int, list[DetectionRecord]]:
+    """Return the detections of a stop with masks and methods, by their captures' numbers."""
+    of_methods = (
+        select(
+            MethodLine.fruit_id,
+            MethodLine.path_um,
+            MethodLine.diameter_um,
+            *columns_of(MethodLine, METHOD_CELLS),
+        )
+        .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
+        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
+        .where(CaptureLine.stop_id == stop_id)
+        .order_by(MethodLine.fruit_id, MethodLine.number)
+    )
+    methods: dict[int, list[MethodRecord]] = {}
+    for row in cells_of(connection, of_methods):
+        method = built(MethodRecord, *row[3:], points(row[1]), unpack_um(row[2]))
+        methods.setdefault(row[0], []).append(method)
+    of_detections = (
+        select(
+            DetectionLine.id,
+            DetectionLine.capture_id,
+            MaskLine.keypoints,
+            MaskLine.rle,
+            *columns_of(DetectionLine, DETECTION_CELLS),
+        )
+        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
+        .join(MaskLine, MaskLine.fruit_id == DetectionLine.id)
+        .where(CaptureLine.stop_id == stop_id)
+        .order_by(DetectionLine.id)
+    )
+    found: dict[int, list[DetectionRecord]] = {}
+    for row in cells_of(connection, of_detections):
+        keypoints = tuple(tuple(point) for point in row[2])
+        own = tuple(methods.get(row[0], ()))
+        found.setdefault(row[1], []).append(
+            built(DetectionRecord, *row[4:], keypoints, row[3], own)
+        )
+    return found
+
+
+def _actions_of(
+    connection: Connection, round_key: str | None, limit: int | None
+) -> list[ActionView]:
+    undo = aliased(Action)
+    query: Any = (
+        select(
+            Action.id,
+            Action.at_s,
+            Action.by,
+            Action.kind,
+            Round.key,
+            Action.fruit,
+            Action.details,
+            Action.undoes_id,
+            undo.id,
+        )
+        .outerjoin(Round, Round.id == Action.round_id)
+        .outerjoin(undo, undo.undoes_id == Action.id)
+        .order_by(Action.id.desc())
+        .limit(limit)
+    )
+    if round_key is not None:
+        query = query.where(Round.key == checked_key(round_key, "round"))
+    return [
+        built(ActionView, *row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
+        for row in cells_of(connection, query)
+    ]

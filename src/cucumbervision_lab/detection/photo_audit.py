@@ -1,8 +1,8 @@
 """The real photos' labels, audited by eye: what must be found in each, and what counts neither way.
 
-`audit/photos_audit.json` holds numbers only; the photos themselves never come with the project.
-A photo is known again by its bytes, so that a folder may be laid out at will. The file's own notes
-say how the boxes were drawn and why each scene is in its split.
+The files of `audit/` hold numbers only; the photos themselves never come with the project. A photo
+is known again by its bytes, so that a folder may be laid out at will. Each file's own notes say how
+its boxes were drawn and why each scene is in its split.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,18 +18,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import DataSetError
+from cucumbervision.perception.boxes import box_iou
+from cucumbervision.perception.instance_files import parse_yolo_line
+from cucumbervision.perception.masks import fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["Audit", "AuditedBox", "AuditedPhoto", "Kind", "audited", "load_audit"]
+__all__ = ["FIRST", "Audit", "AuditedBox", "AuditedPhoto", "Kind", "audited", "load_audit"]
 
-_FILE = Path(__file__).parent / "audit" / "photos_audit.json"
+_FILES = ("photos_audit.json", "photos2_audit.json")
 _PICTURES = {".jpg", ".jpeg", ".png"}
 _HASH_DIGITS = 12
 _EDGE_PX = 2.0
 _MOST = 0.5
+_OUTLINES = "labels_seg"
+_SAME = 0.9
+
+Point = tuple[float, float]
+
+FIRST = "first audit"
+"""The test photos that the networks of before were judged on, whatever they show."""
 
 
 class Kind(StrEnum):
@@ -54,11 +64,15 @@ class AuditedBox:
     stem : str, optional
         Side or corner of the box at which the stalk end lies: 'left', 'up-right', ...; None where
         it cannot be told.
+    ends : tuple of (float, float), length 2, optional
+        Blossom end and stem end of the body without its stalk, u and v in pixels; None where they
+        were not read.
     """
 
     box: tuple[float, float, float, float]
     kind: Kind
     stem: str | None = None
+    ends: tuple[Point, Point] | None = None
 
     @property
     def area_px(self) -> float:
@@ -78,14 +92,15 @@ class AuditedPhoto:
     sha1 : str
         First twelve digits of the SHA-1 of the file's bytes, by which it is known again.
     collection : str
-        The set it belongs to: 'ingredients_ccby4', 'fruitveg_web', 'canopy', 'leaves'.
+        The set it belongs to: 'ingredients_ccby4', 'board_cm', 'hand_indoor', ...
     scene : str
         What it shares with its near-duplicates.
     setting : str
-        Where the whole fruit lies: 'board', 'plate', 'hand', 'cart', 'crate', 'heap', 'plant',
-        'ground', 'white'; 'parts' where all fruit is ignored; 'none' where there is none.
+        Where the whole fruit lies: 'trial' (the black board of a breeding trial), 'board',
+        'plate', 'hand', 'cart', 'crate', 'heap', 'plant', 'ground', 'white'; 'parts' where all
+        fruit is ignored; 'none' where there is none.
     split : str
-        'train' or 'test'; one for a whole scene.
+        'train', 'val' or 'test'; one for a whole scene.
     width, height : int
         In pixels.
     boxes : tuple of AuditedBox
@@ -127,15 +142,36 @@ class Audit:
         Ordered by collection and name.
     sources, licences : mapping of str to str
         Of each collection.
+    tests : mapping of str to str
+        Which of the tests named in the reports a collection's photos belong to; the others are
+        'loose fruit'.
     """
 
     photos: tuple[AuditedPhoto, ...]
     sources: Mapping[str, str]
     licences: Mapping[str, str]
+    tests: Mapping[str, str] = field(default_factory=dict)
 
     def in_split(self, split: str) -> tuple[AuditedPhoto, ...]:
         """Return the photos of one split, or all for ''."""
         return tuple(photo for photo in self.photos if split in ("", photo.split))
+
+    def test_of(self, photo: AuditedPhoto) -> str:
+        """Return the name of the test that a photo belongs to, as the reports name it.
+
+        Returns
+        -------
+        str
+            The collection's own test, except that fruit on the plant and photos without any fruit
+            are tests of their own.
+        """
+        if self.tests.get(photo.collection) == FIRST:
+            return FIRST
+        if not photo.boxes:
+            return "negatives"
+        if photo.setting == "plant":
+            return "on the plant"
+        return self.tests.get(photo.collection, "loose fruit")
 
 
 def load_audit() -> Audit:
@@ -143,19 +179,25 @@ def load_audit() -> Audit:
 
     Examples
     --------
-    >>> test = load_audit().in_split("test")
-    >>> sum(len(photo.whole) for photo in test), len({p.scene for p in test if p.whole})
+    >>> audit = load_audit()
+    >>> first = [p for p in audit.in_split("test") if audit.test_of(p) == FIRST]
+    >>> sum(len(photo.whole) for photo in first), len({p.scene for p in first if p.whole})
     (86, 28)
     """
-    data = json.loads(_FILE.read_text(encoding="utf-8"))
+    folder = Path(__file__).parent / "audit"
+    files = [json.loads((folder / name).read_text(encoding="utf-8")) for name in _FILES]
+    sets = {name: entry for data in files for name, entry in data["sets"].items()}
     return Audit(
-        photos=tuple(_photo(entry) for entry in data["photos"]),
-        sources={name: entry["source"] for name, entry in data["sets"].items()},
-        licences={name: entry["licence"] for name, entry in data["sets"].items()},
+        photos=tuple(_photo(entry) for data in files for entry in data["photos"]),
+        sources={name: entry["source"] for name, entry in sets.items()},
+        licences={name: entry["licence"] for name, entry in sets.items()},
+        tests={name: entry["test"] for name, entry in sets.items() if "test" in entry},
     )
 
 
-def audited(folder: Path, split: str = "", audit: Audit | None = None) -> DataSet:
+def audited(
+    folder: Path, split: str = "", audit: Audit | None = None, *, outlines: bool = False
+) -> DataSet:
     """Return the audited photos of a folder with their boxes.
 
     Parameters
@@ -163,16 +205,20 @@ def audited(folder: Path, split: str = "", audit: Audit | None = None) -> DataSe
     folder : Path
         Searched with all its subfolders for JPEG and PNG files.
     split : str
-        'train', 'test', or '' for both.
+        'train', 'val', 'test', or '' for all.
     audit : Audit, optional
         The packaged one if none is given.
+    outlines : bool
+        Whether fruit gets the publisher's polygon as its mask, where the photo comes with polygons
+        (`labels_seg` beside `images`) and one of them fits the audited box.
 
     Returns
     -------
     DataSet
-        Box-only labels of one category; whole courgettes are in it too. `Label.extras` has
-        'kind' and 'stem', `LabelledPicture.extras` 'setting', 'collection' and
-        'fully_labelled'. Photos that are missing, changed or never audited are in `refused`.
+        Labels of one category; whole courgettes are in it too. `Label.extras` has 'kind', 'stem'
+        and, where they are known, 'ends_px'; `LabelledPicture.extras` 'setting', 'collection',
+        'test' and 'fully_labelled'. Photos that are missing, changed or never audited are in
+        `refused`.
 
     Raises
     ------
@@ -192,9 +238,12 @@ def audited(folder: Path, split: str = "", audit: Audit | None = None) -> DataSe
             source=folder,
             remedy="give the folder that the photos were unpacked to",
         )
+    pictures = [_picture(wanted[s], path, folder, known) for s, path in found.items()]
+    if outlines:
+        pictures = [_outlined(picture, folder / picture.file) for picture in pictures]
     return DataSet(
         folder=folder,
-        pictures=tuple(_picture(wanted[s], path, folder, known) for s, path in found.items()),
+        pictures=tuple(pictures),
         refused=(*_missing(wanted.values(), found, folder), *_strangers(known, hashes, found)),
     )
 
@@ -202,7 +251,9 @@ def audited(folder: Path, split: str = "", audit: Audit | None = None) -> DataSe
 def _photo(entry: Mapping[str, Any]) -> AuditedPhoto:
     """Read one photo; the file counts from the picture's corner, we from a pixel's centre."""
     boxes = (
-        AuditedBox(tuple(v - 0.5 for v in b["box"]), Kind(b["class"]), b.get("stem"))
+        AuditedBox(
+            tuple(v - 0.5 for v in b["box"]), Kind(b["class"]), b.get("stem"), _ends(b.get("ends"))
+        )
         for b in entry["boxes"]
     )
     width, height = entry["size"]
@@ -214,6 +265,13 @@ def _photo(entry: Mapping[str, Any]) -> AuditedPhoto:
         boxes=tuple(boxes),
         **{name: entry[name] for name in names},
     )
+
+
+def _ends(points: list[list[float]] | None) -> tuple[Point, Point] | None:
+    if points is None:
+        return None
+    (blossom_u, blossom_v), (stem_u, stem_v) = points
+    return (blossom_u - 0.5, blossom_v - 0.5), (stem_u - 0.5, stem_v - 0.5)
 
 
 def _picture_files(folder: Path) -> list[Path]:
@@ -237,6 +295,7 @@ def _picture(photo: AuditedPhoto, path: Path, folder: Path, audit: Audit) -> Lab
         extras={
             "setting": photo.setting,
             "collection": photo.collection,
+            "test": audit.test_of(photo),
             "fully_labelled": photo.fully_labelled,
         },
     )
@@ -250,8 +309,29 @@ def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
         np.array(box.box, np.float64),
         cut_off=inside < _EDGE_PX,
         ignore=box.kind is Kind.IGNORE,
-        extras={"kind": str(box.kind), "stem": box.stem},
+        extras={"kind": str(box.kind), "stem": box.stem}
+        | ({} if box.ends is None else {"ends_px": [list(point) for point in box.ends]}),
     )
+
+
+def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
+    """Give whole fruit the polygon whose bounds fit the audited box, each polygon once at most."""
+    file = path.parent.parent / _OUTLINES / f"{path.stem}.txt"
+    if path.parent.name != "images" or not file.is_file():
+        return picture
+    size = np.array([picture.width, picture.height], np.float64)
+    shapes = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        polygons = parse_yolo_line(line, str(file), []).polygons if line.strip() else ()
+        masks = [fill_polygon(points * size, picture.height, picture.width) for points in polygons]
+        shapes += [Label.of_mask(mask) for mask in masks if mask.any()]
+    labels = []
+    for label in picture.labels:
+        fits = [0.0 if label.ignore else box_iou(label.box, one.box) for one in shapes]
+        if fits and max(fits) >= _SAME:
+            label = replace(label, mask_code=shapes.pop(int(np.argmax(fits))).mask_code)
+        labels.append(label)
+    return replace(picture, labels=tuple(labels))
 
 
 def _missing(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from cucumbervision.capture.files import read_color
 from cucumbervision_lab.detection.groups import GroupScore, overall
@@ -15,9 +17,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from cucumbervision_lab.detection.picture_result import Networks
 
-__all__ = ["Photo", "PhotoResult", "audited_photos", "evaluate_photos", "score_photos"]
+__all__ = [
+    "Photo",
+    "PhotoResult",
+    "audited_photos",
+    "evaluate_photos",
+    "half_size",
+    "score_photos",
+]
+
+_GREY = 114  # what a letterbox pads with
+
+Scores = tuple[tuple[str, GroupScore], ...]
 
 
 @dataclass(frozen=True)
@@ -34,15 +49,21 @@ class PhotoResult:
         Recall and precision of all photos, and by where the fruit lies.
     fruit, found : tuple
         What they are of.
+    tests : tuple of (str, GroupScore)
+        Of the tests named apart: 'first audit', 'trial board', 'on the plant', ...
+    small : tuple of (str, GroupScore)
+        Small fruit: of all photos and of the tests, at half their size.
     """
 
     confidence: float
     photos: int
     scenes: int
     missing: int
-    scores: tuple[tuple[str, GroupScore], ...]
+    scores: Scores
     fruit: tuple[FruitRow, ...]
     found: tuple[FoundRow, ...]
+    tests: Scores = ()
+    small: Scores = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +78,14 @@ class Photo:
         Where the file lies.
     setting : str
         Where the fruit lies: 'board', 'cart', 'plant' …
+    test : str
+        Which of the tests named apart it belongs to.
     """
 
     truth: Frame
     path: Path
     setting: str
+    test: str
 
 
 def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]:
@@ -101,7 +125,8 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
             for label in picture.labels
         )
         truth = Frame(picture.file, picture.scene, picture.width, picture.height, true)
-        photos.append(Photo(truth, data.path(picture), picture.extras["setting"]))
+        extras = picture.extras
+        photos.append(Photo(truth, data.path(picture), extras["setting"], extras["test"]))
     return photos, len(load_audit().in_split(split)) - len(photos)
 
 
@@ -129,12 +154,67 @@ def evaluate_photos(
     CaptureError
         If a photo cannot be read.
     """
-    frames = []
+    frames, small = [], []
     for photo in photos:
-        frames.append(detect_picture(photo.truth, read_color(photo.path), networks).frame)
+        color = read_color(photo.path)
+        frames.append(detect_picture(photo.truth, color, networks).frame)
+        truth, shrunk = half_size(photo.truth, color)
+        small.append(detect_picture(truth, shrunk, networks).frame)
         if report is not None:
             report(1)
-    return score_photos(frames, [photo.setting for photo in photos], networks.confidence, missing)
+    tests = [photo.test for photo in photos]
+    result = score_photos(frames, [photo.setting for photo in photos], networks.confidence, missing)
+    return replace(
+        result,
+        tests=_by_name(frames, tests, networks.confidence),
+        small=_by_name(small, ["all"] * len(small), networks.confidence)
+        + _by_name(small, tests, networks.confidence),
+    )
+
+
+def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np.uint8]]:
+    """Compute a photo at half its size, in the middle of a grey picture as large as before.
+
+    A network enlarges a small picture to its input, and would see large fruit, only blurred; amid
+    the grey the fruit stay half as large.
+
+    Parameters
+    ----------
+    truth : Frame
+        What is to be found.
+    color : ndarray of uint8, shape (H, W, 3)
+        The photo.
+
+    Returns
+    -------
+    truth : Frame
+        With the boxes where they lie now.
+    color : ndarray of uint8, shape (H, W, 3)
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.detection.pictures import Frame, TrueFruit
+    >>> whole = Frame("a.jpg", "s", 8, 4, (TrueFruit(np.array([-0.5, -0.5, 7.5, 3.5])),))
+    >>> truth, color = half_size(whole, np.zeros((4, 8, 3), np.uint8))
+    >>> truth.true[0].box.tolist()
+    [1.5, 0.5, 5.5, 2.5]
+    >>> color[:, :, 0].tolist()[1]
+    [114, 114, 0, 0, 0, 0, 114, 114]
+    """
+    import cv2
+
+    height, width = color.shape[:2]
+    inner = cv2.resize(color, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    rows, columns = inner.shape[:2]
+    top, left = (height - rows) // 2, (width - columns) // 2
+    out = np.full_like(color, _GREY)
+    out[top : top + rows, left : left + columns] = inner
+    gain = np.tile([columns / width, rows / height], 2)
+    true = tuple(
+        replace(one, box=(one.box + 0.5) * gain + np.tile([left, top], 2) - 0.5)
+        for one in truth.true
+    )
+    return replace(truth, true=true), out
 
 
 def score_photos(
@@ -164,19 +244,23 @@ def score_photos(
     >>> found.scores[0][1].recall.value, found.scores[0][1].precision.value
     (1.0, 0.5)
     """
-    parts = {"all": list(frames)}
-    for setting in sorted(set(settings)):
-        own = [f for f, where in zip(frames, settings, strict=True) if where == setting]
-        parts[setting] = own
     return PhotoResult(
         confidence,
         len(frames),
         len({frame.scene for frame in frames}),
         missing,
-        tuple(
-            (name, overall(fruit_rows(some, confidence), found_rows(some, confidence)))
-            for name, some in parts.items()
-        ),
+        _by_name(frames, ["all"] * len(frames), confidence)
+        + _by_name(frames, settings, confidence),
         tuple(fruit_rows(frames, confidence)),
         tuple(found_rows(frames, confidence)),
+    )
+
+
+def _by_name(frames: Sequence[Frame], names: Sequence[str], confidence: float) -> Scores:
+    parts: dict[str, list[Frame]] = {name: [] for name in sorted(set(names))}
+    for frame, name in zip(frames, names, strict=True):
+        parts[name].append(frame)
+    return tuple(
+        (name, overall(fruit_rows(some, confidence), found_rows(some, confidence)))
+        for name, some in parts.items()
     )

@@ -331,6 +331,8 @@ def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
         "scenes": photos.scenes,
         "missing": photos.missing,
         "scores": {name: _scores(one) for name, one in photos.scores},
+        "tests": {name: _scores(one) for name, one in photos.tests},
+        "half_size": {name: _scores(one) for name, one in photos.small},
         "false": [json_value(asdict(r)) for r in photos.found if r.outcome == "false"],
     }
 

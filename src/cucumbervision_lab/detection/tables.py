@@ -201,14 +201,19 @@ def length_table(summary: Summary, truth: str, group: str) -> Table:
 
 def photo_table(photos: PhotoResult) -> Table:
     """Set recall and precision on real photos out."""
+    (_, whole), *settings = photos.scores
+    named = [("all", whole)]
+    named += [(f"test: {name}", one) for name, one in photos.tests]
+    named += [(f"half size: {name}", one) for name, one in photos.small]
+    named += [(f"where: {name}", one) for name, one in settings]
     rows = tuple(
-        (name, *_estimate_cells(one.recall), *_estimate_cells(one.precision))
-        for name, one in photos.scores
+        (name, *_estimate_cells(one.recall), *_estimate_cells(one.precision)) for name, one in named
     )
     comment = (
         f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
         "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
-        "of which half lies in an ignored region are not counted. "
+        "of which half lies in an ignored region are not counted. At half size each photo lies "
+        "shrunk in the middle of a grey picture. "
         + f"{photos.photos} photos of {photos.scenes} scenes"
         + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
     )

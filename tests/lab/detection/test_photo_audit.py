@@ -7,6 +7,7 @@ import pytest
 
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.detection.photo_audit import (
+    FIRST,
     Audit,
     AuditedBox,
     AuditedPhoto,
@@ -42,7 +43,7 @@ def test_no_scene_is_in_two_splits_and_no_photo_is_listed_twice() -> None:
     for p in photos:
         splits.setdefault(p.scene, set()).add(p.split)
     assert [scene for scene, found in splits.items() if len(found) > 1] == []
-    assert {p.split for p in photos} == {"train", "test"}
+    assert {p.split for p in photos} == {"train", "val", "test"}
     assert len({p.sha1 for p in photos}) == len(photos)
 
 
@@ -53,6 +54,9 @@ def test_boxes_lie_in_their_pictures_and_only_whole_fruit_has_a_stem() -> None:
             assert -0.5 <= x1 < x2 <= p.width - 0.5, p.name
             assert -0.5 <= y1 < y2 <= p.height - 0.5, p.name
             assert b.stem in (SIDES if b.kind is not Kind.IGNORE else {None}), p.name
+            for u, v in b.ends or ():
+                assert x1 <= u <= x2, p.name
+                assert y1 <= v <= y2, p.name
         assert (p.setting in ("none", "parts")) == (not p.whole), p.name
         assert (p.setting == "none") == (not p.boxes), p.name
 
@@ -65,11 +69,40 @@ def test_the_test_split_is_large_and_varied_enough() -> None:
     assert sum(not p.boxes for p in test) >= 20
 
 
-def test_scenes_with_whole_fruit_are_about_two_to_one() -> None:
+def test_the_networks_of_before_are_judged_on_what_they_were_judged_on() -> None:
     audit = load_audit()
-    train = {p.scene for p in audit.in_split("train") if p.whole}
-    test = {p.scene for p in audit.in_split("test") if p.whole}
+    first = [p for p in audit.photos if audit.test_of(p) == FIRST]
+    assert len(first) == 327
+    train = {p.scene for p in first if p.whole and p.split == "train"}
+    test = {p.scene for p in first if p.whole and p.split == "test"}
     assert 0.6 <= len(train) / (len(train) + len(test)) <= 0.7
+
+
+def test_every_test_named_apart_has_enough_in_it() -> None:
+    audit = load_audit()
+    photos: dict[str, list[AuditedPhoto]] = {}
+    for p in audit.in_split("test"):
+        photos.setdefault(audit.test_of(p), []).append(p)
+    assert set(photos) == {
+        *(FIRST, "trial board", "hands and tiles", "on the plant", "market", "loose fruit"),
+        "negatives",
+    }
+    required = {
+        name: sum(b.kind is Kind.CUCUMBER for p in some for b in p.boxes)
+        for name, some in photos.items()
+    }
+    assert required.pop("negatives") == 0
+    assert min(required.values()) >= 14
+    assert len(photos["negatives"]) >= 40
+
+
+def test_about_a_fifth_of_the_second_audit_is_test_and_a_tenth_val() -> None:
+    audit = load_audit()
+    second = [p for p in audit.photos if audit.test_of(p) != FIRST]
+    shares = {
+        split: sum(p.split == split for p in second) / len(second) for split in ("val", "test")
+    }
+    assert shares == pytest.approx({"val": 0.10, "test": 0.20}, abs=0.03)
 
 
 def test_a_photo_is_known_by_its_bytes_wherever_it_lies(tmp_path: Path) -> None:
@@ -95,6 +128,51 @@ def test_a_photo_is_known_by_its_bytes_wherever_it_lies(tmp_path: Path) -> None:
     )
     assert (ignored.ignore, ignored.cut_off) == (True, True)
     assert data.refused == ()
+
+
+def test_ends_count_from_the_first_pixels_centre(tmp_path: Path) -> None:
+    sha1 = write_picture(tmp_path / "a.png", 90)
+    box = AuditedBox((9.5, 4.5, 29.5, 44.5), Kind.CUCUMBER, "up", ((20.0, 44.0), (20.0, 5.0)))
+    data = audited(tmp_path, audit=audit_of(photo("a.png", sha1, "train", box)))
+    assert data.pictures[0].labels[0].extras["ends_px"] == [[20.0, 44.0], [20.0, 5.0]]
+    board = next(p for p in load_audit().photos if p.setting == "trial")
+    (_, blossom_v), (_, stem_v) = board.boxes[0].ends or ((0, 0), (0, 0))
+    assert blossom_v > stem_v
+
+
+def test_polygons_beside_the_photos_become_masks_where_they_fit(tmp_path: Path) -> None:
+    sha1 = write_picture(tmp_path / "images" / "a.png", 90)
+    (tmp_path / "labels_seg").mkdir()
+    # A triangle over x 8 to 24 and y 12 to 36 of a picture 64 x 48, and one that fits nothing.
+    (tmp_path / "labels_seg" / "a.txt").write_text(
+        "0 0.125 0.25 0.375 0.25 0.375 0.75\n0 0.5 0.5 0.6 0.5 0.6 0.6\n", encoding="utf-8"
+    )
+    fits = AuditedBox((7.5, 11.5, 23.5, 35.5), Kind.CUCUMBER)
+    other = AuditedBox((40.5, 11.5, 63.5, 35.5), Kind.CUCUMBER)
+    audit = audit_of(photo("a.png", sha1, "train", fits, other))
+    first, second = audited(tmp_path, audit=audit, outlines=True).pictures[0].labels
+    assert first.mask is not None
+    assert first.mask.sum() == pytest.approx(16 * 24 / 2, abs=20)
+    assert first.box.tolist() == list(fits.box)
+    assert (first.pseudo, second.mask) == (False, None)
+    assert all(x.mask is None for x in audited(tmp_path, audit=audit).pictures[0].labels)
+
+
+@pytest.mark.parametrize(
+    ("collection", "setting", "boxed", "name"),
+    [
+        ("old", "plant", True, FIRST),
+        ("stall", "hand", True, "market"),
+        ("stall", "plant", True, "on the plant"),
+        ("stall", "none", False, "negatives"),
+        ("web", "white", True, "loose fruit"),
+    ],
+)
+def test_a_photos_test(collection: str, setting: str, boxed: bool, name: str) -> None:
+    boxes = (AuditedBox((0, 0, 9, 9), Kind.CUCUMBER),) if boxed else ()
+    one = AuditedPhoto("a", "0", collection, "s", setting, "test", 64, 48, boxes)
+    sets = dict.fromkeys(("old", "stall", "web"), "")
+    assert Audit((one,), sets, sets, {"old": FIRST, "stall": "market"}).test_of(one) == name
 
 
 def test_half_of_the_picture_ignored_is_no_longer_fully_labelled() -> None:
@@ -147,3 +225,10 @@ def test_every_audited_photo_is_in_the_real_folder(shared_data: Path) -> None:
         image = cv2.imread(str(data.path(picture)))
         assert image is not None
         assert image.shape[:2] == (picture.height, picture.width)
+
+
+def test_most_fruit_on_the_real_board_has_its_outline(shared_data: Path) -> None:
+    data = audited(shared_data, outlines=True)
+    board = [p for p in data.pictures if p.extras["collection"] == "board_cm"]
+    labels = [label for p in board for label in p.labels]
+    assert sum(label.mask is not None for label in labels) / len(labels) > 0.9

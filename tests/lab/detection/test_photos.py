@@ -1,13 +1,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 pytest.importorskip("pycocotools")
 
-from cucumbervision_lab.detection.photos import PhotoResult, audited_photos, score_photos
+from cucumbervision.capture.files import write_png
+from cucumbervision.perception.instances import Instance
+from cucumbervision_lab.detection.photos import (
+    Photo,
+    PhotoResult,
+    audited_photos,
+    evaluate_photos,
+    score_photos,
+)
+from cucumbervision_lab.detection.picture_result import Networks
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
 from cucumbervision_lab.detection.tables import false_table, photo_table
 
@@ -57,6 +70,43 @@ def test_false_ones_are_listed_by_file_and_box() -> None:
     assert "2 of the audit's photos are missing" in photo_table(scored()).comment
 
 
+class Reader:
+    """A detector that boxes what is not grey."""
+
+    task = "detect"
+
+    def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+        rows, columns = np.nonzero((color_rgb != 114).any(axis=2))
+        edges = [columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5]
+        return (Instance(np.array(edges), 0.9),)
+
+
+def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
+    color = np.full((60, 80, 3), 114, np.uint8)
+    color[20:30, 10:50] = 30
+    write_png(tmp_path / "a.png", color)
+    true = (TrueFruit(np.array([9.5, 19.5, 49.5, 29.5])),)
+    photos = [
+        Photo(Frame("a.png", "one", 80, 60, true), tmp_path / "a.png", "plant", "on the plant"),
+        Photo(Frame("a.png", "two", 80, 60), tmp_path / "a.png", "none", "negatives"),
+    ]
+    found = evaluate_photos(photos, Networks(Reader(), None, None, 0.3))  # type: ignore[arg-type]
+    for scores in (found.tests, found.small):
+        named = dict(scores)
+        assert named["on the plant"].recall.value == 1.0
+        negatives = named["negatives"].precision
+        assert negatives is not None
+        assert negatives.value == 0.0
+    assert [name for name, _ in found.small] == ["all", "negatives", "on the plant"]
+    rows = [row[0] for row in photo_table(found).rows]
+    assert rows == [
+        "all",
+        *("test: negatives", "test: on the plant"),
+        *("half size: all", "half size: negatives", "half size: on the plant"),
+        *("where: none", "where: plant"),
+    ]
+
+
 @pytest.mark.realdata
 def test_audited_photos(shared_data: Path) -> None:
     photos, missing = audited_photos(shared_data)
@@ -65,5 +115,6 @@ def test_audited_photos(shared_data: Path) -> None:
     assert sum(one.required for one in boxes) > 40
     assert any(one.optional for one in boxes)
     assert any(one.ignore for one in boxes)
-    train, _ = audited_photos(shared_data, "train")
-    assert not {p.truth.scene for p in photos} & {p.truth.scene for p in train}
+    for split in ("train", "val"):
+        others, _ = audited_photos(shared_data, split)
+        assert not {p.truth.scene for p in photos} & {p.truth.scene for p in others}

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cucumbervision.cli.choices import PromptChoice, RuntimeChoice
+
+if TYPE_CHECKING:
+    from cucumbervision_lab.datasets.labels import DataSet
 
 __all__ = ["app"]
 
@@ -24,10 +27,13 @@ Names = Annotated[
     str, typer.Option(help="Classes, by commas, where the set does not name them.", metavar="A,B")
 ]
 Copy = Annotated[bool, typer.Option("--copy", help="Copy pictures instead of linking them.")]
+Out = Annotated[Path, typer.Argument(help="New hub folder.", metavar="OUT")]
 OutOrSame = Annotated[
     Path | None,
     typer.Option("--out", "-o", help="New hub folder; without it the set itself is rewritten."),
 ]
+
+_WIDE = 500  # one line a finding, for files and pipes
 
 
 @app.command()
@@ -39,9 +45,30 @@ def check(
     ] = False,
 ) -> None:
     """List everything that is wrong with a set; exit code 1 if anything is."""
-    from cucumbervision_lab.cli import data_console
+    from rich.table import Table
+    from rich.text import Text
 
-    raise typer.Exit(data_console.check(folder, names, duplicates=not no_duplicates))
+    from cucumbervision_lab.cli.screen import screen, ticking
+    from cucumbervision_lab.datasets.checks import check_folder
+
+    with ticking("looking") as tick:
+        dataset, findings = check_folder(
+            folder, _list(names), duplicates=not no_duplicates, progress=tick
+        )
+    console = screen(_WIDE)
+    if findings:
+        table = Table("kind", "where", "fault", "remedy")
+        table.title, table.title_justify = f"{folder}: what is wrong", "left"
+        for column in table.columns:
+            column.overflow = "fold"
+        for finding in findings:
+            cells = (finding.kind, finding.where, finding.fault, finding.remedy)
+            table.add_row(*(Text(cell) for cell in cells))
+        console.print(table)
+    fruit = sum(len(p.labels) for p in dataset.pictures)
+    faults = f"{len(findings)} faults" if findings else "no fault"
+    console.print(f"{len(dataset.pictures)} pictures, {fruit} labels, {faults}.")
+    raise typer.Exit(1 if findings else 0)
 
 
 @app.command()
@@ -77,22 +104,25 @@ def convert(
     YOLO has no 'ignore': such regions are painted over with grey noise in the written train
     pictures, and only there.
     """
-    from cucumbervision_lab.cli import data_console
+    from cucumbervision_lab.cli.screen import show, ticking
+    from cucumbervision_lab.datasets.derive import convert_dataset, parse_keep
 
-    raise typer.Exit(
-        data_console.convert(
-            folder,
+    dataset = _open(folder, names)
+    with ticking("writing", len(dataset.pictures)) as tick:
+        line = convert_dataset(
+            dataset,
             out,
             to,
-            names=names,
-            keep=keep or (),
+            keep=parse_keep(keep or ()),
             source=source,
             licence=licence,
             link=not copy,
-            splits=splits,
-            paint=not no_paint,
+            splits=_list(splits),
+            paint_ignored=() if no_paint else ("train",),
+            progress=tick,
         )
-    )
+    show(line)
+    _finish(dataset)
 
 
 @app.command()
@@ -111,11 +141,33 @@ def split(
 
     Scenes that nobody has named are found: near-duplicates belong together.
     """
-    from cucumbervision_lab.cli import data_console
+    from rich.table import Table
 
-    raise typer.Exit(
-        data_console.split(folder, out, names, shares, seed, scene_pattern, link=not copy)
+    from cucumbervision_lab.cli.screen import screen, ticking
+    from cucumbervision_lab.datasets.coco import write_coco
+    from cucumbervision_lab.datasets.labels import SPLITS
+    from cucumbervision_lab.datasets.splits import (
+        find_scenes,
+        parse_shares,
+        scenes_by_name,
+        split_by_scene,
     )
+
+    parts = parse_shares(shares)
+    dataset = _open(folder, names)
+    if scene_pattern:
+        dataset = scenes_by_name(dataset, scene_pattern)
+    with ticking("looking", sum(not p.scene for p in dataset.pictures)) as tick:
+        dataset = find_scenes(dataset, tick)
+    parted = split_by_scene(dataset, parts, seed=seed)
+    written = write_coco(parted, out or dataset.folder, link=not copy)
+    table = Table("split", "pictures", "scenes", "fruit", title=f"{written.folder}: splits")
+    for name in SPLITS:
+        own = parted.in_split(name)
+        fruit = sum(not label.ignore for p in own for label in p.labels)
+        table.add_row(name, str(len(own)), str(len({p.scene for p in own})), str(fruit))
+    screen().print(table)
+    _finish(dataset)
 
 
 @app.command()
@@ -131,17 +183,28 @@ def pseudo(
     copy: Copy = False,
 ) -> None:
     """Draw masks by SAM where there are only boxes, marked as pseudo-labels; never in test."""
-    from cucumbervision_lab.cli import data_console
+    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision_lab.cli.screen import show, ticking
+    from cucumbervision_lab.datasets.coco import write_coco
+    from cucumbervision_lab.datasets.derive import add_pseudo_masks
 
-    raise typer.Exit(
-        data_console.pseudo(folder, out, names, model, prompt.value, runtime.value, link=not copy)
+    dataset = _open(folder, names)
+    segmenter = Segmenter(model, runtime.value, prompt.value)
+    with ticking("drawing", len(dataset.pictures)) as tick:
+        drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
+    written = write_coco(drawn.dataset, out or dataset.folder, link=not copy)
+    show(
+        f"{drawn.drawn} masks drawn, {len(drawn.refused)} did not fit their box and are to be "
+        f"ignored, in {written.folder}",
+        *(f"  {file}: {fault}" for file, fault in drawn.refused),
     )
+    _finish(dataset)
 
 
 @app.command()
 def windows(
     folder: Folder,
-    out: Annotated[Path, typer.Argument(help="New hub folder.", metavar="OUT")],
+    out: Out,
     side: Annotated[
         int, typer.Option(min=32, help="Side of a window, pixels; larger where a fruit is.")
     ] = 480,
@@ -150,21 +213,32 @@ def windows(
     seed: Annotated[int, typer.Option(min=0, help="The same seed cuts the same windows.")] = 0,
 ) -> None:
     """Cut windows around fruit: small pictures to train on, as large as they are in large ones."""
-    from cucumbervision_lab.cli import data_console
+    from cucumbervision_lab.cli.screen import show, ticking
+    from cucumbervision_lab.datasets.derive import write_windows
 
-    raise typer.Exit(data_console.windows(folder, out, side, names, splits, seed))
+    dataset = _open(folder, names)
+    with ticking("cutting", len(dataset.pictures)) as tick:
+        cut = write_windows(dataset, out, side, splits=_list(splits), seed=seed, progress=tick)
+    fruit = sum(not label.ignore for picture in cut.pictures for label in picture.labels)
+    show(f"{len(cut.pictures)} windows with {fruit} fruit are in {out}")
+    _finish(dataset)
 
 
 @app.command()
 def merge(
-    out: Annotated[Path, typer.Argument(help="New hub folder.", metavar="OUT")],
+    out: Out,
     folders: Annotated[list[Path], typer.Argument(help="Sets to merge.", metavar="SET...")],
     copy: Copy = False,
 ) -> None:
     """Write several sets as one; whose picture each is stays known."""
-    from cucumbervision_lab.cli import data_console
+    from cucumbervision_lab.cli.screen import show, ticking
+    from cucumbervision_lab.datasets.derive import merge_datasets
 
-    raise typer.Exit(data_console.merge(out, folders, link=not copy))
+    sets = [_open(folder) for folder in folders]
+    with ticking("writing", sum(len(d.pictures) for d in sets)) as tick:
+        merged = merge_datasets(sets, out, link=not copy, progress=tick)
+    show(f"{len(merged.pictures)} pictures of {len(sets)} sets are in {merged.folder}")
+    _finish(*sets)
 
 
 @app.command()
@@ -177,6 +251,35 @@ def card(
     title: Annotated[str, typer.Option(help="The page's head.")] = "Data set",
 ) -> None:
     """Describe a set in Markdown: counts, sources, licences, sizes, how much is hidden."""
-    from cucumbervision_lab.cli import data_console
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.datasets.card import dataset_card
+    from cucumbervision_lab.datasets.labels import write_text
 
-    raise typer.Exit(data_console.card(folder, out, names, title))
+    dataset = _open(folder, names)
+    text = dataset_card(dataset, title)
+    if out is None:
+        show(text)
+    else:
+        write_text(out, text)
+    _finish(dataset)
+
+
+def _list(names: str) -> list[str]:
+    return [name.strip() for name in names.split(",") if name.strip()]
+
+
+def _open(folder: Path, names: str = "") -> DataSet:
+    from cucumbervision_lab.datasets.checks import open_dataset
+
+    return open_dataset(folder, _list(names))
+
+
+def _finish(*sets: DataSet) -> None:
+    """End the command, with exit code 1 after a list of what could not be used."""
+    from cucumbervision_lab.cli.screen import show
+
+    for dataset in sets:
+        if dataset.refused:
+            show(f"{len(dataset.refused)} could not be used and are left out:", error=True)
+            show(*(f"  {error}" for error in dataset.refused), error=True)
+    raise typer.Exit(1 if any(dataset.refused for dataset in sets) else 0)

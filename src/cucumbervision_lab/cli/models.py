@@ -18,11 +18,8 @@ def pull(
     ] = None,
 ) -> None:
     """Fetch a network from its publisher, check its hash and export it to ONNX."""
-    from rich.console import Console
-
     from cucumbervision.cli.download_bar import DownloadBar
+    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.pull import pull_model
 
-    files = pull_model(name, given=given, progress=DownloadBar(name))
-    for path in files.values():
-        Console(highlight=False).print(str(path), soft_wrap=True)
+    show(*pull_model(name, given=given, progress=DownloadBar(name)).values())

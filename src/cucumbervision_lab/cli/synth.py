@@ -48,8 +48,11 @@ def synth(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
     """Draw cucumbers on plants, benches and in crates: colour, depth, masks, keypoints, lengths."""
-    from cucumbervision_lab.cli.synth_console import run_and_show
-    from cucumbervision_lab.synthesis.generate import parse_options
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.synthesis.generate import generate, parse_options
 
     options = parse_options(
         frames=frames,
@@ -62,4 +65,15 @@ def synth(
         shares=shares,
         split=split,
     )
-    run_and_show(options, out, workers, quiet=quiet)
+    with progress_bar(Console(stderr=True, quiet=quiet, highlight=False)) as bar:
+        task = bar.add_task("drawing", total=options.frames)
+        data = generate(options, out, workers, lambda done, _: bar.update(task, completed=done))
+    if quiet:
+        return
+    fruit = sum(len(picture.labels) for picture in data.pictures)
+    ignored = sum(label.ignore for picture in data.pictures for label in picture.labels)
+    parts = ", ".join(f"{len(data.in_split(s))} {s}" for s in ("train", "val", "test"))
+    show(
+        f"{len(data.pictures)} pictures ({parts}) with {fruit} cucumbers, {ignored} of them too "
+        f"hidden or too small to count, are in {out}/"
+    )

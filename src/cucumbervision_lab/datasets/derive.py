@@ -36,7 +36,6 @@ __all__ = [
     "label_in",
     "merge_datasets",
     "parse_keep",
-    "parse_shares",
     "write_windows",
 ]
 
@@ -471,28 +470,6 @@ def parse_keep(words: Sequence[str]) -> dict[int | str, str]:
             raise DataSetError(f"{word!r} is no class to keep", remedy="give OLD=NEW")
         kept[old.strip()] = new.strip()
     return kept
-
-
-def parse_shares(text: str) -> tuple[float, ...]:
-    """Read shares of train, val and test, in whatever unit.
-
-    Raises
-    ------
-    DataSetError
-        If they are not three numbers of which something is left.
-
-    Examples
-    --------
-    >>> parse_shares("70:15:15")
-    (0.7, 0.15, 0.15)
-    """
-    try:
-        parts = [float(part) for part in text.split(":")]
-    except ValueError:
-        parts = []
-    if len(parts) != 3 or not 0 < sum(parts) < float("inf") or min(parts) < 0:
-        raise DataSetError(f"{text!r} are no shares", remedy="give three, as in 70:15:15")
-    return tuple(part / sum(parts) for part in parts)
 
 
 def convert_dataset(

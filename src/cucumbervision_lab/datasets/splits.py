@@ -30,6 +30,7 @@ __all__ = [
     "color_distances",
     "copies",
     "find_scenes",
+    "parse_shares",
     "scenes_by_name",
     "shared_corners",
     "split_by_scene",
@@ -260,6 +261,28 @@ def scenes_by_name(dataset: DataSet, pattern: str) -> DataSet:
         scene = picture.scene if match is None else match.group(1 if compiled.groups else 0)
         pictures.append(replace(picture, scene=scene or ""))
     return replace(dataset, pictures=tuple(pictures))
+
+
+def parse_shares(text: str) -> tuple[float, ...]:
+    """Read shares of train, val and test, in whatever unit.
+
+    Raises
+    ------
+    DataSetError
+        If they are not three numbers of which something is left.
+
+    Examples
+    --------
+    >>> parse_shares("70:15:15")
+    (0.7, 0.15, 0.15)
+    """
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        parts = []
+    if len(parts) != 3 or not 0 < sum(parts) < float("inf") or min(parts) < 0:
+        raise DataSetError(f"{text!r} are no shares", remedy="give three, as in 70:15:15")
+    return tuple(part / sum(parts) for part in parts)
 
 
 def find_scenes(dataset: DataSet, progress: Callable[[int], None] | None = None) -> DataSet:

@@ -14,9 +14,9 @@ from cucumbervision_lab.datasets.derive import (
     convert_dataset,
     merge_datasets,
     parse_keep,
-    parse_shares,
 )
 from cucumbervision_lab.datasets.labels import DataSet, Label, keep_classes
+from cucumbervision_lab.datasets.splits import parse_shares
 
 MakeSet = Callable[..., DataSet]
 

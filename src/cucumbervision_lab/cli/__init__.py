@@ -20,7 +20,7 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program : typer.Typer
         The command `cucumbervision`.
     groups : mapping of str to typer.Typer
-        Its groups of commands, of which `evaluate` and `models` get one more each.
+        Its groups of commands, of which `evaluate` gets two more and `models` one.
     """
     from cucumbervision_lab.cli import benchmark, data, evaluate, models, synth, train
 
@@ -29,4 +29,5 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program.add_typer(data.app, name="data")
     program.add_typer(train.app, name="train")
     groups["evaluate"].command("models")(evaluate.evaluate_models)
+    groups["evaluate"].command("photos")(evaluate.evaluate_photos)
     groups["models"].command("pull")(models.pull)

@@ -1,4 +1,4 @@
-"""`cucumbervision evaluate models`: the networks against labelled pictures."""
+"""`cucumbervision evaluate models` and `photos`: the networks against labelled pictures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from cucumbervision.cli.choices import RuntimeChoice, SegmenterChoice
 
-__all__ = ["evaluate_models"]
+__all__ = ["evaluate_models", "evaluate_photos"]
 
 
 def evaluate_models(
@@ -67,3 +67,30 @@ def evaluate_models(
         photos,
     )
     evaluate_models_and_show(plan, out)
+
+
+def evaluate_photos(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of the audited real photos, searched with subfolders.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the figures.")],
+    seg: Annotated[
+        Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
+    ] = None,
+    pose: Annotated[
+        Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")
+    ] = None,
+    runtime: Annotated[
+        RuntimeChoice, typer.Option(help="What runs the networks.")
+    ] = RuntimeChoice.auto,
+    confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
+    ] = 0.30,
+    split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
+) -> None:
+    """Hold the networks against audited real photos: recall and precision, each test apart."""
+    from cucumbervision_lab.cli.detection_console import evaluate_photos_and_show
+
+    evaluate_photos_and_show(
+        folder, out, (seg, pose), runtime=runtime.value, confidence=confidence, split=split
+    )

@@ -44,7 +44,13 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.run import DetectionResult
     from cucumbervision_lab.detection.summary import Summary
 
-__all__ = ["JSON_NAME", "card_numbers", "main_tables", "write_detection_report"]
+__all__ = [
+    "JSON_NAME",
+    "card_numbers",
+    "main_tables",
+    "write_detection_report",
+    "write_photo_report",
+]
 
 JSON_NAME = "results.json"
 CARD_NAME = "card.json"
@@ -161,9 +167,8 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
         _write_rows(out / "ends.csv", EndRow, summary.end_rows)
         _write_rows(out / "masks.csv", OverlapRow, result.overlaps)
         _write_lengths(out / "lengths.csv", result.records)
-        if photos := result.photos:
-            _write_rows(out / "photo_fruit.csv", FruitRow, photos.fruit)
-            _write_rows(out / "photo_detections.csv", FoundRow, photos.found)
+        if result.photos:
+            _write_photo_rows(result.photos, out)
         page = _page(result, summary)
         (out / HTML_NAME).write_text(page, encoding="utf-8")
     except OSError as error:
@@ -171,6 +176,43 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
             f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
         ) from error
     return out / HTML_NAME
+
+
+def write_photo_report(photos: PhotoResult, out: Path) -> Path:
+    """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`: figures, names and boxes.
+
+    Parameters
+    ----------
+    photos : PhotoResult
+        What was found on real photos.
+    out : Path
+        The folder, made if it is missing.
+
+    Returns
+    -------
+    Path
+        `photos.json`.
+
+    Raises
+    ------
+    CucumberVisionError
+        If a file cannot be written.
+    """
+    file = out / "photos.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(file, {"confidence": photos.confidence} | _photo_numbers(photos))
+        _write_photo_rows(photos, out)
+    except OSError as error:
+        raise CucumberVisionError(
+            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
+        ) from error
+    return file
+
+
+def _write_photo_rows(photos: PhotoResult, out: Path) -> None:
+    _write_rows(out / "photo_fruit.csv", FruitRow, photos.fruit)
+    _write_rows(out / "photo_detections.csv", FoundRow, photos.found)
 
 
 def _page(result: DetectionResult, summary: Summary) -> str:

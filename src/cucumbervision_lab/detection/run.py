@@ -49,7 +49,13 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
 
-__all__ = ["DetectionPlan", "DetectionResult", "chosen_networks", "evaluate_detection"]
+__all__ = [
+    "DetectionPlan",
+    "DetectionResult",
+    "chosen_networks",
+    "evaluate_detection",
+    "evaluate_real_photos",
+]
 
 
 @dataclass(frozen=True)
@@ -130,8 +136,8 @@ class DetectionResult:
     duration_s: float = 0.0
 
 
-def chosen_networks(plan: DetectionPlan) -> tuple[Path | None, Path | None]:
-    """Give the segmenting and the pose network: those that were named, else the registry's.
+def chosen_networks(segment: Path | None, pose: Path | None) -> tuple[Path | None, Path | None]:
+    """Return the segmenting and the pose network: those that were named, else the registry's.
 
     Raises
     ------
@@ -148,7 +154,7 @@ def chosen_networks(plan: DetectionPlan) -> tuple[Path | None, Path | None]:
         model = registry.default(task)
         return registry.resolve(model.name)["network"] if model else None
 
-    segment, pose = choose(plan.segment, "segment"), choose(plan.pose, "pose")
+    segment, pose = choose(segment, "segment"), choose(pose, "pose")
     if segment is None and pose is None:
         raise ModelError(
             "this version comes without networks of its own", remedy="name one: --seg, --pose"
@@ -181,7 +187,7 @@ def evaluate_detection(
     import_pycocotools()
     held_out = read_held_out(plan.data, plan.split, plan.limit)
     networks = open_networks(
-        *chosen_networks(plan),
+        *chosen_networks(plan.segment, plan.pose),
         plan.segmenter,
         runtime=plan.runtime,
         confidence=plan.confidence,
@@ -224,17 +230,61 @@ def _photos(
 ) -> PhotoResult | None:
     if plan.photos is None:
         return None
-    # No average precision here: unsure detections, whose masks take long, are not wanted.
-    networks = open_networks(
-        *chosen_networks(plan),
-        None,
+    return evaluate_real_photos(
+        plan.photos,
+        plan.segment,
+        plan.pose,
         runtime=plan.runtime,
         confidence=plan.confidence,
-        floor=plan.confidence,
+        report=report,
     )
+
+
+def evaluate_real_photos(
+    folder: Path,
+    segment: Path | None = None,
+    pose: Path | None = None,
+    *,
+    runtime: str = "auto",
+    confidence: float = 0.30,
+    split: str = "test",
+    report: Callable[[str, int, int], None] | None = None,
+) -> PhotoResult:
+    """Run the networks on the audited photos in a folder, at full and at half size.
+
+    Parameters
+    ----------
+    folder : Path
+        Searched with its subfolders.
+    segment, pose : Path, optional
+        Networks, ONNX; those of the registry without.
+    runtime : str
+        As in `open_network`.
+    confidence : float
+        At which recall and precision are judged.
+    split : str
+        Of the audit: 'test', 'val' or 'train'.
+    report : callable, optional
+        Called with 'photos', how many were just finished and how many there are.
+
+    Raises
+    ------
+    DataSetError
+        If none of the photos is there.
+    ModelError
+        If a network is missing or cannot be loaded.
+    """
     from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 
-    photos, missing = audited_photos(plan.photos)
+    photos, missing = audited_photos(folder, split)
+    # No average precision here: unsure detections, whose masks take long, are not wanted.
+    networks = open_networks(
+        *chosen_networks(segment, pose),
+        None,
+        runtime=runtime,
+        confidence=confidence,
+        floor=confidence,
+    )
     tell = None if report is None else (lambda count: report("photos", count, len(photos)))
     return evaluate_photos(photos, networks, missing, tell)
 

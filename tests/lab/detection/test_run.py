@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -30,7 +31,9 @@ from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.networks import Detectors
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.average_precision import Judged
+from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, Kind
 from cucumbervision_lab.detection.photos import score_photos
 from cucumbervision_lab.detection.picture_result import shipped
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
@@ -67,6 +70,10 @@ def network(path: Path, *outputs: NDArray[Any], **props: object) -> Path:
     helper.set_model_props(model, {k: str(v) for k, v in given.items()})
     path.write_bytes(model.SerializeToString())
     return path
+
+
+def sha1_of(path: Path) -> str:
+    return hashlib.sha1(path.read_bytes(), usedforsecurity=False).hexdigest()[:12]
 
 
 def rows_of(*rows: Sequence[float]) -> NDArray[np.float64]:
@@ -292,6 +299,40 @@ def test_the_command_writes_everything(
     assert "The worst cases" in page
     assert "results.json" in page
     assert page.count("data:image/png") == 5  # recall, ends, and three sheets
+
+
+def test_photos_are_judged_by_a_command_of_their_own(
+    scene: DrawnFruit,
+    networks: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Networks that always see the fruit at its full size find nothing at half size."""
+    x1, y1, x2, y2 = box_of_mask(scene.mask).tolist()
+    fruit = AuditedBox((x1, y1, x2, y2), Kind.CUCUMBER)
+    photos = tuple(
+        AuditedPhoto(f"{name}.png", sha1, "some", name, "plant", "test", 320, 192, boxes)
+        for name, boxes in (("a", (fruit,)), ("b", ()))
+        for sha1 in [sha1_of(scene.folder / "images" / f"{name}.png")]
+    )
+    audit = Audit(photos, {"some": "us"}, {"some": "CC0"})
+    monkeypatch.setattr(photo_audit, "load_audit", lambda: audit)
+    arguments = ["evaluate", "photos", str(scene.folder), "--out", str(tmp_path / "out")]
+    arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]
+    found = CliRunner().invoke(app, [*arguments, "--runtime", "onnxruntime"])
+    assert found.exit_code == 0, found.output
+    assert "test: on the plant" in found.output
+    numbers = json.loads((tmp_path / "out" / "photos.json").read_text(encoding="utf-8"))
+    assert numbers["tests"]["on the plant"]["recall"]["value"] == 1.0
+    assert numbers["tests"]["negatives"]["precision"]["value"] == 0.0
+    assert numbers["half_size"]["on the plant"]["recall"]["value"] == 0.0
+    with (tmp_path / "out" / "photo_detections.csv").open(encoding="utf-8") as stream:
+        assert [row["outcome"] for row in csv.DictReader(stream)] == ["hit", "false"]
+
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    refused = CliRunner().invoke(app, ["evaluate", "photos", str(empty), "--out", "x"])
+    assert refused.exit_code != 0
 
 
 def test_of_photos_only_figures_are_written(result: DetectionResult, tmp_path: Path) -> None:

@@ -35,9 +35,9 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.letterbox import fit
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.pipeline.fields import SeenFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.rows import fruit_row
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Kind, Scene, render
 
@@ -172,7 +172,7 @@ def run(
         seen = time.perf_counter() - start, time.process_time() - busy
         fruit = [measure_fruit(capture, instance) for instance in found.instances]
         for number, one in enumerate(fruit, 1):
-            fruit_row(capture, number, one)
+            fruit_row(SeenFruit(capture, number, one))
         whole = time.perf_counter() - start
         if k < len(captures):
             sums["peak MiB"] = [peak_mib()]

@@ -6,12 +6,11 @@ Examples
 --------
 >>> import cucumbervision
 >>> from cucumbervision.capture.bundled import bundled_captures
->>> ref = next(iter(cucumbervision.open_source(bundled_captures())))
->>> capture = ref.load()
->>> instances = cucumbervision.dataset_instances(capture)
->>> fruit = cucumbervision.measure_fruit(capture, instances[0])
->>> f"{capture.name}: {fruit.selected.length_m:.2f} m by {fruit.selected.method}"
-'simulated-bench: 0.16 m by M6'
+>>> capture = next(iter(cucumbervision.open_source(bundled_captures()))).load()
+>>> measurer = cucumbervision.Measurer(cucumbervision.MeasureOptions(instances="dataset"))
+>>> length = measurer.measure(capture).fruit[0].length
+>>> f"{capture.name}: {length.value_m:.2f} m ({length.low_m:.2f} to {length.high_m:.2f})"
+'simulated-bench: 0.16 m (0.16 to 0.17)'
 """
 
 from importlib import import_module
@@ -30,86 +29,93 @@ if TYPE_CHECKING:
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.measurement.methods import Region, run_methods
     from cucumbervision.measurement.result import (
-        Fruit,
+        Choice,
+        Flag,
+        FruitMeasurement,
         Length,
+        LengthDefinition,
         LengthKind,
         Measurement,
         Method,
         Reason,
     )
     from cucumbervision.measurement.selector import Selector, measure_fruit
+    from cucumbervision.measurement.traits import TubeTraits
     from cucumbervision.perception.instances import Instance, MaskSource
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
+    from cucumbervision.pipeline.detect import DetectOptions, detect_inputs
     from cucumbervision.pipeline.finders import dataset_instances
+    from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.overlay import draw_overlay
-    from cucumbervision.pipeline.run import measure_inputs
+    from cucumbervision.pipeline.run import RunResult, measure_inputs
 
-_HOME = {
-    "CameraConfig": "capture.cameras.realsense",
-    "Capture": "capture.frames",
-    "CaptureRef": "capture.source",
-    "CaptureSource": "capture.source",
-    "CucumberVisionError": "errors",
-    "Distortion": "capture.intrinsics",
-    "Fruit": "measurement.result",
-    "Instance": "perception.instances",
-    "Intrinsics": "capture.intrinsics",
-    "Length": "measurement.result",
-    "LengthKind": "measurement.result",
-    "MaskSource": "perception.instances",
-    "MeasureOptions": "pipeline.options",
-    "Measurement": "measurement.result",
-    "Method": "measurement.result",
-    "ReadOptions": "capture.source",
-    "RealSenseCamera": "capture.cameras.realsense",
-    "Reason": "measurement.result",
-    "Region": "measurement.methods",
-    "Segmenter": "perception.sam",
-    "Selector": "measurement.selector",
-    "Stop": "capture.frames",
-    "Stream": "capture.intrinsics",
-    "YoloDetector": "perception.yolo",
-    "check_intrinsics": "capture.intrinsics",
-    "dataset_instances": "pipeline.finders",
-    "draw_overlay": "pipeline.overlay",
-    "fuse_burst": "capture.burst",
-    "measure_fruit": "measurement.selector",
-    "measure_inputs": "pipeline.run",
-    "open_source": "capture.readers",
-    "run_methods": "measurement.methods",
-    "write_native": "capture.writer",
+_NAMES = {
+    "capture.burst": "fuse_burst",
+    "capture.cameras.realsense": "CameraConfig RealSenseCamera",
+    "capture.frames": "Capture Stop",
+    "capture.intrinsics": "Distortion Intrinsics Stream check_intrinsics",
+    "capture.readers": "open_source",
+    "capture.source": "CaptureRef CaptureSource ReadOptions",
+    "capture.writer": "write_native",
+    "errors": "CucumberVisionError",
+    "measurement.methods": "Region run_methods",
+    "measurement.result": (
+        "Choice Flag FruitMeasurement Length LengthDefinition LengthKind Measurement Method Reason"
+    ),
+    "measurement.selector": "Selector measure_fruit",
+    "measurement.traits": "TubeTraits",
+    "perception.instances": "Instance MaskSource",
+    "perception.sam": "Segmenter",
+    "perception.yolo": "YoloDetector",
+    "pipeline.detect": "DetectOptions detect_inputs",
+    "pipeline.finders": "dataset_instances",
+    "pipeline.measurer": "CaptureResult Failure Measurer",
+    "pipeline.options": "MeasureOptions",
+    "pipeline.overlay": "draw_overlay",
+    "pipeline.run": "RunResult measure_inputs",
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
     "CameraConfig",
     "Capture",
     "CaptureRef",
+    "CaptureResult",
     "CaptureSource",
+    "Choice",
     "CucumberVisionError",
+    "DetectOptions",
     "Distortion",
-    "Fruit",
+    "Failure",
+    "Flag",
+    "FruitMeasurement",
     "Instance",
     "Intrinsics",
     "Length",
+    "LengthDefinition",
     "LengthKind",
     "MaskSource",
     "MeasureOptions",
     "Measurement",
+    "Measurer",
     "Method",
     "ReadOptions",
     "RealSenseCamera",
     "Reason",
     "Region",
+    "RunResult",
     "Segmenter",
     "Selector",
     "Stop",
     "Stream",
+    "TubeTraits",
     "YoloDetector",
     "__version__",
     "check_intrinsics",
     "dataset_instances",
+    "detect_inputs",
     "draw_overlay",
     "fuse_burst",
     "measure_fruit",

@@ -1,10 +1,14 @@
 """Every error that a user can cause, each with one line: the file, the fault and the remedy.
 
 All of them derive from `CucumberVisionError`, so that a batch can catch one class, note the
-failure and go on with the rest.
+failure and go on with the rest; `named_error` makes one of whatever else was raised.
 """
 
 from __future__ import annotations
+
+import errno
+import traceback
+from pathlib import Path
 
 __all__ = [
     "AccessError",
@@ -14,12 +18,15 @@ __all__ = [
     "CucumberVisionError",
     "DataSetError",
     "DepthError",
+    "FileError",
     "ForecastError",
     "InstancesError",
+    "InternalError",
     "IntrinsicsError",
     "MissingExtraError",
     "ModelError",
     "ModelHashError",
+    "OutOfMemoryError",
     "ProfileError",
     "RoundError",
     "StoreConflictError",
@@ -30,6 +37,7 @@ __all__ = [
     "TruthError",
     "UnknownModelError",
     "UploadError",
+    "named_error",
 ]
 
 
@@ -62,6 +70,18 @@ class CucumberVisionError(Exception):
     def code(self) -> str:
         """Stable name of the error's class, as `failures.csv` gives it."""
         return type(self).__name__
+
+
+class FileError(CucumberVisionError):
+    """The operating system cannot read or write a file: a full disk, a name that is too long."""
+
+
+class OutOfMemoryError(CucumberVisionError):
+    """There is not enough memory for a picture or a network."""
+
+
+class InternalError(CucumberVisionError):
+    """A defect of this software: an error that has no name of its own."""
 
 
 class CaptureError(CucumberVisionError):
@@ -161,3 +181,51 @@ class MissingExtraError(CucumberVisionError):
         super().__init__(
             f"{package} is not installed", remedy=f"pip install 'cucumbervision[{extra}]'"
         )
+
+
+_FILE_REMEDIES = {
+    errno.ENAMETOOLONG: "shorten the name",
+    errno.ENOSPC: "free some space on the disk",
+    errno.EDQUOT: "free some space on the disk",
+    errno.EACCES: "check who may read and write it",
+    errno.EMFILE: "close other programs",
+}
+
+
+def named_error(error: Exception, source: object = None) -> CucumberVisionError:
+    """Return an error of this family for any exception.
+
+    Parameters
+    ----------
+    error : Exception
+        What was raised; one of this family is returned as it is.
+    source : object, optional
+        The file or capture that was worked on.
+
+    Returns
+    -------
+    CucumberVisionError
+        `OutOfMemoryError` for a MemoryError, `FileError` for an OSError, and `InternalError`, with
+        the place in the code, for everything else.
+
+    Examples
+    --------
+    >>> print(named_error(OSError(28, "No space left on device"), "house/a"))
+    house/a: No space left on device; free some space on the disk
+    """
+    if isinstance(error, CucumberVisionError):
+        return error
+    if isinstance(error, MemoryError):
+        remedy = "close other programs, or use smaller pictures"
+        return OutOfMemoryError("there is not enough memory", source=source, remedy=remedy)
+    if isinstance(error, OSError):
+        text = error.strerror or str(error) or type(error).__name__
+        # A name that is too long is itself no source that anybody wants to read.
+        file = error.filename if error.errno != errno.ENAMETOOLONG else None
+        remedy = _FILE_REMEDIES.get(error.errno or 0, "check the disk and its permissions")
+        return FileError(text, source=file or source, remedy=remedy)
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    text = f"{type(error).__name__}: {error}".rstrip(": ")[:300]
+    remedy = "this is a defect of the software: please report it with the file"
+    return InternalError(f"{text}{place}", source=source, remedy=remedy)

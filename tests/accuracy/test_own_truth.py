@@ -11,7 +11,7 @@ from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.errors import CucumberVisionError, TruthError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 
@@ -93,11 +93,11 @@ def test_each_kind_has_its_own_methods(tmp_path: Path) -> None:
     measured = run_of(Reading("a", 1, dict(lengths), kind="thread"))
     found = evaluate_lengths(measured, read_truth(truth))
     assert {(s.kind, s.method) for s in found.scores} == {
-        (Length.THREAD, "M3"),
-        (Length.THREAD, "M6 thread"),
-        (Length.THREAD, "reported"),
-        (Length.CHORD, "M3"),
-        (Length.CHORD, "M6 chord"),
+        (LengthDefinition.THREAD, "M3"),
+        (LengthDefinition.THREAD, "M6 thread"),
+        (LengthDefinition.THREAD, "reported"),
+        (LengthDefinition.CHORD, "M3"),
+        (LengthDefinition.CHORD, "M6 chord"),
     }
     (record,) = found.records
     assert (record.thread_m, record.chord_m, record.centreline_m) == (0.2, 0.18, None)

@@ -6,7 +6,7 @@ import pytest
 
 from cucumbervision.accuracy.truth import floor_of, read_bar_rows, read_truth
 from cucumbervision.errors import TruthError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 HEAD = "capture,fruit,length_cm,kind"
 
@@ -39,7 +39,7 @@ def test_repeats_as_columns_and_as_lines_are_the_same(tmp_path: Path) -> None:
         first, second = truth.lengths
         assert first.lengths_m == pytest.approx((0.200, 0.202))
         assert first.length_m == pytest.approx(0.201)
-        assert (first.capture, first.fruit, first.kind) == ("a", 1, Length.THREAD)
+        assert (first.capture, first.fruit, first.kind) == ("a", 1, LengthDefinition.THREAD)
         assert second.lengths_m == (0.1,)
         assert truth.specimens_named
 

@@ -6,7 +6,7 @@ import pytest
 
 from cucumbervision.agronomy.grades import OUT_OF_GRADE, GradingTraits, LengthBelief, Verdict, grade
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 LONG = load_profile("long-cucumber")
 STRICT = LONG.model_copy(update={"size_rules": "decide"})
@@ -18,7 +18,7 @@ SOUND = GradingTraits(
 
 def sure(thread_m: float, half: float) -> GradingTraits:
     belief = LengthBelief.from_interval(thread_m, thread_m / (1 + half), thread_m * (1 + half))
-    return replace(SOUND, thread_m=thread_m, belief=belief, belief_of=Length.THREAD)
+    return replace(SOUND, thread_m=thread_m, belief=belief, belief_of=LengthDefinition.THREAD)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_shape_moves_probability_to_the_class_it_allows() -> None:
 
 def test_interval_of_another_length_says_nothing() -> None:
     belief = LengthBelief.from_interval(0.28, 0.27, 0.29)
-    found = grade(replace(SOUND, belief=belief, belief_of=Length.CENTRELINE), LONG)
+    found = grade(replace(SOUND, belief=belief, belief_of=LengthDefinition.CENTRELINE), LONG)
     assert found.probabilities == {}
     assert found.missing == ("interval of the thread length: no probabilities",)
 

@@ -17,7 +17,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.writer import write_native
 from cucumbervision.errors import CalibrationError
-from cucumbervision.measurement.result import Length, Method
+from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
@@ -82,7 +82,7 @@ def changed(run: Path, folder: Path, change: Any) -> Measured:
 
 def test_a_site_is_calibrated_and_a_new_fruit_comes_out_right(site: Path, tmp_path: Path) -> None:
     made = calibrate_lengths(read_measured(site / "run"), read_truth(site / "truth.csv"), "house")
-    entry = made.entry("M3", Length.THREAD)
+    entry = made.entry("M3", LengthDefinition.THREAD)
     assert entry is not None
     # A straight tube's thread is its chord plus a piece for the two ends that does not grow with
     # the length: an offset, not a factor.

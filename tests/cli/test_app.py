@@ -25,7 +25,10 @@ def run(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[st
 def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
     done = run("measure", str(bundled_captures()), "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert "8 of 8 fruit measured in 3 captures; simulated captures are among them" in done.stdout
+    assert (
+        "8 of 8 fruit measured in 3 captures; masks by data set 8; simulated captures"
+        in done.stdout
+    )
     assert "thread" in done.stdout
     names = {p.name for p in tmp_path.iterdir()}
     assert names == {

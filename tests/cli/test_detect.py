@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.cli.detect_console import summary_table
-from cucumbervision.pipeline.detect import DetectResult, Looked
+from cucumbervision.pipeline.detect import DetectedPicture, DetectResult
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -85,8 +85,12 @@ def test_what_cannot_start_is_exit_code_2(tmp_path: Path) -> None:
 
 
 def test_the_summary_counts_pictures_without_fruit() -> None:
-    looked = [Looked("a", (0.9, 0.7), 0.5), Looked("b", (), 0.1), Looked("c", (), 0.2)]
-    table = summary_table(DetectResult(looked, models=[{"name": "x", "runtime": "y"}]))
+    pictures = [
+        DetectedPicture("a", (0.9, 0.7), 0.5),
+        DetectedPicture("b", (), 0.1),
+        DetectedPicture("c", (), 0.2),
+    ]
+    table = summary_table(DetectResult(pictures, models=[{"name": "x", "runtime": "y"}]))
     cells = dict(zip(*(list(column.cells) for column in table.columns), strict=True))
     assert cells == {
         "pictures": "3, 2 without fruit",

@@ -12,7 +12,7 @@ import pytest
 
 from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.readers import open_source
-from cucumbervision.dashboard.measuring import Measurer
+from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of
@@ -27,7 +27,7 @@ FRUIT_PER_STOP = 5
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with one round: the bundled captures, measured on their own masks."""
     path = tmp_path_factory.mktemp("made") / "house.db"
-    measurer = Measurer(load_registry())
+    measurer = SharedMeasurer(load_registry())
     with open_store(path) as store:
         store.save_round(WALK)
         for ref in open_source(bundled_captures()):

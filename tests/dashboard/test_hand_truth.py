@@ -15,7 +15,7 @@ from cucumbervision.dashboard.hand_truth import (
     measured_round,
     write_hand_lengths,
 )
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
 
@@ -30,7 +30,7 @@ def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path
         thread_m = said[view.record.number - 1]["thread_m"]
         true[view.key] = (thread_m - 0.0005, thread_m + 0.0005)
     path = hand_file(str(house), WALK)
-    assert write_hand_lengths(path, fruit, true, Length.THREAD) == 8
+    assert write_hand_lengths(path, fruit, true, LengthDefinition.THREAD) == 8
     read = hand_lengths(path, fruit)
     for key, (first, _) in true.items():
         assert read[key][0] == pytest.approx(first, abs=6e-5)
@@ -44,13 +44,13 @@ def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path
     assert found.floor is not None
     assert found.floor.sd_mm == pytest.approx(0.71, abs=0.01)
     site = calibrate_lengths(measured, read_truth(path), "house")
-    assert site.entry("M6 thread", Length.THREAD) is not None
+    assert site.entry("M6 thread", LengthDefinition.THREAD) is not None
 
 
 def test_a_fruit_without_a_length_by_hand_is_left_out(store: Store, tmp_path: Path) -> None:
     fruit = store.detections(WALK)
     path = tmp_path / "a.csv"
-    written = write_hand_lengths(path, fruit, {fruit[0].key: (0.2, None)}, Length.CHORD)
+    written = write_hand_lengths(path, fruit, {fruit[0].key: (0.2, None)}, LengthDefinition.CHORD)
     assert written == 1
     assert hand_lengths(path, fruit) == {fruit[0].key: (0.2, None)}
     assert hand_lengths(tmp_path / "none.csv", fruit) == {}

@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
-from cucumbervision.dashboard.measuring import Measurer, stored_capture
+from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import decode_rle
@@ -28,11 +28,13 @@ WALK = key_of("walk")
 
 
 @pytest.fixture(scope="module")
-def measurer() -> Measurer:
-    return Measurer(load_registry())
+def measurer() -> SharedMeasurer:
+    return SharedMeasurer(load_registry())
 
 
-def test_a_stop_is_saved_with_its_fruit_where_they_hang(store: Store, measurer: Measurer) -> None:
+def test_a_stop_is_saved_with_its_fruit_where_they_hang(
+    store: Store, measurer: SharedMeasurer
+) -> None:
     capture = next(iter(open_source(bundled_captures()))).load()
     one = RoundRecord(key_of("other"))
     store.save_round(one)
@@ -49,7 +51,9 @@ def test_a_stop_is_saved_with_its_fruit_where_they_hang(store: Store, measurer: 
     assert right[0].along_m == pytest.approx(2.0 + 0.16, abs=0.01)
 
 
-def test_what_cannot_be_measured_is_saved_with_the_reason(store: Store, measurer: Measurer) -> None:
+def test_what_cannot_be_measured_is_saved_with_the_reason(
+    store: Store, measurer: SharedMeasurer
+) -> None:
     capture = replace(next(iter(open_source(bundled_captures()))).load(), masks=())
     options = replace(OPTIONS, instances="dataset")
     taken = measurer.take_stop(store, WALK, capture, options)
@@ -60,7 +64,7 @@ def test_what_cannot_be_measured_is_saved_with_the_reason(store: Store, measurer
 
 
 def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(
-    store: Store, measurer: Measurer, tmp_path: Path
+    store: Store, measurer: SharedMeasurer, tmp_path: Path
 ) -> None:
     capture = next(iter(open_source(bundled_captures()))).load()
     boxes = ([300.0, 100.0, 200.0, 60.0], [5000.0, 100.0, 200.0, 60.0])
@@ -93,7 +97,7 @@ def test_a_stored_capture_is_the_frame_again(store: Store) -> None:
         stored_capture(store.images, replace(stop.captures[0], color=None), stop)
 
 
-def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Measurer) -> None:
+def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: SharedMeasurer) -> None:
     bench = [v for v in store.detections(WALK) if v.capture == "simulated-bench"]
     detail = store.detection(bench[2].key)
     record = detail.view.record

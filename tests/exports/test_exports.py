@@ -22,7 +22,7 @@ from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.sheet import render_sheet
 from cucumbervision.exports.tables import COLUMNS, Cell, ExportColumn, RoundTables, Table
 from cucumbervision.exports.writers import ExportFormat, write_exports
-from cucumbervision.pipeline.rows import defused
+from cucumbervision.pipeline.fields import defused
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,

@@ -17,7 +17,6 @@ from cucumbervision.errors import CaptureError
 from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import open_guarded, play_apart
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import count_captures
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs process groups and rlimits")
@@ -170,7 +169,7 @@ def test_a_guarded_recording_gives_the_same_captures(walk: Path, tmp_path: Path)
             other.source,
         )
         np.testing.assert_allclose(one.depth_m, other.depth_m, rtol=0, atol=1e-6)
-    assert count_captures([walk], MeasureOptions(), open_guarded) is None
+    assert count_captures([walk], ReadOptions(), open_guarded) is None
     cut = tmp_path / "cut.db3"
     cut.write_bytes(walk.read_bytes()[:20_000])
     *_, end = open_guarded(cut)

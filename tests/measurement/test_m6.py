@@ -13,7 +13,8 @@ from cucumbervision.capture.burst import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit, TubeLengths
+from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit
+from cucumbervision.measurement.traits import TubeLengths
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.result import Measurement, Method, Reason
-from cucumbervision.measurement.selector import Choice, Selector, choose, measure_fruit
+from cucumbervision.measurement.result import Choice, Measurement, Method, Reason
+from cucumbervision.measurement.selector import Selector, choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 
 LONG, COMPACT = np.array([0.0, 0.0, 100.0, 20.0]), np.array([0.0, 0.0, 100.0, 60.0])
@@ -104,7 +104,7 @@ def test_paper_counts_only_sams_or_the_data_sets_mask(plate: Capture) -> None:
     assert paper.selected is not None
     assert paper.selected.method is Method.M1
     assert paper.reason == Choice.ELONGATED_BOX
-    assert paper.flags == ("sam-mask-small",)
+    assert paper.flags == ("sam-mask-small", "interval-too-wide")
     best = measure_fruit(plate, detected, selector=Selector.BEST)
     assert best.selected is not None
     assert best.selected.method is Method.M6

@@ -7,11 +7,10 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import Choice, Flag, Length, LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.pipeline.overlay import COLORS, _label, draw_overlay
-from cucumbervision.pipeline.rows import Cell
 
 
 @pytest.fixture
@@ -69,9 +68,9 @@ def test_simulated_captures_say_so(capture: Capture) -> None:
 
 def test_labels_say_which_length_and_what_runs_on(capture: Capture, instance: Instance) -> None:
     fruit = measure_fruit(capture, instance, [Method.M3])
-    row: dict[str, Cell] = {"length_cm": 21.04, "length_kind": "thread"}
-    assert _label(2, fruit, row) == "2: 21.0 cm thread, M3"
-    cut = replace(fruit, flags=("cut-by-frame",))
-    assert _label(2, cut, row) == "2: at least 21.0 cm thread, M3"
-    nothing = replace(fruit, selected=None, reason="no-depth")
-    assert _label(1, nothing, row) == "1: not measured (no-depth)"
+    fruit = replace(fruit, length=Length(0.2104, LengthDefinition.THREAD))
+    assert _label(2, fruit) == "2: 21.0 cm thread, M3"
+    cut = replace(fruit, flags=(Flag.CUT_BY_FRAME,))
+    assert _label(2, cut) == "2: at least 21.0 cm thread, M3"
+    nothing = replace(fruit, length=None, reason=Choice.NO_DEPTH)
+    assert _label(1, nothing) == "1: not measured (no-depth)"

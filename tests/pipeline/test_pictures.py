@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.pipeline.pictures import find_pictures
+from cucumbervision.pipeline.detect import find_pictures
 
 
 @pytest.fixture

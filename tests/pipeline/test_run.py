@@ -11,9 +11,11 @@ import openpyxl
 import pytest
 
 from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.finders import make_finder
+from cucumbervision.pipeline.measurer import CaptureResult, Failure
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import count_captures, measure_inputs
 
@@ -27,18 +29,17 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     broken = folder / "broken"
     shutil.copytree(bundled_captures() / "simulated-bench", broken)
     (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
-    seen: list[tuple[str | None, int, int]] = []
+    seen: list[CaptureResult | Failure] = []
     result = measure_inputs(
         [broken, bundled_captures(), folder / "missing"],
         folder / "out",
         MeasureOptions(),
-        lambda capture, fruit, noted: seen.append(
-            (capture.name if capture else None, len(fruit), len(noted))
-        ),
+        seen.append,
     )
-    assert seen[0] == (None, 0, 1)
-    assert seen[-1] == (None, 0, 1)
-    assert [s[1] for s in seen[1:-1]] == [3, 3, 2]
+    assert isinstance(seen[0], Failure)
+    assert isinstance(seen[-1], Failure)
+    assert [len(s.fruit) for s in seen if isinstance(s, CaptureResult)] == [3, 3, 2]
+    assert result.exit_code == 1
     assert result.captures == 3
     assert len(result.rows) == 8
     assert len(result.failures) == 2
@@ -199,7 +200,7 @@ def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 
 def test_captures_are_counted_for_the_progress_bar(tmp_path: Path) -> None:
-    assert count_captures([bundled_captures(), tmp_path / "missing"], MeasureOptions()) == 4
+    assert count_captures([bundled_captures(), tmp_path / "missing"], ReadOptions()) == 4
 
 
 def test_sams_masks_lie_on_the_fruit(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_drawn_captures_become_each_fruit_once(store: Store, folder: Path) -> None:
     added = add_captures(store, MORNING, [folder], OPTIONS)
-    assert [one.problem for one in added] == [""] * 5
+    assert [one.failure for one in added] == [None] * 5
     assert all(one.new for one in added)
     [report] = merge_round(store, MORNING)
     assert report.mirrored == ()
@@ -96,7 +96,8 @@ def test_one_bad_input_loses_nothing_of_the_rest(store: Store, tmp_path: Path) -
     seen: list[Added] = []
     nowhere = tmp_path / "nowhere"
     done = add_captures(store, MORNING, [nowhere, good], OPTIONS, report=seen.append)
-    assert "nowhere" in done[0].problem
+    assert done[0].failure is not None
+    assert "nowhere" in done[0].failure.message
     assert done[1].new
     assert seen == done
 
@@ -122,5 +123,6 @@ def test_a_capture_without_its_pose_is_refused(store: Store, tmp_path: Path) -> 
     line = PoseLine(capture="another", position_m=1.0)
     path = draw("left", 0, tmp_path)
     [done] = add_captures(store, MORNING, [path], OPTIONS, Place(poses={"another": line}))
-    assert "left-0: the pose file has no line for this capture" in done.problem
+    assert done.failure is not None
+    assert "left-0: the pose file has no line for this capture" in done.failure.message
     assert store.stops(MORNING) == []

@@ -14,7 +14,7 @@ from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.accuracy.statistics import Metrics, bootstrap_mean, percent_errors, score
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.errors import TruthError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -32,7 +32,7 @@ __all__ = [
     "score_methods",
 ]
 
-KIND_OF = {"M6": Length.CENTRELINE, "M6 thread": Length.THREAD, "M6 chord": Length.CHORD}
+KIND_OF = {calibration_key(Method.M6, kind): kind for kind in LengthDefinition}
 LONGEST_M, SHORTEST_M = 1.0, 0.01
 LEAST_FRUIT = 3
 # Ratio of the written to the measured length, how far around it, what was written, what to do.
@@ -52,7 +52,7 @@ class MethodScore:
     ----------
     method : str
         As `Record.lengths_m` names it.
-    kind : Length
+    kind : LengthDefinition
         What was measured by hand.
     metrics : Metrics
         Over all captures; what was not measured counts as 100 % wrong.
@@ -64,7 +64,7 @@ class MethodScore:
     """
 
     method: str
-    kind: Length
+    kind: LengthDefinition
     metrics: Metrics
     low_percent: float
     high_percent: float
@@ -151,7 +151,7 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
     return pairs
 
 
-def comparable(method: str, kind: Length, reading: Reading) -> bool:
+def comparable(method: str, kind: LengthDefinition, reading: Reading) -> bool:
     """Say whether a method's length is to be held against this kind of truth.
 
     M6's three lengths go with their own kind, M1 to M5 with any: theirs is none of the three. The
@@ -160,13 +160,14 @@ def comparable(method: str, kind: Length, reading: Reading) -> bool:
     Examples
     --------
     >>> reading = Reading("a", 1, {}, kind="thread")
-    >>> comparable("M5", Length.CHORD, reading), comparable("M6", Length.CHORD, reading)
+    >>> chord = LengthDefinition.CHORD
+    >>> comparable("M5", chord, reading), comparable("M6", chord, reading)
     (True, False)
-    >>> comparable("reported", Length.CHORD, reading)
+    >>> comparable("reported", chord, reading)
     False
     """
     if method == REPORTED:
-        return reading.kind not in {str(k) for k in Length} or reading.kind == str(kind)
+        return reading.kind not in {str(k) for k in LengthDefinition} or reading.kind == str(kind)
     return KIND_OF.get(method, kind) is kind
 
 
@@ -190,7 +191,7 @@ def score_methods(records: Sequence[Record]) -> list[MethodScore]:
     """Score each method against each kind of truth that it can be held against."""
     methods = list(dict.fromkeys(key for r in records for key in r.lengths_m))
     scores = []
-    for kind in Length:
+    for kind in LengthDefinition:
         for method in methods:
             chosen = [
                 (r.lengths_m[method], true, r.fruit)
@@ -205,7 +206,7 @@ def score_methods(records: Sequence[Record]) -> list[MethodScore]:
 
 
 def _score(
-    method: str, kind: Length, chosen: Sequence[tuple[float | None, float, str]]
+    method: str, kind: LengthDefinition, chosen: Sequence[tuple[float | None, float, str]]
 ) -> MethodScore:
     lengths = np.array([np.nan if x is None else x for x, _, _ in chosen])
     truth = np.array([true for _, true, _ in chosen])
@@ -230,9 +231,9 @@ def _record(same: Sequence[tuple[TrueLength, Reading]], simulated: dict[str, boo
         suite=Suite.OWN,
         masks=Masks.PERCEIVED,
         fruit=one.specimen,
-        centreline_m=by_kind.get(Length.CENTRELINE),
-        thread_m=by_kind.get(Length.THREAD),
-        chord_m=by_kind.get(Length.CHORD),
+        centreline_m=by_kind.get(LengthDefinition.CENTRELINE),
+        thread_m=by_kind.get(LengthDefinition.THREAD),
+        chord_m=by_kind.get(LengthDefinition.CHORD),
         distance_m=reading.distance_m,
         tilt_deg=reading.tilt_deg,
         bend_radius_m=None,
@@ -247,7 +248,7 @@ def _as_reading(record: Record) -> Reading:
     return Reading(record.case, 0, {}, kind=record.details["reported_kind"])
 
 
-def _truth_m(record: Record, kind: Length) -> float | None:
+def _truth_m(record: Record, kind: LengthDefinition) -> float | None:
     value: float | None = getattr(record, f"{kind}_m")
     return value
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, TruthError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -173,7 +173,7 @@ class TrueLength:
         Name of the capture.
     fruit : int or None
         Number of the fruit in it; None if the run did not find it.
-    kind : Length
+    kind : LengthDefinition
         What was measured.
     lengths_m : tuple of float
         Every measurement, metres.
@@ -184,7 +184,7 @@ class TrueLength:
     line: int
     capture: str
     fruit: int | None
-    kind: Length
+    kind: LengthDefinition
     lengths_m: tuple[float, ...]
     specimen: str
 
@@ -299,7 +299,7 @@ def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
 
     Examples
     --------
-    >>> twice = TrueLength(2, "a", 1, Length.THREAD, (0.200, 0.202), "s1")
+    >>> twice = TrueLength(2, "a", 1, LengthDefinition.THREAD, (0.200, 0.202), "s1")
     >>> floor = floor_of([twice])
     >>> round(floor.sd_mm, 3), round(floor.sd_percent, 3)
     (1.414, 0.704)
@@ -330,7 +330,7 @@ def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
         raise TruthError(
             f"line {line.number}: names no capture", source=path, remedy="fill the column capture"
         )
-    kinds = [str(kind) for kind in Length]
+    kinds = [str(kind) for kind in LengthDefinition]
     kind = cells["kind"].lower()
     if kind not in kinds:
         raise TruthError(
@@ -346,7 +346,8 @@ def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
         )
     own = f"{cells['capture']} {MISSED if fruit is None else fruit}"
     specimen = cells.get("specimen") or (f"{own} line {line.number}" if fruit is None else own)
-    return TrueLength(line.number, cells["capture"], fruit, Length(kind), lengths, specimen)
+    definition = LengthDefinition(kind)
+    return TrueLength(line.number, cells["capture"], fruit, definition, lengths, specimen)
 
 
 def _fruit(line: Line, path: Path) -> int | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ForecastError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -138,7 +138,7 @@ class GradingTraits:
         The three lengths of a fitted tube, metres.
     belief : LengthBelief, optional
         How sure the length is that `belief_of` names.
-    belief_of : Length, optional
+    belief_of : LengthDefinition, optional
         The length that `belief` is about.
     inner_arc_mm_per_10cm : float, optional
         Inner arc height in mm for each 10 cm of chord.
@@ -152,17 +152,17 @@ class GradingTraits:
     centreline_m: float | None = None
     chord_m: float | None = None
     belief: LengthBelief | None = None
-    belief_of: Length | None = None
+    belief_of: LengthDefinition | None = None
     inner_arc_mm_per_10cm: float | None = None
     diameter_max_m: float | None = None
     volume_m3: float | None = None
 
-    def length_m(self, kind: Length) -> float | None:
+    def length_m(self, kind: LengthDefinition) -> float | None:
         """Give one of the three lengths, metres."""
         lengths = {
-            Length.THREAD: self.thread_m,
-            Length.CENTRELINE: self.centreline_m,
-            Length.CHORD: self.chord_m,
+            LengthDefinition.THREAD: self.thread_m,
+            LengthDefinition.CENTRELINE: self.centreline_m,
+            LengthDefinition.CHORD: self.chord_m,
         }
         return lengths[kind]
 
@@ -177,21 +177,21 @@ class GradingTraits:
         >>> traits.thread_m, traits.volume_m3
         (0.235, None)
         """
-        lengths = {kind: _number(row, f"{kind}_cm", 100) for kind in Length}
-        if (stands := str(row.get("length_kind") or "")) in list(Length):
+        lengths = {kind: _number(row, f"{kind}_cm", 100) for kind in LengthDefinition}
+        if (stands := str(row.get("length_kind") or "")) in list(LengthDefinition):
             # A site's calibration corrects `length_cm` alone.
-            lengths[Length(stands)] = _number(row, "length_cm", 100)
+            lengths[LengthDefinition(stands)] = _number(row, "length_cm", 100)
         low, high = _number(row, "interval_low_cm", 100), _number(row, "interval_high_cm", 100)
         about = str(row.get("interval_of") or "")
-        kind = Length(about) if about in list(Length) else None
+        kind = LengthDefinition(about) if about in list(LengthDefinition) else None
         measured = lengths[kind] if kind else None
         belief = None
         if low is not None and high is not None and measured is not None:
             belief = LengthBelief.from_interval(measured, low, high)
         return cls(
-            lengths[Length.THREAD],
-            lengths[Length.CENTRELINE],
-            lengths[Length.CHORD],
+            lengths[LengthDefinition.THREAD],
+            lengths[LengthDefinition.CENTRELINE],
+            lengths[LengthDefinition.CHORD],
             belief,
             kind if belief else None,
             _number(row, "inner_arc_mm_per_10cm"),

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cucumbervision.capture.files import parse_model
 from cucumbervision.errors import ProfileError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -170,7 +170,7 @@ class CropProfile(_Strict):
     """
 
     title: Annotated[str, Field(min_length=1)]
-    length: Length = Length.THREAD
+    length: LengthDefinition = LengthDefinition.THREAD
     acceptance: LengthLimits
     classes: Annotated[tuple[LengthClass, ...], Field(min_length=1)]
     pick: Annotated[tuple[str, ...], Field(min_length=1)]

@@ -12,7 +12,7 @@ from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model
 from cucumbervision.errors import CalibrationError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -127,7 +127,7 @@ class CorrectionEntry(_Strict):
     """One method's correction against one kind of length: scale x reading + offset."""
 
     method: str
-    truth_kind: Length
+    truth_kind: LengthDefinition
     form: Form
     scale: float = Field(gt=0)
     offset_m: float
@@ -164,7 +164,7 @@ class SiteCalibration(_Strict):
     ...     instances="auto")
     >>> site = SiteCalibration(name="house-3", created="2026-05-02T10:00:00+00:00", software="x",
     ...     camera=camera, measured_with=run)
-    >>> site.depth_divisor, site.entry("M5", Length.THREAD) is None
+    >>> site.depth_divisor, site.entry("M5", LengthDefinition.THREAD) is None
     (1.0, True)
     """
 
@@ -190,14 +190,14 @@ class SiteCalibration(_Strict):
         """Name and the first eight digits of the content's SHA-256, as rows carry it."""
         return f"{self.name}@{hashlib.sha256(self.as_text().encode()).hexdigest()[:8]}"
 
-    def entry(self, method: str, kind: Length) -> CorrectionEntry | None:
+    def entry(self, method: str, kind: LengthDefinition) -> CorrectionEntry | None:
         """Give the correction of a method for a kind of length; None where there is none.
 
         Parameters
         ----------
         method : str
             'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord'.
-        kind : Length
+        kind : LengthDefinition
             The kind of length that is wanted.
         """
         wanted = (e for e in self.corrections if e.method == method and e.truth_kind is kind)

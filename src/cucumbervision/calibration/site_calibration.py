@@ -31,7 +31,7 @@ from cucumbervision.calibration.corrections import (
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model
 from cucumbervision.errors import CalibrationError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +89,7 @@ def calibrate_lengths(
     methods = [key for key in pairs[0][1].lengths_m if key != REPORTED]
     entries = [
         entry
-        for kind in Length
+        for kind in LengthDefinition
         for method in methods
         if (entry := _entry(method, kind, pairs, level)) is not None
     ]
@@ -233,7 +233,7 @@ def _serial(capture: dict[str, Any]) -> str | None:
 
 
 def _entry(
-    method: str, kind: Length, pairs: Sequence[tuple[TrueLength, Reading]], level: float
+    method: str, kind: LengthDefinition, pairs: Sequence[tuple[TrueLength, Reading]], level: float
 ) -> CorrectionEntry | None:
     known = [
         (one, reading, length)

@@ -1,14 +1,13 @@
 """The command `cucumbervision`: its sub-commands, and how errors and exit codes come out.
 
-Exit codes: 0 every input could be read, even if a fruit could not be measured; 1 some input could
-not be read, the others were measured; 2 the command could not be carried out at all (a wrong
-option, a missing model, a folder that cannot be written); 130 interrupted.
+Exit codes are in `cli.choices.EXIT_CODES`.
 """
 
 from __future__ import annotations
 
 import logging
 import sys
+import traceback
 from importlib.metadata import entry_points
 from typing import Annotated
 
@@ -26,7 +25,8 @@ from cucumbervision.cli import (
     models,
     round,
 )
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.cli.choices import EXIT_CODES
+from cucumbervision.errors import InternalError, named_error
 
 __all__ = ["app", "main"]
 
@@ -40,9 +40,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("measure", epilog=measure.EPILOG)(measure.measure)
-app.command("detect", epilog=detect.EPILOG)(detect.detect)
-app.command("demo")(demo.demo)
+app.command("measure", epilog=EXIT_CODES)(measure.measure)
+app.command("detect", epilog=EXIT_CODES)(detect.detect)
+app.command("demo", epilog=EXIT_CODES)(demo.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
 _GROUPS = {
@@ -78,9 +78,12 @@ def main() -> None:
     logging.basicConfig(level=logging.WARNING, format="cucumbervision: %(message)s")
     try:
         app()
-    except CucumberVisionError as error:
-        sys.stderr.write(f"cucumbervision: {error}\n")
-        sys.exit(2)
     except KeyboardInterrupt:
         sys.stderr.write("cucumbervision: interrupted; what was measured is in the output folder\n")
         sys.exit(130)
+    except Exception as error:
+        named = named_error(error)
+        if isinstance(named, InternalError):
+            traceback.print_exc()
+        sys.stderr.write(f"cucumbervision: {named}\n")
+        sys.exit(70 if isinstance(named, InternalError) else 2)

@@ -1,10 +1,24 @@
-"""What options may hold. Kept apart from the rooms that define them, whose imports are slow."""
+"""What options may hold, and exit codes. Apart from where they are defined: imports are slow."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["LengthChoice", "PromptChoice", "RuntimeChoice", "SegmenterChoice", "SelectorChoice"]
+__all__ = [
+    "EXIT_CODES",
+    "LengthChoice",
+    "PromptChoice",
+    "RuntimeChoice",
+    "SegmenterChoice",
+    "SelectorChoice",
+]
+
+EXIT_CODES = (
+    "Exit codes: 0 everything was read and written, even if a fruit could not be measured; 1 "
+    "something failed (see failures.csv), the rest was done; 2 nothing could be done; 70 a defect "
+    "of the software was met, the rest was done; 130 interrupted."
+)
+"""What commands that work through many captures exit with; shown by their --help."""
 
 
 class SelectorChoice(StrEnum):

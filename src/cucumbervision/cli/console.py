@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -19,16 +20,18 @@ from rich.table import Table
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.intake.recordings import open_guarded
+from cucumbervision.perception.instances import MaskSource
 from cucumbervision.pipeline.run import count_captures, measure_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from cucumbervision.pipeline.measurer import Failure
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.results import RunResult
+    from cucumbervision.pipeline.run import RunResult
 
-__all__ = ["progress_bar", "results_table", "run_and_show"]
+__all__ = ["progress_bar", "results_table", "run_and_show", "show_failures"]
 
 MOST_ROWS = 40
 SIMULATED = "simulated captures are among them: drawn, not taken"
@@ -43,14 +46,14 @@ def run_and_show(
     as_json: bool,
     guard: bool = False,
 ) -> int:
-    """Measure, show progress and results, and give the exit code (0 or 1).
+    """Measure, show progress and results, and return the exit code.
 
     Progress, notes and failures go to the standard error, results to the standard output.
     """
     opener = open_guarded if guard else open_source
     errors = Console(stderr=True, quiet=quiet, highlight=False)
     with progress_bar(errors) as bar:
-        task = bar.add_task("measuring", total=count_captures(inputs, options, opener))
+        task = bar.add_task("measuring", total=count_captures(inputs, options.reading, opener))
         result = measure_inputs(inputs, out, options, lambda *_: bar.advance(task), opener)
     if as_json:
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
@@ -60,8 +63,8 @@ def run_and_show(
         console = Console(highlight=False, width=width)
         console.print(results_table(result))
         console.print(f"{closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
-    _show_failures(Console(stderr=True, highlight=False), result)
-    return 1 if result.failures else 0
+    show_failures(result.failures, result.out)
+    return result.exit_code
 
 
 def progress_bar(console: Console) -> Progress:
@@ -132,16 +135,23 @@ def _number(value: float | None) -> str:
 
 
 def closing_line(result: RunResult) -> str:
-    """Say how much was measured, and whether drawn captures are among it."""
+    """Return how much was measured, by whose masks, and whether drawn captures are among it."""
     measured = sum(row["length_cm"] is not None for row in result.rows)
     line = f"{measured} of {len(result.rows)} fruit measured in {result.captures} captures"
+    masks = Counter(str(row["mask_source"]) for row in result.rows if row["mask_source"])
+    if masks:
+        by = ", ".join(f"{MaskSource(name).words} {count}" for name, count in masks.items())
+        line = f"{line}; masks by {by}"
     drawn = any(row["simulated"] for row in result.rows)
     return f"{line}; {SIMULATED}." if drawn else f"{line}."
 
 
-def _show_failures(console: Console, result: RunResult) -> None:
-    if not result.failures:
+def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
+    """Print failures to the standard error, one a line; `out` holds them as a table, too."""
+    if not failures:
         return
-    console.print(f"{len(result.failures)} could not be read, also in {result.out}/failures.csv:")
-    for failure in result.failures:
+    console = Console(stderr=True, highlight=False)
+    also = f", also in {out}/failures.csv" if out else ""
+    console.print(f"{len(failures)} failed{also}:", markup=False, soft_wrap=True)
+    for failure in failures:
         console.print(f"  {failure.message}", soft_wrap=True, markup=False)

@@ -9,12 +9,7 @@ import typer
 
 from cucumbervision.cli.choices import PromptChoice, RuntimeChoice, SegmenterChoice
 
-__all__ = ["EPILOG", "detect"]
-
-EPILOG = (
-    "Exit codes: 0 every picture was read, even if no fruit is in it; 1 some could not be read "
-    "(see failures.csv), the others were looked at; 2 nothing could be done."
-)
+__all__ = ["detect"]
 
 
 def detect(

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from cucumbervision.cli.console import progress_bar
+from cucumbervision.cli.console import progress_bar, show_failures
 from cucumbervision.pipeline.detect import detect_inputs
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ __all__ = ["run_and_show", "summary_table"]
 
 
 def run_and_show(inputs: Sequence[str], out: Path, options: DetectOptions, *, quiet: bool) -> int:
-    """Look at the pictures, show progress and a summary, and give the exit code (0 or 1).
+    """Detect fruit in pictures, show progress and a summary, and return the exit code.
 
     Progress and failures go to the standard error, the summary to the standard output.
     """
     errors = Console(stderr=True, quiet=quiet, highlight=False)
     with progress_bar(errors) as bar:
-        task = bar.add_task("looking", total=None)
+        task = bar.add_task("detecting", total=None)
         result = detect_inputs(
             inputs, out, options, lambda done, total: bar.update(task, completed=done, total=total)
         )
@@ -37,23 +37,18 @@ def run_and_show(inputs: Sequence[str], out: Path, options: DetectOptions, *, qu
         console.print(summary_table(result))
         written = "results.json, images.json" + (" and overlays/" if options.overlays else "")
         console.print(f"{written} are in {out}/", soft_wrap=True, markup=False)
-    if result.failures:
-        failed = Console(stderr=True, highlight=False)
-        failed.print(
-            f"{len(result.failures)} could not be read, also in {out}/failures.csv:", markup=False
-        )
-        for failure in result.failures:
-            failed.print(f"  {failure.message}", soft_wrap=True, markup=False)
-    return 1 if result.failures else 0
+    show_failures(result.failures, out)
+    return result.exit_code
 
 
 def summary_table(result: DetectResult) -> Table:
     """Lay out how many pictures, how many fruit, how sure, how quick, and by which networks."""
-    scores = [score for one in result.looked for score in one.scores]
-    seconds = [one.seconds for one in result.looked]
-    empty = sum(not one.scores for one in result.looked)
+    scores = [score for one in result.pictures for score in one.scores]
+    seconds = [one.seconds for one in result.pictures]
+    empty = sum(not one.scores for one in result.pictures)
     table = Table(show_header=False)
-    table.add_row("pictures", f"{len(result.looked)}" + (f", {empty} without fruit" * bool(empty)))
+    without = f", {empty} without fruit" if empty else ""
+    table.add_row("pictures", f"{len(result.pictures)}{without}")
     table.add_row("fruit", str(len(scores)))
     table.add_row("mean score", f"{fmean(scores):.2f}" if scores else "")
     # The first picture also waits for SAM to load.

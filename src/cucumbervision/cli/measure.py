@@ -15,12 +15,7 @@ from cucumbervision.cli.choices import (
     SelectorChoice,
 )
 
-__all__ = ["EPILOG", "measure"]
-
-EPILOG = (
-    "Exit codes: 0 every input was read, even if a fruit could not be measured; 1 some input could "
-    "not be read (see failures.csv), the others were measured; 2 nothing could be done."
-)
+__all__ = ["measure"]
 
 
 def measure(
@@ -97,7 +92,7 @@ def measure(
     """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import run_and_show
-    from cucumbervision.measurement.result import Length
+    from cucumbervision.measurement.result import LengthDefinition
     from cucumbervision.measurement.selector import Selector
     from cucumbervision.pipeline.options import MeasureOptions, parse_methods
 
@@ -108,7 +103,7 @@ def measure(
         prompt=prompt.value,
         methods=parse_methods(methods),
         selector=Selector(selector.value),
-        length=Length(length.value),
+        length=LengthDefinition(length.value),
         confidence=confidence,
         runtime=runtime.value,
         full_precision=not fast,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import LengthChoice, RuntimeChoice
+from cucumbervision.cli.choices import EXIT_CODES, LengthChoice, RuntimeChoice
 
 __all__ = ["app"]
 
@@ -57,7 +57,7 @@ def new(
     typer.echo(record.key)
 
 
-@app.command()
+@app.command(epilog=EXIT_CODES)
 def add(
     captures: Annotated[list[Path], typer.Argument(help="Whatever `measure` reads.")],
     store: StoreArg = "house.db",
@@ -89,7 +89,7 @@ def add(
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
     from cucumbervision.cli.round_console import add_and_show
-    from cucumbervision.measurement.result import Length
+    from cucumbervision.measurement.result import LengthDefinition
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.poses import read_poses
@@ -101,7 +101,7 @@ def add(
     place = Place(row, side, position, spacing, position_sd, sign, given)
     options = MeasureOptions(
         instances=instances,
-        length=Length(length.value),
+        length=LengthDefinition(length.value),
         confidence=confidence,
         runtime=runtime.value,
         calibration=calibration,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from cucumbervision.cli.console import progress_bar
+from cucumbervision.cli.console import progress_bar, show_failures
+from cucumbervision.pipeline.measurer import exit_code
 from cucumbervision.pipeline.run import count_captures
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.service import find_round, fruit_table, list_rounds
@@ -39,21 +40,20 @@ def add_and_show(
     options: MeasureOptions,
     place: Place,
 ) -> int:
-    """Add captures, show progress, and give the exit code (0 or 1)."""
+    """Add captures, show progress, and return the exit code."""
     errors = Console(stderr=True, highlight=False)
     with open_store(where, images=images) as store, progress_bar(errors) as bar:
         key = find_round(store, name).key
-        task = bar.add_task("measuring", total=count_captures(inputs, options))
+        task = bar.add_task("measuring", total=count_captures(inputs, options.reading))
         done = add_captures(store, key, inputs, options, place, lambda _: bar.advance(task))
     new = [one for one in done if one.new]
-    failed = [one for one in done if one.problem]
-    there = len(done) - len(new) - len(failed)
+    failures = [one.failure for one in done if one.failure]
+    there = len(done) - len(new) - len(failures)
     fruit = sum(one.fruit for one in new)
     console = _console()
     console.print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
-    for one in failed:
-        errors.print(f"  {one.problem}", soft_wrap=True, markup=False)
-    return 1 if failed else 0
+    show_failures(failures)
+    return exit_code(len(done) - len(failures), failures)
 
 
 def show_rows(rows: Sequence[RowReport]) -> None:

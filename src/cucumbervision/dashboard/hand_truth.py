@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.accuracy.measured import REPORTED, Measured, Reading
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -129,7 +129,7 @@ def write_hand_lengths(
     path: Path,
     fruit: Sequence[DetectionView],
     lengths: Mapping[str, tuple[float | None, float | None]],
-    kind: Length,
+    kind: LengthDefinition,
 ) -> int:
     """Write lengths by hand as the table that `evaluation.truth.read_truth` reads.
 
@@ -141,7 +141,7 @@ def write_hand_lengths(
         The fruit that could be measured by hand.
     lengths : mapping of str to tuple of float
         By fruit key: the first and second measurement in metres, or None.
-    kind : Length
+    kind : LengthDefinition
         What was measured by hand.
 
     Returns

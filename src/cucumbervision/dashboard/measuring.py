@@ -10,40 +10,30 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision.pipeline.finders import make_finder
-from cucumbervision.pipeline.results import Failure
-from cucumbervision.pipeline.run import capture_rows, measure_capture
-from cucumbervision.rounds.adding import placed_fruit, placed_stop
-from cucumbervision.rounds.poses import MIDDLE_SD_M, pose_matrix, sign_of_side
+from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit
+from cucumbervision.rounds.poses import pose_matrix, sign_of_side
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import new_key
-from cucumbervision.store.results import (
-    MeasuredCapture,
-    artifact_records,
-    fruit_record,
-    records_from_result,
-)
+from cucumbervision.store.results import fruit_record
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
-    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.sam import Segmenter
-    from cucumbervision.pipeline.finders import Finder
+    from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
     from cucumbervision.store.records import CaptureRecord, StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
 
-__all__ = ["Measurer", "TakenStop", "stored_capture"]
+__all__ = ["SharedMeasurer", "TakenStop", "stored_capture"]
 
 SEGMENTER = "mobile-sam"
 
@@ -53,12 +43,16 @@ class TakenStop:
     """A stop that is in the store, and what was measured there."""
 
     key: str
-    measured: MeasuredCapture
-    note: str = ""
+    result: CaptureResult
+
+    @property
+    def note(self) -> str:
+        """Why nothing was measured, for people; its remedy is for the command line."""
+        return "" if self.result.error is None else self.result.error.message
 
 
-class Measurer:
-    """Measures with networks that are loaded once, and again only when the options change.
+class SharedMeasurer:
+    """The measurer of all viewers: loaded once, and again only when the options change.
 
     Parameters
     ----------
@@ -69,31 +63,15 @@ class Measurer:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._lock = threading.Lock()
-        self._loaded: tuple[str, Finder, SiteCalibration | None] | None = None
+        self._loaded: Measurer | None = None
         self._segmenter: Segmenter | None = None
 
-    def measure(self, capture: Capture, options: MeasureOptions) -> MeasuredCapture:
-        """Find and measure the fruit of one capture.
-
-        Raises
-        ------
-        CucumberVisionError
-            If a network or the calibration cannot be loaded, or belongs to another camera.
-        """
-        return self._measured(capture, options)[0]
-
-    def _measured(
-        self, capture: Capture, options: MeasureOptions
-    ) -> tuple[MeasuredCapture, tuple[CucumberVisionError, ...]]:
-        """Give what was measured, and what was refused as no fruit of this picture."""
-        finder, site = self._tools(options)
-        if site is not None:
-            from cucumbervision.pipeline.calibrated import calibrated_capture
-
-            capture = calibrated_capture(capture, site)
-        fruit, refused = measure_capture(capture, finder, options)
-        rows = capture_rows(capture, fruit, options, site)
-        return MeasuredCapture(capture, fruit, rows), refused
+    def with_options(self, options: MeasureOptions) -> Measurer:
+        """Return what measures with these options."""
+        with self._lock:
+            if self._loaded is None or self._loaded.options != options:
+                self._loaded = Measurer(options, self._registry)
+            return self._loaded
 
     def take_stop(
         self,
@@ -124,42 +102,14 @@ class Measurer:
 
         Raises
         ------
-        StoreError
+        CucumberVisionError
             If it cannot be saved.
         """
-        note = ""
-        try:
-            measured, errors = self._measured(capture, options)
-        except CucumberVisionError as error:
-            measured, errors = MeasuredCapture(capture, (), ()), (error,)
-            note = error.message  # its remedy is for the command line
-        failures = [Failure(capture.source, capture.name, e.code, str(e)) for e in errors]
-        record = self._record(store, round_key, measured, options, failures)
-        record = replace(record, key=key or new_key())
-        store.save_stop(record)
-        return TakenStop(record.key, measured, note)
-
-    def _record(
-        self,
-        store: Store,
-        round_key: str,
-        measured: MeasuredCapture,
-        options: MeasureOptions,
-        failures: Sequence[Failure],
-    ) -> StopRecord:
-        loaded, stop = self._loaded, measured.capture.stop
-        models = [] if loaded is None else loaded[1].models
-        record = records_from_result(
-            round_key,
-            [measured],
-            position_sd_m=MIDDLE_SD_M,
-            images=store.images,
-            artifacts=artifact_records(options, models, loaded[2] if loaded else None),
-            failures=failures,
-            length=options.length,
-        )
-        pose = pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side))
-        return placed_stop(record, pose)
+        measurer = self.with_options(options)
+        result, stop = measured_stop(capture, 0, Place(), measurer, store.images)
+        stop = replace(stop, key=key or new_key(), round_key=round_key)
+        store.save_stop(stop)
+        return TakenStop(stop.key, result)
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Draw the mask of the fruit that somebody pointed at.
@@ -195,30 +145,16 @@ class Measurer:
     ) -> int:
         """Measure a fruit of the store anew with this mask, and let that stand; logged."""
         capture = stored_capture(store.images, detail.capture, detail.stop)
-        _, site = self._tools(options)
         record = detail.view.record
         keypoints = np.array(record.keypoints, np.float64) if record.keypoints else None
         instance = Instance(
             box_of_mask(mask), record.score, record.label, mask, MaskSource.SAM, None, keypoints
         )
-        fruit = measure_fruit(capture, instance, options.methods, options.selector)
-        (row,) = capture_rows(capture, [fruit], options, site)
-        corrected = fruit_record(capture, record.number, fruit, row, options.length)
+        fruit = self.with_options(options).measure_instance(capture, instance)
+        corrected = fruit_record(SeenFruit(capture, record.number, fruit))
         stop = detail.stop
         pose = pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side))
         return store.correct(detail.view.key, placed_fruit(corrected, pose))
-
-    def _tools(self, options: MeasureOptions) -> tuple[Finder, SiteCalibration | None]:
-        with self._lock:
-            if self._loaded is None or self._loaded[0] != options.sha256:
-                site = None
-                if options.calibration is not None:
-                    from cucumbervision.calibration.calibration_file import read_site_calibration
-
-                    site = read_site_calibration(options.calibration)
-                finder = make_finder(options, self._registry)
-                self._loaded = (options.sha256, finder, site)
-            return self._loaded[1:]
 
     def _sam(self) -> Segmenter:
         with self._lock:
@@ -231,7 +167,7 @@ class Measurer:
 
 
 def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:
-    """Give a capture of the store as a frame again.
+    """Return a capture of the store as a frame again.
 
     Its depth is as it was measured from: already scaled by the site's calibration.
 

@@ -13,7 +13,7 @@ from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.dashboard.camera_feed import CameraFeed, Feed, Replay
 from cucumbervision.dashboard.jobs import Job, Worker
-from cucumbervision.dashboard.measuring import Measurer
+from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.round_tables import RoundLists, read_lists, round_version
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
@@ -97,9 +97,9 @@ def worker() -> Worker:
 
 
 @st.cache_resource(show_spinner=False)
-def measurer() -> Measurer:
+def measurer() -> SharedMeasurer:
     """Give what measures, its networks loaded once."""
-    return Measurer(registry())
+    return SharedMeasurer(registry())
 
 
 @st.cache_resource(show_spinner=False)
@@ -157,7 +157,7 @@ def save_settings(chosen: Settings) -> None:
 
 def options() -> MeasureOptions:
     """Give the options of the next measurement."""
-    return settings().options(registry())
+    return settings().options
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT)
@@ -279,4 +279,4 @@ def _warm(_: Job) -> None:
     from cucumbervision.capture.bundled import bundled_captures
 
     first = next(iter(open_source(bundled_captures())))
-    measurer().measure(first.load(), options())
+    measurer().with_options(options()).measure(first.load())

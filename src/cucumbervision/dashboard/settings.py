@@ -5,18 +5,15 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from cucumbervision.agronomy.picking import Rates
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import Selector
 from cucumbervision.pipeline.options import MeasureOptions
-
-if TYPE_CHECKING:
-    from cucumbervision.perception.registry import Registry
 
 __all__ = ["UNITS", "Settings", "Units", "read_settings", "settings_file", "write_settings"]
 
@@ -87,11 +84,10 @@ class Settings(BaseModel):
         Frames fused to one capture.
     confidence : float
         Detections below it are left out.
-    selector, length : Selector, Length
+    selector, length : Selector, LengthDefinition
         As in `MeasureOptions`.
-    fruit_from : {'automatic', 'models', 'dataset'}
-        Who finds the fruit: 'automatic' takes the package's own detector where it has one, else
-        the masks that come with a capture.
+    fruit_from : {'auto', 'models', 'dataset'}
+        Where the fruit come from, as `MeasureOptions.instances`.
     full_precision : bool
         The same lengths on every machine, at the cost of speed.
     calibration : str
@@ -107,8 +103,11 @@ class Settings(BaseModel):
     burst: Annotated[int, Field(ge=1, le=15)] = 5
     confidence: Share = 0.30
     selector: Selector = Selector.BEST
-    length: Length = Length.THREAD
-    fruit_from: Literal["automatic", "models", "dataset"] = "automatic"
+    length: LengthDefinition = LengthDefinition.THREAD
+    fruit_from: Annotated[
+        Literal["auto", "models", "dataset"],
+        BeforeValidator(lambda x: "auto" if x == "automatic" else x),  # as older files say
+    ] = "auto"
     full_precision: bool = True
     calibration: str = ""
     fruit_per_hour: Annotated[float, Field(gt=0)] = 350.0
@@ -125,26 +124,17 @@ class Settings(BaseModel):
         """How fast people pick, and what a crate holds."""
         return Rates(self.fruit_per_hour, self.minutes_per_row, self.fruit_per_crate)
 
-    def options(self, registry: Registry) -> MeasureOptions:
-        """Give the options of a measuring run.
-
-        Parameters
-        ----------
-        registry : Registry
-            Says whether the package has a detector of its own.
+    @property
+    def options(self) -> MeasureOptions:
+        """The options of a measuring run, as the command `measure` has them.
 
         Examples
         --------
-        >>> from cucumbervision.perception.registry import load_registry
-        >>> Settings(fruit_from="models", burst=3).options(load_registry()).reading.burst
-        3
+        >>> Settings(burst=5).options == MeasureOptions()
+        True
         """
-        instances = self.fruit_from
-        if instances == "automatic":
-            instances = "models" if registry.default("segment") else "dataset"
         return MeasureOptions(
-            # 'auto' takes a capture's own masks first, and names what is missing where it has none.
-            instances="auto" if instances == "dataset" else instances,
+            instances=self.fruit_from,
             selector=self.selector,
             length=self.length,
             confidence=self.confidence,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.pipeline.exports import HEAD_COLOR, CsvSink, cell_value, write_json
+from cucumbervision.pipeline.tables import HEAD_COLOR, CsvSink, cell_value, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

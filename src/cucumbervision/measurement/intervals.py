@@ -1,9 +1,9 @@
-"""Intervals of a length: what they depend on, how they are learnt, and their file."""
+"""The interval of a length: what it depends on, how it is learnt, and the file of models."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import ModelError
+from cucumbervision.measurement.result import (
+    Flag,
+    IntervalBasis,
+    Length,
+    LengthDefinition,
+    calibration_key,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,21 +27,21 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import Measurement
 
 __all__ = [
-    "BASIS",
     "RAW_FEATURES",
     "SCALE_SD",
     "TUBE_EDGES",
     "TUBE_FEATURES",
     "Band",
-    "IntervalBook",
     "IntervalModel",
+    "IntervalModels",
     "conformal_quantile",
     "fit_interval_model",
     "raw_features",
-    "read_book",
-    "shipped_book",
+    "read_interval_models",
+    "shipped_interval_models",
     "tube_features",
-    "write_book",
+    "with_interval",
+    "write_interval_models",
 ]
 
 SMALLEST_GROUP = 100  # readings in either half: fewer go with all the others
@@ -92,18 +99,18 @@ class IntervalModel:
     edges: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     def sigma(self, values: Mapping[str, float]) -> float:
-        """Give the relative sigma for one measurement's features; missing ones count as 0."""
+        """Return the relative sigma for one measurement's features; missing ones count as 0."""
         row = np.array([1.0, *(values.get(name, 0.0) for name in self.features)])
         return float(np.exp(np.clip(row @ np.array(self.weights), np.log(FLOOR), 0.0)))
 
     def band(self, values: Mapping[str, float]) -> Band:
-        """Give the group's band, or that of all where the group was too small to have one."""
+        """Return the group's band, or that of all where the group was too small to have one."""
         return self.bands.get(_group(self.edges, values), self.bands[""])
 
     def interval(
         self, length_m: float, values: Mapping[str, float], scale_sd: float = 0.0
     ) -> tuple[float, float]:
-        """Give the interval of a length.
+        """Return the interval of a length.
 
         Parameters
         ----------
@@ -150,7 +157,7 @@ def _normal_quantile(level: float) -> float:
 
 
 def conformal_quantile(scores: ArrayLike, level: float) -> float:
-    """Give the finite-sample conformal quantile: the ceil((n + 1) level)-th smallest score.
+    """Return the finite-sample conformal quantile: the ceil((n + 1) level)-th smallest score.
 
     Parameters
     ----------
@@ -293,7 +300,7 @@ TUBE_EDGES = (("tilt", (15 / 60, 40 / 60)), ("log_outline", (float(np.log(0.5)),
 
 
 def tube_features(measurement: Measurement) -> dict[str, float]:
-    """Give the features of `uncertainty.IntervalModel` for an M6 measurement.
+    """Return the features of `uncertainty.IntervalModel` for an M6 measurement.
 
     Parameters
     ----------
@@ -322,15 +329,15 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         "tilt_steep": max(0.0, tilt - STEEP_DEG) / 25.0,
         "hidden": fit.hidden_share,
         "unexplained": 1.0 - fit.explained,
-        "end_hidden": float("end-hidden" in fit.flags),
-        "end_on": float("end-on" in fit.flags),
-        "poor_fit": float("poor-fit" in fit.flags),
+        "end_hidden": float(Flag.END_HIDDEN in fit.flags),
+        "end_on": float(Flag.END_ON in fit.flags),
+        "poor_fit": float(Flag.POOR_FIT in fit.flags),
         **raw_features(tube.centreline_m, distance, fit.fill),
     }
 
 
 def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, float]:
-    """Give the features of a raw length, by M1 to M5.
+    """Return the features of a raw length, by M1 to M5.
 
     Parameters
     ----------
@@ -351,7 +358,7 @@ def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, f
     }
 
 
-BASIS = "simulated"
+WIDEST = 4.0  # an interval from half to twice a length says nothing
 
 SCALE_SD = 0.01  # of a D4xx that nobody calibrated: the data sheet allows 2 % at 2 m
 
@@ -359,8 +366,8 @@ _SHIPPED = Path(__file__).with_name("interval_models.json")
 
 
 @dataclass(frozen=True)
-class IntervalBook:
-    """Interval models by what they are the interval of.
+class IntervalModels:
+    """The interval models of all methods.
 
     Parameters
     ----------
@@ -379,7 +386,7 @@ class IntervalBook:
     def interval(
         self, key: str, length_m: float, features: Mapping[str, float], *, scale_known: bool
     ) -> tuple[float, float] | None:
-        """Give the interval of a length; None where there is no model of that key.
+        """Return the interval of a length; None where there is no model of that key.
 
         Parameters
         ----------
@@ -398,10 +405,14 @@ class IntervalBook:
         return model.interval(length_m, features, 0.0 if scale_known else SCALE_SD)
 
 
-def write_book(path: Path, book: IntervalBook) -> None:
-    """Write a book as JSON, numbers to nine digits."""
-    models = [_rounded(asdict(model)) for model in book.models.values()]
-    content = {"basis": BASIS, "level": book.level, "fruit": book.fruit, "models": models}
+def write_interval_models(path: Path, models: IntervalModels) -> None:
+    """Write interval models as JSON, numbers to nine digits."""
+    content = {
+        "basis": str(IntervalBasis.SIMULATED),
+        "level": models.level,
+        "fruit": models.fruit,
+        "models": [_rounded(asdict(model)) for model in models.models.values()],
+    }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
@@ -413,8 +424,8 @@ def _rounded(value: Any) -> Any:
     return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def read_book(path: Path) -> IntervalBook:
-    """Read a book.
+def read_interval_models(path: Path) -> IntervalModels:
+    """Read interval models.
 
     Raises
     ------
@@ -424,12 +435,12 @@ def read_book(path: Path) -> IntervalBook:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "book.json"
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "models.json"
     >>> bands = {"": Band(0.001, 1.5, 1.7, 700)}
     >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
-    >>> book = IntervalBook(0.9, {"M6": model}, 700)
-    >>> write_book(path, book)
-    >>> read_book(path) == book
+    >>> models = IntervalModels(0.9, {"M6": model}, 700)
+    >>> write_interval_models(path, models)
+    >>> read_interval_models(path) == models
     True
     """
     try:
@@ -444,14 +455,66 @@ def read_book(path: Path) -> IntervalBook:
                 {group: Band(**band) for group, band in item["bands"].items()},
                 tuple((name, tuple(limits)) for name, limits in item["edges"]),
             )
-        return IntervalBook(float(content["level"]), models, int(content["fruit"]))
+        return IntervalModels(float(content["level"]), models, int(content["fruit"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ModelError(
-            f"is no book of intervals ({error})", source=path, remedy="install the package anew"
+            f"is no file of interval models ({error})",
+            source=path,
+            remedy="install the package anew",
         ) from None
 
 
 @lru_cache(maxsize=1)
-def shipped_book() -> IntervalBook:
-    """Give the book that comes with the package."""
-    return read_book(_SHIPPED)
+def shipped_interval_models() -> IntervalModels:
+    """Return the models that come with the package."""
+    return read_interval_models(_SHIPPED)
+
+
+def with_interval(
+    length: Length,
+    measurement: Measurement,
+    distance_m: float,
+    fill: float,
+    *,
+    scale_known: bool,
+    models: IntervalModels | None = None,
+) -> tuple[Length, bool]:
+    """Compute the interval of a measured length.
+
+    Parameters
+    ----------
+    length : Length
+        Of the fitted tube, or the raw length of M1 to M5; the interval of a raw length is about
+        the centreline, since a chord or an arc of the visible surface is not the fruit's length.
+    measurement : Measurement
+        Where the length is from.
+    distance_m, fill : float
+        Median depth, and share of pixels with a reading, of the mask or box.
+    scale_known : bool
+        Whether the camera's depth scale was measured with a bar of known length.
+    models : IntervalModels, optional
+        The package's own if not given.
+
+    Returns
+    -------
+    length : Length
+        With its interval, where there is a model of that length.
+    narrow : bool
+        False where the interval would span more than a factor of four and is left out.
+    """
+    if measurement.fit is not None:
+        about, features = LengthDefinition(length.kind), tube_features(measurement)
+    else:
+        about = LengthDefinition.CENTRELINE
+        features = raw_features(length.value_m, distance_m, fill)
+    key = calibration_key(measurement.source, length.kind)
+    found = (models or shipped_interval_models()).interval(
+        key, length.value_m, features, scale_known=scale_known
+    )
+    if found is None:
+        return length, True
+    low, high = found
+    if high > WIDEST * low:
+        return length, False
+    basis = IntervalBasis.SIMULATED
+    return replace(length, low_m=low, high_m=high, interval_of=about, basis=basis), True

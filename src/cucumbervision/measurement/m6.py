@@ -12,14 +12,14 @@ from cucumbervision.geometry.outline import depth_across, outline_cracks
 from cucumbervision.geometry.tube import TubeShape, gaps, guess_shape, near_depths
 from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape
 from cucumbervision.measurement.result import (
+    Flag,
     LengthKind,
     Measurement,
     Method,
     Reason,
     TubeFit,
-    TubeTraits,
 )
-from cucumbervision.measurement.traits import tube_traits
+from cucumbervision.measurement.traits import TubeTraits, tube_traits
 from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
@@ -353,7 +353,6 @@ def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:
         length,
         LengthKind.CENTRELINE,
         path_m=traits.axis_m,
-        tube=traits.lengths,
         fit=fit,
     )
 
@@ -368,18 +367,18 @@ def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
     first, last = (s and not c for s, c in zip(fitting.ends_seen, covered, strict=True))
     flags = []
     if not (first and last):
-        flags.append("end-hidden")
+        flags.append(Flag.END_HIDDEN)
     if _end_on(traits.axis_m):
-        flags.append("end-on")
+        flags.append(Flag.END_ON)
     if hidden > PART_HIDDEN:
-        flags.append("part-hidden")
+        flags.append(Flag.PART_HIDDEN)
     rough = outline_px * float(np.median(far)) / view.focal_px / traits.diameter_max_m
     on_it = _on_surface(view, fitting)
     if explained < GOOD_EXPLAINED or rough > GOOD_OUTLINE or on_it < GOOD_ON_SURFACE:
-        flags.append("poor-fit")
+        flags.append(Flag.POOR_FIT)
     sd = fitting.centreline_sd_m
     if sd > UNCERTAIN * traits.lengths.centreline_m:
-        flags.append("uncertain")
+        flags.append(Flag.UNCERTAIN)
     return TubeFit(
         traits,
         sd,

@@ -1,88 +1,148 @@
-"""What a method says of one fruit: a length, or the named reason why there is none."""
+"""What is known of one fruit: each method's measurement, the chosen length with its interval."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Self
+
     import numpy as np
     from numpy.typing import NDArray
 
+    from cucumbervision.measurement.traits import TubeLengths, TubeTraits
     from cucumbervision.perception.instances import Instance, MaskSource
 
 __all__ = [
-    "Fruit",
+    "Choice",
+    "Flag",
+    "FruitMeasurement",
+    "IntervalBasis",
     "Length",
+    "LengthDefinition",
     "LengthKind",
     "Measurement",
     "Method",
     "Reason",
     "TubeFit",
-    "TubeLengths",
-    "TubeTraits",
+    "calibration_key",
 ]
 
 
+class Method(StrEnum):
+    """The six measuring methods."""
+
+    M1 = "M1"
+    M2 = "M2"
+    M3 = "M3"
+    M4 = "M4"
+    M5 = "M5"
+    M6 = "M6"
+
+
+class LengthDefinition(StrEnum):
+    """The three definitions of a fruit's length, which only a fitted tube yields."""
+
+    THREAD = "thread"
+    CENTRELINE = "centreline"
+    CHORD = "chord"
+
+
+class LengthKind(StrEnum):
+    """What a method's raw length is the length of."""
+
+    BOX_CHORD = "box-chord"
+    SURFACE_CHORD = "surface-chord"
+    KEYPOINT_POLYLINE = "keypoint-polyline"
+    SURFACE_ARC = "surface-arc"
+    CENTRELINE = "centreline"
+
+
+class IntervalBasis(StrEnum):
+    """What the interval of a length was learnt from."""
+
+    SIMULATED = "simulated"
+    OWN_TRUTH = "own truth"
+
+
+class Reason(StrEnum):
+    """Why a method gives no length; stable codes for tables."""
+
+    OK = "ok"
+    NO_MASK = "no-mask"
+    NO_KEYPOINTS = "no-keypoints"
+    NO_DEPTH = "no-depth"
+    TOO_FEW_POINTS = "too-few-points"
+    TOO_FEW_BINS = "too-few-bins"
+    TOO_FEW_SAMPLES = "too-few-samples"
+    ENDPOINT_MISSING = "endpoint-missing"
+    OUTLINE_TOO_SHORT = "outline-too-short"
+    NOT_A_TUBE = "not-a-tube"
+    OUT_OF_RANGE = "out-of-range"
+
+
+class Choice(StrEnum):
+    """Which decision the selector took; stable codes for tables."""
+
+    DENSE_MASK = "mask-points-ge-100"
+    SPARSE_MASK = "mask-points-lt-100"
+    ELONGATED_BOX = "no-mask-box-elongated"
+    COMPACT_BOX = "no-mask-box-compact"
+    NO_DEPTH = "no-depth"
+    NOTHING = "not-measured"
+
+
+class Flag(StrEnum):
+    """What else to know of a measurement; stable codes for tables."""
+
+    CUT_BY_FRAME = "cut-by-frame"
+    BOX_CLIPPED = "box-clipped"
+    END_HIDDEN = "end-hidden"
+    ENDS_DISAGREE = "ends-disagree"
+    ENDS_UNSURE = "ends-unsure"
+    END_ON = "end-on"
+    PART_HIDDEN = "part-hidden"
+    POOR_FIT = "poor-fit"
+    UNCERTAIN = "uncertain"
+    INTERVAL_TOO_WIDE = "interval-too-wide"
+    DETECTOR_MASK = "detector-mask"
+    SAM_MASK_EMPTY = "sam-mask-empty"
+    SAM_MASK_SMALL = "sam-mask-small"
+    SAM_MASK_OFF_BOX = "sam-mask-off-box"
+    SAM_MASK_OFF_DETECTOR = "sam-mask-off-detector"
+    KEYPOINTS_LOGGED = "keypoints-logged"
+    NOT_COVERED = "calibration-not-covered"
+    OTHER_MASK = "calibration-other-mask"
+    OUTSIDE_RANGE = "outside-calibrated-range"
+
+
 @dataclass(frozen=True)
-class TubeLengths:
-    """The lengths of a fitted tube, metres: along its axis, over its outer side, end to end."""
-
-    centreline_m: float
-    thread_m: float
-    chord_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class TubeTraits:
-    """Lengths and shape of one tube.
+class Length:
+    """A length, with the interval that it is known to.
 
     Parameters
     ----------
-    lengths : TubeLengths
-        Centreline, thread and chord.
-    inner_arc_m : float
-        Largest distance from the chord (pole to pole) to the inner edge, metres; 0 where the
-        inner edge does not rise above the chord.
-    along_m, diameter_m : ndarray of float64, shape (101,)
-        The diameter along the axis from pole to pole, metres.
-    volume_m3 : float
-        Cubic metres.
-    tilt_deg : float
-        Angle of the chord out of the picture plane, 0 to 90 degrees.
-    axis_m : ndarray of float64, shape (K, 3)
-        The axis from pole to pole, camera coordinates, metres.
+    value_m : float
+        Metres.
+    kind : LengthDefinition or LengthKind
+        What it is the length of.
+    low_m, high_m : float, optional
+        The 90 % interval, metres; None where none is known.
+    interval_of : LengthDefinition, optional
+        Which length the interval is about: `kind` itself, or for a raw length the centreline.
+    basis : IntervalBasis, optional
+        What the interval was learnt from.
     """
 
-    lengths: TubeLengths
-    inner_arc_m: float
-    along_m: NDArray[np.float64]
-    diameter_m: NDArray[np.float64]
-    volume_m3: float
-    tilt_deg: float
-    axis_m: NDArray[np.float64]
-
-    @property
-    def inner_arc_mm_per_10cm(self) -> float:
-        """Inner arc height in mm for each 10 cm of chord (UNECE FFV-15)."""
-        return 1000.0 * self.inner_arc_m / (10.0 * self.lengths.chord_m)
-
-    @property
-    def diameter_max_m(self) -> float:
-        """Largest diameter, metres."""
-        return float(self.diameter_m.max())
-
-    @property
-    def diameter_mean_m(self) -> float:
-        """Mean diameter along the axis from pole to pole, metres."""
-        return float(np.trapezoid(self.diameter_m, self.along_m) / self.along_m[-1])
-
-    def mass_kg(self, density_kg_m3: float) -> float:
-        """Give the mass at a density in kg per cubic metre."""
-        return self.volume_m3 * density_kg_m3
+    value_m: float
+    kind: LengthDefinition | LengthKind
+    low_m: float | None = None
+    high_m: float | None = None
+    interval_of: LengthDefinition | None = None
+    basis: IntervalBasis | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +167,7 @@ class TubeFit:
         its surface, metres.
     ends_seen : tuple of bool
         Whether the outline shows the first and the last end of `traits.axis_m`.
-    flags : tuple of str
+    flags : tuple of Flag
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
         'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
     """
@@ -121,52 +181,7 @@ class TubeFit:
     outline_rms_px: float
     depth_rms_m: float
     ends_seen: tuple[bool, bool]
-    flags: tuple[str, ...] = ()
-
-
-class Method(StrEnum):
-    """The six measuring methods."""
-
-    M1 = "M1"
-    M2 = "M2"
-    M3 = "M3"
-    M4 = "M4"
-    M5 = "M5"
-    M6 = "M6"
-
-
-class LengthKind(StrEnum):
-    """What a method's raw length is the length of."""
-
-    BOX_CHORD = "box-chord"
-    SURFACE_CHORD = "surface-chord"
-    KEYPOINT_POLYLINE = "keypoint-polyline"
-    SURFACE_ARC = "surface-arc"
-    CENTRELINE = "centreline"
-
-
-class Length(StrEnum):
-    """The three lengths that people mean, which only a fitted tube yields."""
-
-    THREAD = "thread"
-    CENTRELINE = "centreline"
-    CHORD = "chord"
-
-
-class Reason(StrEnum):
-    """Why a method gives no length; stable codes for tables."""
-
-    OK = "ok"
-    NO_MASK = "no-mask"
-    NO_KEYPOINTS = "no-keypoints"
-    NO_DEPTH = "no-depth"
-    TOO_FEW_POINTS = "too-few-points"
-    TOO_FEW_BINS = "too-few-bins"
-    TOO_FEW_SAMPLES = "too-few-samples"
-    ENDPOINT_MISSING = "endpoint-missing"
-    OUTLINE_TOO_SHORT = "outline-too-short"
-    NOT_A_TUBE = "not-a-tube"
-    OUT_OF_RANGE = "out-of-range"
+    flags: tuple[Flag, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,10 +204,8 @@ class Measurement:
         The line that was measured, camera coordinates in metres, end to end.
     measured_by : Method, optional
         The method that stood in, where this one fell back on another.
-    tube : TubeLengths, optional
-        The three lengths, where a tube was fitted.
     fit : TubeFit, optional
-        The tube's other traits and how far to trust them, where one was fitted.
+        The tube, where one was fitted.
     """
 
     method: Method
@@ -202,7 +215,6 @@ class Measurement:
     fallback: tuple[str, ...] = ()
     path_m: NDArray[np.float64] | None = None
     measured_by: Method | None = None
-    tube: TubeLengths | None = None
     fit: TubeFit | None = None
 
     @property
@@ -210,10 +222,20 @@ class Measurement:
         """Whether the method itself measured, without falling back on another."""
         return self.length_m is not None and self.measured_by is None
 
+    @property
+    def source(self) -> Method:
+        """The method whose length this is."""
+        return self.measured_by or self.method
+
+    @property
+    def tube(self) -> TubeLengths | None:
+        """The three lengths, where a tube was fitted."""
+        return None if self.fit is None else self.fit.traits.lengths
+
 
 @dataclass(frozen=True, eq=False)
-class Fruit:
-    """One fruit, measured.
+class FruitMeasurement:
+    """Everything that is known of one fruit of one capture.
 
     Parameters
     ----------
@@ -223,23 +245,75 @@ class Fruit:
         Every method that was run.
     selected : Measurement, optional
         The one that the selector took; None when nothing could be measured.
-    reason : str
-        Why that one, or why none: a code of `measurement.selector.Choice`.
+    reason : Choice
+        Why that one, or why none.
     fallback : tuple of str
         The path of fallbacks that led there.
-    flags : tuple of str
-        What else to know: 'cut-by-frame', 'detector-mask', 'sam-mask-small', …
+    flags : tuple of Flag
+        What else to know, in the order in which it was found.
     mask : ndarray of bool, shape (H, W), optional
         The mask that was measured.
     mask_source : MaskSource, optional
         Who drew it.
+    length : Length, optional
+        The fruit's length with its interval, calibrated where a site's calibration covers it;
+        None when nothing could be measured.
+    raw_length : Length, optional
+        The length before the calibration, where one was applied.
+    calibration : str, optional
+        Name and hash of the site's calibration that was applied to depth or length.
+    distance_m : float, optional
+        Median depth of the mask, or of the box without one, metres; None without a valid reading.
+    fill : float, optional
+        Share of these pixels with a valid depth reading, 0 to 1.
     """
 
     instance: Instance
-    measurements: dict[Method, Measurement]
+    measurements: Mapping[Method, Measurement]
     selected: Measurement | None
-    reason: str
+    reason: Choice
     fallback: tuple[str, ...] = ()
-    flags: tuple[str, ...] = ()
+    flags: tuple[Flag, ...] = ()
     mask: NDArray[np.bool_] | None = None
     mask_source: MaskSource | None = None
+    length: Length | None = None
+    raw_length: Length | None = None
+    calibration: str | None = None
+    distance_m: float | None = None
+    fill: float | None = None
+
+    @property
+    def method(self) -> Method | None:
+        """The method whose length stands."""
+        return None if self.selected is None else self.selected.source
+
+    @property
+    def fit(self) -> TubeFit | None:
+        """The fitted tube, where that method fits one."""
+        return None if self.selected is None else self.selected.fit
+
+    @property
+    def traits(self) -> TubeTraits | None:
+        """Lengths, bend, diameters, volume and tilt of the fitted tube."""
+        return None if self.fit is None else self.fit.traits
+
+    def flagged(self, *flags: Flag) -> Self:
+        """Return the same with further flags."""
+        new = tuple(flag for flag in flags if flag not in self.flags)
+        return replace(self, flags=(*self.flags, *new))
+
+
+def calibration_key(method: Method, kind: LengthDefinition | LengthKind) -> str:
+    """Return what calibrations and interval models call a method's length.
+
+    Examples
+    --------
+    >>> calibration_key(Method.M5, LengthKind.SURFACE_ARC)
+    'M5'
+    >>> calibration_key(Method.M6, LengthDefinition.THREAD)
+    'M6 thread'
+    >>> calibration_key(Method.M6, LengthDefinition.CENTRELINE)
+    'M6'
+    """
+    other = method is Method.M6 and kind in (LengthDefinition.THREAD, LengthDefinition.CHORD)
+    return f"{method} {kind}" if other else str(method)

@@ -1,4 +1,4 @@
-"""Choose one measurement for each fruit, and say why."""
+"""Measure a fruit by every method, choose one measurement and say why."""
 
 from __future__ import annotations
 
@@ -9,10 +9,19 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.cloud import box_pixels
+from cucumbervision.measurement.intervals import with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY, endpoints_visible
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
-from cucumbervision.measurement.result import Fruit, Measurement, Method
+from cucumbervision.measurement.result import (
+    Choice,
+    Flag,
+    FruitMeasurement,
+    Length,
+    LengthDefinition,
+    Measurement,
+    Method,
+)
 from cucumbervision.perception.ends import SURE
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import mask_window
@@ -24,9 +33,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["Choice", "Selector", "choose", "end_flags", "measure_fruit"]
+__all__ = ["Selector", "choose", "end_flags", "measure_fruit"]
 
 # Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
 IN_SIGHT = 0.40
@@ -36,8 +46,8 @@ BEYOND = 0.10  # of the fruit's length: some times what a pose network errs by a
 
 def end_flags(
     mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
-) -> tuple[str, ...]:
-    """Say what keypoints tell of a fruit's ends.
+) -> tuple[Flag, ...]:
+    """Return what keypoints tell of a fruit's ends.
 
     An end is hidden when its keypoint is seen badly (visibility below 0.40), or lies
     more than 10 % of the fruit's length beyond the mask: the network knows that the fruit goes on
@@ -54,7 +64,7 @@ def end_flags(
 
     Returns
     -------
-    tuple of str
+    tuple of Flag
         'end-hidden', 'ends-disagree', both or none.
 
     Examples
@@ -62,8 +72,8 @@ def end_flags(
     >>> mask = np.zeros((100, 200), bool)
     >>> mask[45:55, 20:140] = True
     >>> line = np.array([[u, 50.0, 1.0] for u in (20, 55, 90, 125, 160)])
-    >>> end_flags(mask, line)
-    ('end-hidden',)
+    >>> [str(flag) for flag in end_flags(mask, line)]
+    ['end-hidden']
     >>> end_flags(mask, line * [0.85, 1, 1])
     ()
     """
@@ -73,12 +83,12 @@ def end_flags(
     reaches = _reaches(mask, keypoints[:, :2])
     hidden |= any(reach < -BEYOND for reach in reaches)
     disagree = any(reach > BEYOND for reach in reaches)
-    named = {"end-hidden": hidden, "ends-disagree": disagree}
+    named = {Flag.END_HIDDEN: hidden, Flag.ENDS_DISAGREE: disagree}
     return tuple(flag for flag, holds in named.items() if holds)
 
 
 def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
-    """Say how far the mask goes beyond each end's keypoint, as a share of the keypoints' line."""
+    """Return how far the mask goes beyond each end's keypoint, as a share of the line."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     window = None if mask is None else mask_window(mask)
     if mask is None or window is None or not steps.all():
@@ -113,17 +123,6 @@ class Selector(StrEnum):
 
     BEST = "best"
     PAPER = "paper"
-
-
-class Choice(StrEnum):
-    """Which decision was taken; stable codes for tables."""
-
-    DENSE_MASK = "mask-points-ge-100"
-    SPARSE_MASK = "mask-points-lt-100"
-    ELONGATED_BOX = "no-mask-box-elongated"
-    COMPACT_BOX = "no-mask-box-compact"
-    NO_DEPTH = "no-depth"
-    NOTHING = "not-measured"
 
 
 def choose(
@@ -200,8 +199,12 @@ def measure_fruit(
     instance: Instance,
     methods: Iterable[Method] = AVAILABLE,
     selector: Selector = Selector.BEST,
-) -> Fruit:
-    """Measure one detected fruit and choose among the methods.
+    definition: LengthDefinition = LengthDefinition.THREAD,
+    *,
+    scale_known: bool = False,
+    models: IntervalModels | None = None,
+) -> FruitMeasurement:
+    """Measure one detected fruit, choose among the methods, and compute the length's interval.
 
     Parameters
     ----------
@@ -213,10 +216,17 @@ def measure_fruit(
         Which to run; the selector chooses among these.
     selector : Selector
         How to choose.
+    definition : LengthDefinition
+        Which length, where a tube could be fitted; elsewhere it is the method's raw length.
+    scale_known : bool
+        Whether the camera's depth scale was measured with a bar of known length; if not, the
+        interval holds the scale's own uncertainty.
+    models : IntervalModels, optional
+        The package's own if not given.
 
     Returns
     -------
-    Fruit
+    FruitMeasurement
         Always: a fruit that no method measured says why in `reason` and `fallback`.
 
     Examples
@@ -232,8 +242,12 @@ def measure_fruit(
     ...     name="a",
     ... )
     >>> fruit = measure_fruit(capture, Instance(np.array([219.5, 229.5, 419.5, 249.5])))
-    >>> str(fruit.selected.method), round(fruit.selected.length_m, 3), str(fruit.reason)
-    ('M1', 0.2, 'no-mask-box-elongated')
+    >>> str(fruit.method), str(fruit.reason), str(fruit.length.kind)
+    ('M1', 'no-mask-box-elongated', 'box-chord')
+    >>> round(fruit.length.value_m, 3), str(fruit.length.interval_of)
+    (0.2, 'centreline')
+    >>> fruit.length.low_m < 0.2 < fruit.length.high_m
+    True
     """
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
@@ -241,28 +255,55 @@ def measure_fruit(
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
     if _cut_by_frame(instance.box, mask, capture.width, capture.height):
-        flags.append("cut-by-frame")
+        flags.append(Flag.CUT_BY_FRAME)
     if Method.M4 in measurements and endpoints_visible(instance.keypoints):
-        flags.append("keypoints-logged")
+        flags.append(Flag.KEYPOINTS_LOGGED)
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
     if instance.end_confidence is not None and instance.end_confidence < SURE:
-        flags.append("ends-unsure")
+        flags.append(Flag.ENDS_UNSURE)
+    distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
-        choice = _why_nothing(capture, instance.box)
-    return Fruit(instance, measurements, chosen, str(choice), fallback, tuple(flags), mask, source)
+        choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
+    length = None if chosen is None else _length(chosen, definition)
+    if chosen is not None and length is not None and distance_m is not None and fill is not None:
+        length, narrow = with_interval(
+            length, chosen, distance_m, fill, scale_known=scale_known, models=models
+        )
+        flags += [] if narrow else [Flag.INTERVAL_TOO_WIDE]
+    return FruitMeasurement(
+        instance,
+        measurements,
+        chosen,
+        choice,
+        fallback,
+        tuple(flags),
+        mask,
+        source,
+        length=length,
+        distance_m=distance_m,
+        fill=fill,
+    )
+
+
+def _length(chosen: Measurement, definition: LengthDefinition) -> Length | None:
+    if chosen.tube is not None:
+        return Length(chosen.tube.of(definition), definition)
+    if chosen.length_m is None or chosen.kind is None:
+        return None
+    return Length(chosen.length_m, chosen.kind)
 
 
 def _mask_to_measure(
     instance: Instance, selector: Selector
-) -> tuple[NDArray[np.bool_] | None, MaskSource | None, list[str]]:
-    flags = [f"sam-{instance.mask_failure}"] if instance.mask_failure else []
+) -> tuple[NDArray[np.bool_] | None, MaskSource | None, list[Flag]]:
+    flags = [Flag(f"sam-{instance.mask_failure}")] if instance.mask_failure else []
     if instance.mask is not None:
         return instance.mask, instance.mask_source, flags
     own = instance.detector_mask
     if selector is Selector.BEST and own is not None and own.any():
-        return own, MaskSource.DETECTOR, [*flags, "detector-mask"]
+        return own, MaskSource.DETECTOR, [*flags, Flag.DETECTOR_MASK]
     return None, None, flags
 
 
@@ -280,7 +321,15 @@ def _cut_by_frame(
     )
 
 
-def _why_nothing(capture: Capture, box: NDArray[np.float64]) -> Choice:
-    left, top, right, bottom = box_pixels(box, capture.depth_m.shape)
-    readings = valid_depth(capture.depth_m[top:bottom, left:right])
-    return Choice.NOTHING if readings.any() else Choice.NO_DEPTH
+def _depth_of(
+    capture: Capture, box: NDArray[np.float64], mask: NDArray[np.bool_] | None
+) -> tuple[float | None, float | None]:
+    """Return the median depth of the mask (or box), metres, and the share of valid readings."""
+    if mask is None:
+        left, top, right, bottom = box_pixels(box, capture.depth_m.shape)
+        readings = capture.depth_m[top:bottom, left:right]
+    else:
+        readings = capture.depth_m[mask]
+    valid = readings[valid_depth(readings)]
+    distance_m = float(np.median(valid)) if valid.size else None
+    return distance_m, (valid.size / readings.size if readings.size else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,18 +16,82 @@ from cucumbervision.geometry.tube import (
     thread_length,
     volume_of_profile,
 )
-from cucumbervision.measurement.result import TubeLengths, TubeTraits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["tube_traits"]
+    from cucumbervision.measurement.result import LengthDefinition
+
+__all__ = ["TubeLengths", "TubeTraits", "tube_traits"]
 
 SMALLEST_RADIUS_M = 1e-4
 
 
+@dataclass(frozen=True)
+class TubeLengths:
+    """The lengths of a fitted tube, metres: along its axis, over its outer side, end to end."""
+
+    centreline_m: float
+    thread_m: float
+    chord_m: float
+
+    def of(self, definition: LengthDefinition) -> float:
+        """Return the length of that definition, metres."""
+        value: float = getattr(self, f"{definition}_m")
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class TubeTraits:
+    """Lengths and shape of one tube.
+
+    Parameters
+    ----------
+    lengths : TubeLengths
+        Centreline, thread and chord.
+    inner_arc_m : float
+        Largest distance from the chord (pole to pole) to the inner edge, metres; 0 where the
+        inner edge does not rise above the chord.
+    along_m, diameter_m : ndarray of float64, shape (101,)
+        The diameter along the axis from pole to pole, metres.
+    volume_m3 : float
+        Cubic metres.
+    tilt_deg : float
+        Angle of the chord out of the picture plane, 0 to 90 degrees.
+    axis_m : ndarray of float64, shape (K, 3)
+        The axis from pole to pole, camera coordinates, metres.
+    """
+
+    lengths: TubeLengths
+    inner_arc_m: float
+    along_m: NDArray[np.float64]
+    diameter_m: NDArray[np.float64]
+    volume_m3: float
+    tilt_deg: float
+    axis_m: NDArray[np.float64]
+
+    @property
+    def inner_arc_m_per_10cm(self) -> float:
+        """Inner arc height in metres for each 10 cm of chord (UNECE FFV-15)."""
+        return 0.1 * self.inner_arc_m / self.lengths.chord_m
+
+    @property
+    def diameter_max_m(self) -> float:
+        """Largest diameter, metres."""
+        return float(self.diameter_m.max())
+
+    @property
+    def diameter_mean_m(self) -> float:
+        """Mean diameter along the axis from pole to pole, metres."""
+        return float(np.trapezoid(self.diameter_m, self.along_m) / self.along_m[-1])
+
+    def mass_kg(self, density_kg_m3: float) -> float:
+        """Return the mass at a density in kg per cubic metre."""
+        return self.volume_m3 * density_kg_m3
+
+
 def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> TubeTraits:
-    """Measure a body of balls along a curve.
+    """Compute the traits of a body of balls along a curve.
 
     Parameters
     ----------

@@ -26,6 +26,11 @@ class MaskSource(StrEnum):
     DETECTOR = "detector"
     DATASET = "dataset"
 
+    @property
+    def words(self) -> str:
+        """Who that is, for people."""
+        return {"sam": "SAM", "detector": "detector", "dataset": "data set"}[self.value]
+
 
 @dataclass(frozen=True, eq=False)
 class Instance:

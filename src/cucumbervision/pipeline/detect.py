@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,26 +13,154 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.capture.files import json_value, read_photo, write_bytes, write_jpeg
+from cucumbervision.capture.files import (
+    PHOTO_SUFFIXES,
+    json_value,
+    read_photo,
+    write_bytes,
+    write_jpeg,
+)
 from cucumbervision.capture.source import safe_name, unique_name
-from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.errors import CaptureError, CucumberVisionError, ModelError
 from cucumbervision.pipeline.coco_results import coco_categories, coco_results, results_text
-from cucumbervision.pipeline.exports import FAILURE_COLUMNS, CsvSink, write_json
-from cucumbervision.pipeline.networks import Detectors, Segmenters
-from cucumbervision.pipeline.pictures import find_pictures
-from cucumbervision.pipeline.results import Failure
+from cucumbervision.pipeline.finders import Detectors, Segmenters
+from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
+from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
-    from cucumbervision.pipeline.pictures import Picture, PictureList
 
-__all__ = ["DetectOptions", "DetectResult", "Looked", "detect_inputs"]
+__all__ = [
+    "DetectOptions",
+    "DetectResult",
+    "DetectedPicture",
+    "Picture",
+    "PictureList",
+    "detect_inputs",
+    "find_pictures",
+]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A file to look at.
+
+    Parameters
+    ----------
+    path : Path
+        Where it lies.
+    name : str
+        What tables call it: its path below the folder that was given, with '/'; no two are alike.
+    """
+
+    path: Path
+    name: str
+
+
+@dataclass(frozen=True)
+class PictureList:
+    """What the inputs hold.
+
+    Parameters
+    ----------
+    pictures : tuple of Picture
+        Each file once, in the inputs' order, sorted within a folder.
+    skipped : int
+        Files in folders that are no pictures by their ending.
+    failures : tuple of Failure
+        Inputs that name nothing.
+    """
+
+    pictures: tuple[Picture, ...]
+    skipped: int
+    failures: tuple[Failure, ...]
+
+
+def find_pictures(inputs: Sequence[str | Path], leave_out: Path | None = None) -> PictureList:
+    """List the pictures of files, folders (with those below) and patterns such as 'a/*.jpg'.
+
+    A file that is named is a picture whatever it is called; in folders and patterns the ending
+    decides, and hidden files are passed over.
+
+    Parameters
+    ----------
+    inputs : sequence of str or Path
+        What the user named.
+    leave_out : Path, optional
+        A folder whose files are not taken: that of the results.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for name in ("b.JPG", "a.png", "notes.txt"):
+    ...     _ = (folder / name).write_bytes(b"")
+    >>> found = find_pictures([folder, folder / "b.JPG"])
+    >>> [picture.name for picture in found.pictures], found.skipped
+    (['a.png', 'b.JPG'], 1)
+    """
+    apart = leave_out.resolve() if leave_out is not None else None
+    seen: set[Path] = set()
+    names: set[str] = set()
+    pictures: list[Picture] = []
+    failures: list[Failure] = []
+    skipped = 0
+    for given in inputs:
+        files, failure = _files(str(given))
+        failures += [failure] if failure else []
+        for path, name, named in files:
+            whole = path.resolve()
+            if whole in seen or (not named and apart is not None and apart in whole.parents):
+                continue
+            seen.add(whole)
+            if not named and path.suffix.lower() not in PHOTO_SUFFIXES:
+                skipped += 1
+                continue
+            pictures.append(Picture(path, _own_name((name, path.as_posix()), whole, names)))
+    return PictureList(tuple(pictures), skipped, tuple(failures))
+
+
+def _files(given: str) -> tuple[Iterable[tuple[Path, str, bool]], Failure | None]:
+    """Return each file with its name and whether the user named it, or why there is none."""
+    path = Path(given)
+    if path.is_dir():
+        return _below(path), None
+    if path.exists():
+        return [(path, path.name, True)], None
+    # Some shells leave patterns alone. Path.glob takes no absolute ones.
+    matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]  # noqa: PTH207
+    if not matches:
+        fault = "no file matches it" if glob.has_magic(given) else "does not exist"
+        error = CaptureError(fault, source=given, remedy="check the path")
+        return [], Failure(given, "", error.code, str(error))
+    return (file for match in matches for file in _matched(match)), None
+
+
+def _matched(match: Path) -> Iterator[tuple[Path, str, bool]]:
+    if match.is_dir():
+        yield from _below(match)
+    else:
+        yield match, match.name, False
+
+
+def _below(folder: Path) -> Iterator[tuple[Path, str, bool]]:
+    for path in sorted(folder.rglob("*")):
+        inner = path.relative_to(folder)
+        if path.is_file() and not any(part.startswith(".") for part in inner.parts):
+            yield path, inner.as_posix(), False
+
+
+def _own_name(names: tuple[str, ...], whole: Path, taken: set[str]) -> str:
+    name = next((name for name in names if name not in taken), whole.as_posix())
+    taken.add(name)
+    return name
+
 
 _JPEG_QUALITY = 90
 
@@ -71,8 +201,8 @@ class DetectOptions:
 
 
 @dataclass(frozen=True)
-class Looked:
-    """One picture that was looked at: its name, its fruit's scores, and the time that it took."""
+class DetectedPicture:
+    """The result of one picture: its name, its fruit's confidences, and the seconds it took."""
 
     name: str
     scores: tuple[float, ...]
@@ -85,10 +215,10 @@ class DetectResult:
 
     Parameters
     ----------
-    looked : list of Looked
+    pictures : list of DetectedPicture
         The pictures, in order.
     failures : list of Failure
-        What could not be read; the rest was looked at.
+        What could not be read; the rest was examined.
     skipped : int
         Files in folders that are no pictures.
     models : list of dict
@@ -97,11 +227,16 @@ class DetectResult:
         Where the files are.
     """
 
-    looked: list[Looked] = field(default_factory=list)
+    pictures: list[DetectedPicture] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     skipped: int = 0
     models: list[dict[str, Any]] = field(default_factory=list)
     out: Path = Path()
+
+    @property
+    def exit_code(self) -> int:
+        """What the command's exit code is: 0, 1, 2 or 70, as in `measurer.exit_code`."""
+        return exit_code(len(self.pictures), self.failures)
 
 
 Report: TypeAlias = Callable[[int, int], None]
@@ -126,7 +261,7 @@ def detect_inputs(
     inputs : sequence of str or Path
         Files, folders and patterns.
     out : Path
-        Made where it is missing; pictures in it are not looked at.
+        Made where it is missing; pictures in it are left out.
     options : DetectOptions
         The run's choices.
     report : callable, optional
@@ -152,19 +287,19 @@ def detect_inputs(
             remedy="name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some",
         )
     result = DetectResult(skipped=listed.skipped, out=out)
-    eye = _Eye(options, registry, result.models)
-    folder = _Folder(out, eye, options)
+    detection = _Detection(options, registry, result.models)
+    folder = _Folder(out, detection, options)
     with folder.failures as failures:
         for failure in listed.failures:
             _note(failure, result, failures)
         try:
-            _look_at_all(listed, eye, folder, result, report)
+            _detect_all(listed, detection, folder, result, report)
         finally:
             folder.finish(result)
     return result
 
 
-class _Eye:
+class _Detection:
     """Detector, pose network and SAM as one."""
 
     def __init__(
@@ -195,7 +330,7 @@ class _Eye:
     def gives_keypoints(self) -> bool:
         return self._detectors.gives_keypoints
 
-    def look(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+    def find(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
         found = self._detectors.find(color_rgb)
         if not found or self._segmenter == "none":
             return found
@@ -205,10 +340,10 @@ class _Eye:
 class _Folder:
     """The output folder while it fills."""
 
-    def __init__(self, out: Path, eye: _Eye, options: DetectOptions) -> None:
-        self._out, self._eye, self._options = out, eye, options
+    def __init__(self, out: Path, detection: _Detection, options: DetectOptions) -> None:
+        self._out, self._detection, self._options = out, detection, options
         self._started = datetime.now(UTC)
-        self._labels = list(eye.labels)
+        self._labels = list(detection.labels)
         self._images: list[dict[str, Any]] = []
         self._entries: list[dict[str, Any]] = []
         self._taken: set[str] = set()
@@ -229,7 +364,7 @@ class _Folder:
         number, name = len(self._images) + 1, picture.name
         self._images.append({"id": number, "file_name": name, "width": width, "height": height})
         self._entries += coco_results(
-            found, number, name, numbers, keypoints=self._eye.gives_keypoints
+            found, number, name, numbers, keypoints=self._detection.gives_keypoints
         )
         if self._options.overlays:
             stem = unique_name(safe_name(str(Path(name).with_suffix(""))), self._taken)
@@ -237,7 +372,7 @@ class _Folder:
 
     def finish(self, result: DetectResult) -> None:
         info = {
-            "description": "Pictures that cucumbervision detect looked at; results.json has them",
+            "description": "Pictures given to cucumbervision detect; results.json has their fruit",
             "software": f"cucumbervision {__version__}",
             "licence": LICENCE,
             "source": source_offer(),
@@ -257,34 +392,36 @@ class _Folder:
         write_bytes(self._out / "results.json", text.encode())
 
 
-def _look_at_all(
-    listed: PictureList, eye: _Eye, folder: _Folder, result: DetectResult, report: Report | None
+def _detect_all(
+    listed: PictureList,
+    detection: _Detection,
+    folder: _Folder,
+    result: DetectResult,
+    report: Report | None,
 ) -> None:
     for done, picture in enumerate(listed.pictures, start=1):
         start = time.perf_counter()
-        try:
+        failed: list[Failure] = []
+        with Boundary(failed, str(picture.path), picture.name):
             color = read_photo(picture.path)
-            found = eye.look(color)
+            found = detection.find(color)
             folder.add(picture, color, found)
-        except CucumberVisionError as error:
-            _note(
-                Failure(str(picture.path), picture.name, error.code, str(error)),
-                result,
-                folder.failures,
-            )
-        else:
             scores = tuple(one.confidence for one in found)
-            result.looked.append(Looked(picture.name, scores, time.perf_counter() - start))
+            seconds = time.perf_counter() - start
+            result.pictures.append(DetectedPicture(picture.name, scores, seconds))
+        for failure in failed:
+            _note(failure, result, folder.failures)
         if report is not None:
             report(done, len(listed.pictures))
 
 
 def _note(failure: Failure, result: DetectResult, sink: CsvSink) -> None:
-    sink.write(vars(failure))
     result.failures.append(failure)
+    with suppress(OSError):  # a full disk: the failures are still shown at the end
+        sink.write(vars(failure))
 
 
 def _write_overlay(path: Path, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]) -> None:
-    from cucumbervision.pipeline.detect_overlay import draw_detections
+    from cucumbervision.pipeline.overlay import draw_detections
 
     write_jpeg(path, draw_detections(color_rgb, found), _JPEG_QUALITY)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import Length, Method
+from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.measurement.selector import Selector
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class MeasureOptions:
         Which methods run.
     selector : Selector
         How one is chosen.
-    length : Length
+    length : LengthDefinition
         Which length `length_cm` holds where a tube was fitted.
     confidence : float
         Detections below it are left out.
@@ -63,7 +63,7 @@ class MeasureOptions:
     prompt: str = "box+point"
     methods: tuple[Method, ...] = AVAILABLE
     selector: Selector = Selector.BEST
-    length: Length = Length.THREAD
+    length: LengthDefinition = LengthDefinition.THREAD
     confidence: float = 0.30
     runtime: str = "auto"
     full_precision: bool = True

@@ -1,4 +1,4 @@
-"""Draw what was measured onto the picture; nothing here is ever measured again."""
+"""Draw onto a picture what was measured or detected; nothing here is ever measured again."""
 
 from __future__ import annotations
 
@@ -8,41 +8,42 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.measurement.m4 import MIN_VISIBILITY
+from cucumbervision.measurement.result import Flag
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.measurement.result import Fruit, Measurement
-    from cucumbervision.pipeline.rows import Cell
+    from cucumbervision.measurement.result import FruitMeasurement, Measurement
+    from cucumbervision.perception.instances import Instance
 
-__all__ = ["COLORS", "draw_label", "draw_overlay", "tint_mask"]
+__all__ = ["COLORS", "draw_detections", "draw_label", "draw_overlay", "tint_mask"]
 
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
+
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+
 TINT = 0.30
+
 BAR_M = 0.10
+
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def draw_overlay(
-    capture: Capture, fruit: Sequence[Fruit], rows: Sequence[Mapping[str, Cell]] | None = None
-) -> NDArray[np.uint8]:
+def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray[np.uint8]:
     """Draw each fruit's mask, measured line, tips and length, and a scale bar.
 
     Parameters
     ----------
     capture : Capture
         The frame; its colour picture is not changed.
-    fruit : sequence of Fruit
+    fruit : sequence of FruitMeasurement
         The fruit in it, measured, numbered from 1.
-    rows : sequence of mapping, optional
-        The fruit's rows, in the same order: their `length_cm` and `length_kind` are written, which
-        may be a tube's thread or a calibrated length; without them the method's own length is.
 
     Returns
     -------
@@ -57,8 +58,7 @@ def draw_overlay(
         if one.selected is not None and one.selected.path_m is not None:
             _draw_path(picture, one.selected, capture.intrinsics, color, size)
     for number, one in enumerate(fruit, start=1):
-        row = _own_length(one) if rows is None else rows[number - 1]
-        draw_label(picture, _label(number, one, row), one.instance.box, size)
+        draw_label(picture, _label(number, one), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
@@ -66,7 +66,7 @@ def draw_overlay(
 
 
 def _draw_region(
-    picture: NDArray[np.uint8], fruit: Fruit, color: tuple[int, int, int], size: float
+    picture: NDArray[np.uint8], fruit: FruitMeasurement, color: tuple[int, int, int], size: float
 ) -> None:
     if fruit.mask is None:
         x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
@@ -105,21 +105,13 @@ def _draw_path(
         cv2.circle(picture, at, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
 
-def _own_length(fruit: Fruit) -> dict[str, Cell]:
-    chosen = fruit.selected
-    if chosen is None or chosen.length_m is None:
-        return {"length_cm": None, "length_kind": None}
-    return {"length_cm": 100 * chosen.length_m, "length_kind": str(chosen.kind)}
-
-
-def _label(number: int, fruit: Fruit, row: Mapping[str, Cell]) -> str:
-    chosen, length_cm = fruit.selected, row["length_cm"]
-    if chosen is None or not isinstance(length_cm, int | float):
+def _label(number: int, fruit: FruitMeasurement) -> str:
+    length = fruit.length
+    if length is None:
         return f"{number}: not measured ({fruit.reason})"
     # What runs on out of sight is longer than what was seen of it.
-    least = "at least " if {"cut-by-frame", "end-hidden"} & set(fruit.flags) else ""
-    method = chosen.measured_by or chosen.method
-    return f"{number}: {least}{length_cm:.1f} cm {row['length_kind']}, {method}"
+    least = "at least " if {Flag.CUT_BY_FRAME, Flag.END_HIDDEN} & set(fruit.flags) else ""
+    return f"{number}: {least}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
 
 
 def draw_label(
@@ -144,7 +136,7 @@ def _text(picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: floa
 
 
 def _draw_scale(
-    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[Fruit], size: float
+    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[FruitMeasurement], size: float
 ) -> None:
     depths = [np.median(d) for f in fruit if len(d := _fruit_depths(capture, f))]
     if not depths:
@@ -158,8 +150,76 @@ def _draw_scale(
     _text(picture, text, (left, y - round(14 * size)), size)
 
 
-def _fruit_depths(capture: Capture, fruit: Fruit) -> NDArray[np.float32]:
+def _fruit_depths(capture: Capture, fruit: FruitMeasurement) -> NDArray[np.float32]:
     if fruit.mask is None:
         return np.empty(0, np.float32)
     depths = capture.depth_m[fruit.mask]
     return depths[valid_depth(depths)]
+
+
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+
+
+def draw_detections(
+    color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
+) -> NDArray[np.uint8]:
+    """Draw each fruit's mask, box, score and keypoints.
+
+    The stem end is a square, the blossom end a circle; what is hardly seen is hollow.
+
+    Parameters
+    ----------
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture, which is not changed.
+    instances : sequence of Instance
+        Its fruit.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.instances import Instance
+    >>> picture = np.zeros((60, 80, 3), np.uint8)
+    >>> drawn = draw_detections(picture, [Instance(np.array([9.5, 19.5, 49.5, 39.5]))])
+    >>> picture.any(), drawn[20:40, 10].any()
+    (np.False_, np.True_)
+    """
+    picture = color_rgb.copy()
+    size = max(max(picture.shape[:2]) / 1280, 0.5)
+    for number, one in enumerate(instances):
+        color = COLORS[number % len(COLORS)]
+        mask = one.detector_mask if one.mask is None else one.mask
+        if mask is not None:
+            tint_mask(picture, mask, color, size)
+        x1, y1, x2, y2 = (round(float(edge)) for edge in one.box)
+        cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(1.5 * size)), cv2.LINE_AA)
+        if one.keypoints is not None:
+            _draw_keypoints(picture, one.keypoints, color, size)
+    for one in instances:
+        draw_label(picture, f"{one.class_name} {one.confidence:.2f}", one.box, size)
+    return picture
+
+
+def _draw_keypoints(
+    picture: NDArray[np.uint8],
+    keypoints: NDArray[np.float64],
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    points = np.rint(keypoints[:, :2]).astype(np.int32)
+    cv2.polylines(picture, [points], False, _BLACK, max(2, round(3 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [points], False, _WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
+    seen = keypoints[:, 2] >= MIN_VISIBILITY
+    last = len(points) - 1
+    for k, ((u, v), visible) in enumerate(zip(points.tolist(), seen.tolist(), strict=True)):
+        radius = max(3, round((7 if k in (0, last) else 4) * size))
+        for reach, shade in ((radius, _BLACK), (radius - max(1, round(2 * size)), color)):
+            width = -1 if visible or shade == _BLACK else max(1, round(size))
+            if k == last:
+                corners = (u - reach, v - reach), (u + reach, v + reach)
+                cv2.rectangle(picture, *corners, shade, width, cv2.LINE_AA)
+            else:
+                cv2.circle(picture, (u, v), reach, shade, width, cv2.LINE_AA)

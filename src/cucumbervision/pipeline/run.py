@@ -3,67 +3,268 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import unique_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.exports import FAILURE_COLUMNS, CsvSink
-from cucumbervision.pipeline.finders import Finder, make_finder
-from cucumbervision.pipeline.intervals import with_simulated_interval
-from cucumbervision.pipeline.report import capture_json, write_reports
-from cucumbervision.pipeline.results import Failure, RunResult
-from cucumbervision.pipeline.rows import COLUMNS, fruit_row
+from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer, exit_code
+from cucumbervision.pipeline.tables import (
+    FAILURE_COLUMNS,
+    CsvSink,
+    capture_json,
+    provenance_of,
+    summary_lines,
+    write_json,
+    write_workbook,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
-    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.capture.source import CaptureSource, ReadOptions
+    from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.rows import Cell
 
-__all__ = ["capture_rows", "count_captures", "measure_capture", "measure_inputs"]
+__all__ = [
+    "Folder",
+    "Overlays",
+    "RunResult",
+    "Sink",
+    "count_captures",
+    "measure_all",
+    "measure_inputs",
+    "read_captures",
+]
 
 Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]
-Report: TypeAlias = Callable[["Capture | None", "Sequence[Fruit]", "Sequence[Failure]"], None]
+Report: TypeAlias = Callable[["CaptureResult | Failure"], None]
 
 
-def measure_capture(
-    capture: Capture, finder: Finder, options: MeasureOptions
-) -> tuple[tuple[Fruit, ...], tuple[CucumberVisionError, ...]]:
-    """Find and measure the fruit of one capture.
+class Sink(Protocol):
+    """Where results go: tables, pictures, a store."""
+
+    def add(self, result: CaptureResult) -> None:
+        """Take one capture; what it raises becomes a failure of that capture."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """What one run gave.
 
     Parameters
     ----------
-    capture : Capture
-        The frame.
-    finder : Finder
-        What finds the fruit.
-    options : MeasureOptions
-        The run's choices.
+    rows : list of dict
+        One a fruit, as `fields.fruit_row` fills them.
+    failures : list of Failure
+        What could not be read, measured or written.
+    captures : int
+        How many captures were measured, those without fruit included.
+    out : Path
+        Where the files are.
+    """
+
+    rows: list[dict[str, Cell]] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    captures: int = 0
+    out: Path = Path()
+
+    @property
+    def exit_code(self) -> int:
+        """What the command's exit code is: 0, 1, 2 or 70, as in `measurer.exit_code`."""
+        return exit_code(self.captures, self.failures)
+
+
+def read_captures(
+    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
+) -> Iterator[Capture | Failure]:
+    """Read the captures of all inputs, each when its turn comes.
+
+    Parameters
+    ----------
+    inputs : iterable of Path
+        Folders and files that `open_source` knows.
+    reading : ReadOptions
+        What is said of them.
+    opener : callable
+        Opens each input; `intake.guarded.open_guarded` for recordings from strangers.
+
+    Yields
+    ------
+    Capture or Failure
+        A capture, or why one or a whole input cannot be read.
+    """
+    for path in inputs:
+        failures: list[Failure] = []
+        refs = None
+        with Boundary(failures, str(path)):
+            refs = iter(opener(path, reading))
+        while refs is not None:
+            ref = capture = None
+            with Boundary(failures, str(path)):
+                ref = next(refs, None)
+            if ref is None:  # the end, or the source itself broke: nothing more will come
+                break
+            with Boundary(failures, str(path), ref.name):
+                capture = ref.load()
+            yield from failures
+            failures.clear()
+            if capture is not None:
+                yield capture
+        yield from failures
+
+
+def _named_apart(captures: Iterable[Capture | Failure]) -> Iterator[Capture | Failure]:
+    taken: set[str] = set()
+    for one in captures:
+        if isinstance(one, Failure):
+            yield one
+        else:
+            yield replace(one, name=unique_name(one.name, taken))
+
+
+def count_captures(
+    inputs: Sequence[Path], reading: ReadOptions, opener: Opener = open_source
+) -> int | None:
+    """Return how many captures the inputs hold; None where only reading them would tell."""
+    total = 0
+    for path in inputs:
+        source = None
+        with Boundary([], str(path)):
+            source = opener(path, reading)
+        if source is not None and source.total is None:
+            return None
+        # The failure of one that cannot be opened is reported as one step.
+        total += 1 if source is None else source.total or 0
+    return total
+
+
+def measure_all(
+    captures: Iterable[Capture | Failure],
+    measurer: Measurer,
+    sinks: Sequence[Sink],
+    note: Callable[[Failure], None],
+    report: Report | None = None,
+) -> int:
+    """Measure captures into sinks; whatever goes wrong in one, the others go on.
+
+    Parameters
+    ----------
+    captures : iterable of Capture or Failure
+        As `read_captures` yields them.
+    measurer : Measurer
+        What measures.
+    sinks : sequence of Sink
+        Each gets every capture that was measured.
+    note : callable
+        Called with each failure.
+    report : callable, optional
+        Called after each capture, with its result or its failure; for progress bars.
 
     Returns
     -------
-    fruit : tuple of Fruit
-        One for every detection.
-    refused : tuple of CucumberVisionError
-        What a file of instances gave that is no fruit in this picture.
+    int
+        How many captures were measured and taken by the first sink.
     """
-    found = finder.find(capture)
-    fruit = []
-    for index, instance in enumerate(found.instances):
-        one = measure_fruit(capture, instance, options.methods, options.selector)
-        cut = ("box-clipped",) if index in found.clipped else ()
-        fruit.append(replace(one, flags=(*one.flags, *cut)))
-    return tuple(fruit), found.refused
+    measured = 0
+    for read in captures:
+        done = read if isinstance(read, Failure) else measurer.attempt(read)
+        failures = [done] if isinstance(done, Failure) else list(done.failures)
+        if isinstance(done, CaptureResult) and done.error is None:
+            name = done.capture.source, done.capture.name
+            for number, sink in enumerate(sinks):
+                before = len(failures)
+                with Boundary(failures, *name):
+                    sink.add(done)
+                measured += number == 0 and len(failures) == before
+        for failure in failures:
+            note(failure)
+        if report is not None:
+            report(done)
+    return measured
+
+
+class Folder:
+    """A folder of tables and pictures while it fills: the sink of `cucumbervision measure`.
+
+    Parameters
+    ----------
+    out : Path
+        Made where it is missing; its tables are written anew.
+
+    Raises
+    ------
+    CucumberVisionError
+        If it cannot be written.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.rows: list[dict[str, Cell]] = []
+        self.failures: list[Failure] = []
+        self._captures: list[dict[str, Any]] = []
+        self._out, self._started = out, datetime.now(UTC)
+        self._stack = ExitStack()
+        try:
+            (out / "overlays").mkdir(parents=True, exist_ok=True)
+            names = [one.name for one in FIELDS]
+            self._table = self._stack.enter_context(CsvSink(out / "measurements.csv", names))
+            failures = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
+            self._failures = self._stack.enter_context(failures)
+        except OSError as error:
+            self._stack.close()
+            raise CucumberVisionError(
+                f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
+            ) from error
+
+    def add(self, result: CaptureResult) -> None:
+        """Append a capture's fruit to the tables."""
+        rows = result.rows()
+        self._table.write(*rows)
+        self.rows += rows
+        self._captures.append(capture_json(result, rows))
+
+    def note(self, failure: Failure) -> None:
+        """Append a line to `failures.csv`."""
+        self.failures.append(failure)
+        with suppress(OSError):  # a full disk: the failures are still shown at the end
+            self._failures.write(vars(failure))
+
+    def finish(self, measurer: Measurer) -> None:
+        """Write `measurements.json` and `measurements.xlsx` of the whole run."""
+        failures = self.failures
+        provenance = provenance_of(measurer, self._started)
+        failed = [vars(failure) for failure in failures]
+        report = {**provenance, "captures": self._captures, "failures": failed}
+        write_json(self._out / "measurements.json", report)
+        lines = summary_lines(self.rows, len(self._captures), failures, provenance)
+        write_workbook(self._out / "measurements.xlsx", self.rows, lines)
+
+    def close(self) -> None:
+        """Close the tables."""
+        self._stack.close()
+
+
+class Overlays:
+    """Annotated pictures in a folder, one PNG a capture."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def add(self, result: CaptureResult) -> None:
+        """Draw a capture's fruit and write the picture."""
+        import cv2
+
+        from cucumbervision.pipeline.overlay import draw_overlay
+
+        ok, data = cv2.imencode(".png", draw_overlay(result.capture, result.fruit)[..., ::-1])
+        if ok:
+            (self._folder / f"{result.capture.name}.png").write_bytes(data.tobytes())
 
 
 def measure_inputs(
@@ -76,8 +277,8 @@ def measure_inputs(
     """Measure every capture of every input into a folder.
 
     `out` gets `measurements.csv`, `measurements.xlsx`, `measurements.json`, `overlays/` with one
-    annotated PNG a capture, and `failures.csv`. A capture that cannot be read is noted and the
-    others go on.
+    annotated PNG a capture, and `failures.csv`. Whatever goes wrong in one capture is noted and
+    the others go on.
 
     Parameters
     ----------
@@ -88,8 +289,7 @@ def measure_inputs(
     options : MeasureOptions
         The run's choices.
     report : callable, optional
-        Called after each capture with the capture (None if it could not be read), its fruit and
-        the failures; for progress bars.
+        Called after each capture with its result or failure; for progress bars.
     opener : callable
         Opens each input; `intake.recordings.open_guarded` for recordings from strangers.
 
@@ -103,170 +303,15 @@ def measure_inputs(
         If the run cannot start at all: `out` cannot be written, or a network or the calibration
         cannot be loaded.
     """
-    site = _load_calibration(options)
-    finder = make_finder(options)
-    started = datetime.now(UTC)
-    result = RunResult(out=out)
-    captures = []
-    with ExitStack() as stack:
-        rows, failures = _open_tables(out, stack)
-        for read, broken in _read_all(inputs, options, opener):
-            capture, fruit, noted = _measure_or_note(read, broken, finder, options, site)
-            if capture is not None:
-                lines = capture_rows(capture, fruit, options, site)
-                for line in lines:
-                    rows.write(line)
-                _write_overlay(out / "overlays" / f"{capture.name}.png", capture, fruit, lines)
-                captures.append(capture_json(capture, fruit, lines))
-                result.rows.extend(lines)
-            for failure in noted:
-                failures.write(vars(failure))
-            result.failures.extend(noted)
-            if report is not None:
-                report(capture, fruit, noted)
-    result = replace(result, captures=len(captures))
-    write_reports(result, captures, finder, options, started, site)
-    return result
-
-
-def _load_calibration(options: MeasureOptions) -> SiteCalibration | None:
-    if options.calibration is None:
-        return None
-    from cucumbervision.calibration.calibration_file import read_site_calibration
-
-    return read_site_calibration(options.calibration)
-
-
-def capture_rows(
-    capture: Capture,
-    fruit: Sequence[Fruit],
-    options: MeasureOptions,
-    site: SiteCalibration | None,
-) -> list[dict[str, Cell]]:
-    """Fill the rows of one capture's fruit: with intervals, and calibrated where a site is given.
-
-    Parameters
-    ----------
-    capture : Capture
-        The frame, its depth already scaled by the site's calibration.
-    fruit : sequence of Fruit
-        What `measure_capture` gave.
-    options : MeasureOptions
-        The run's choices.
-    site : SiteCalibration, optional
-        The site's calibration.
-
-    Returns
-    -------
-    list of dict
-        A value for every name in `session.rows.COLUMNS`, in the order of the fruit.
-    """
-    scale_known = site is not None and site.depth_scale is not None
-    rows = [
-        with_simulated_interval(
-            fruit_row(capture, n, one, options.length), one, options.length, scale_known=scale_known
-        )
-        for n, one in enumerate(fruit, 1)
-    ]
-    if site is None:
-        return rows
-    from cucumbervision.pipeline.calibrated import calibrated_row
-
-    return [calibrated_row(row, site, options.length) for row in rows]
-
-
-def _open_tables(out: Path, stack: ExitStack) -> tuple[CsvSink, CsvSink]:
+    measurer = Measurer(options)
+    measurer.load()
+    folder = Folder(out)
     try:
-        (out / "overlays").mkdir(parents=True, exist_ok=True)
-        rows = stack.enter_context(CsvSink(out / "measurements.csv", [c.name for c in COLUMNS]))
-        return rows, stack.enter_context(CsvSink(out / "failures.csv", FAILURE_COLUMNS))
-    except OSError as error:
-        raise CucumberVisionError(
-            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-        ) from error
-
-
-def _measure_or_note(
-    capture: Capture | None,
-    failure: Failure | None,
-    finder: Finder,
-    options: MeasureOptions,
-    site: SiteCalibration | None,
-) -> tuple[Capture | None, tuple[Fruit, ...], list[Failure]]:
-    if capture is None:
-        return None, (), [failure] if failure else []
-    try:
-        if site is not None:
-            from cucumbervision.pipeline.calibrated import calibrated_capture
-
-            capture = calibrated_capture(capture, site)
-        fruit, refused = measure_capture(capture, finder, options)
-    except CucumberVisionError as error:
-        return None, (), [_failure(capture.source, capture.name, error)]
-    return capture, fruit, [_failure(capture.source, capture.name, error) for error in refused]
-
-
-def count_captures(
-    inputs: Sequence[Path], options: MeasureOptions, opener: Opener = open_source
-) -> int | None:
-    """Say how many captures the inputs hold; None where only reading them would tell."""
-    total = 0
-    for path in inputs:
-        try:
-            source = opener(path, options.reading)
-        except CucumberVisionError:
-            total += 1  # its failure is reported as one step
-            continue
-        if source.total is None:
-            return None
-        total += source.total
-    return total
-
-
-def _read_all(
-    inputs: Sequence[Path], options: MeasureOptions, opener: Opener
-) -> Iterator[tuple[Capture | None, Failure | None]]:
-    taken: set[str] = set()
-    for path in inputs:
-        try:
-            source = opener(path, options.reading)
-        except CucumberVisionError as error:
-            yield None, _failure(str(path), "", error)
-            continue
-        yield from _read_source(source, path, taken)
-
-
-def _read_source(
-    source: CaptureSource, path: Path, taken: set[str]
-) -> Iterator[tuple[Capture | None, Failure | None]]:
-    refs = iter(source)
-    while True:
-        name = ""
-        try:
-            ref: CaptureRef | None = next(refs, None)
-            if ref is None:
-                return
-            name = ref.name
-            capture = ref.load()
-        except CucumberVisionError as error:
-            yield None, _failure(str(path), name, error)
-            if not name:  # the source itself broke: nothing more will come
-                return
-            continue
-        yield replace(capture, name=unique_name(capture.name, taken)), None
-
-
-def _failure(source: str, capture: str, error: CucumberVisionError) -> Failure:
-    return Failure(source, capture, error.code, str(error))
-
-
-def _write_overlay(
-    path: Path, capture: Capture, fruit: Sequence[Fruit], rows: Sequence[dict[str, Cell]]
-) -> None:
-    import cv2
-
-    from cucumbervision.pipeline.overlay import draw_overlay
-
-    ok, data = cv2.imencode(".png", draw_overlay(capture, fruit, rows)[..., ::-1])
-    if ok:
-        path.write_bytes(data.tobytes())
+        captures = _named_apart(read_captures(inputs, options.reading, opener))
+        sinks = (folder, Overlays(out / "overlays"))
+        measured = measure_all(captures, measurer, sinks, folder.note, report)
+    finally:
+        folder.close()
+    with Boundary(folder.failures, str(out)):
+        folder.finish(measurer)
+    return RunResult(folder.rows, folder.failures, measured, out)

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.errors import CucumberVisionError, RoundError
+from cucumbervision.capture.frames import Stop
+from cucumbervision.errors import RoundError
+from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
+from cucumbervision.pipeline.run import read_captures
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
@@ -19,21 +22,23 @@ from cucumbervision.rounds.poses import (
     pose_matrix,
     sign_of_side,
 )
+from cucumbervision.store.records import key_of
+from cucumbervision.store.results import records_from_result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from cucumbervision.calibration.calibration_file import SiteCalibration
-    from cucumbervision.capture.frames import Capture, Stop
-    from cucumbervision.pipeline.finders import Finder
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.store.images import ImageStore
     from cucumbervision.store.records import DetectionRecord, StopRecord
     from cucumbervision.store.repository import Store
 
-__all__ = ["Added", "Place", "add_captures", "placed_fruit", "placed_stop"]
+__all__ = ["Added", "Place", "add_captures", "measured_stop", "placed_fruit", "placed_stop"]
 
 Report: TypeAlias = Callable[["Added"], None]
 
@@ -80,15 +85,15 @@ class Added:
         How many fruit it shows; 0 where it was there already.
     new : bool
         Whether it was saved now.
-    problem : str
-        Why not, in one line.
+    failure : Failure, optional
+        Why not.
     """
 
     name: str
     stop_key: str = ""
     fruit: int = 0
     new: bool = False
-    problem: str = ""
+    failure: Failure | None = None
 
 
 def add_captures(
@@ -124,70 +129,31 @@ def add_captures(
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
-    from cucumbervision.pipeline.finders import make_finder
-    from cucumbervision.store.records import key_of
-
     place = place or Place()
     there = {stop.key for stop in store.stops(round_key)}
-    site = _site(options)
-    finder: Finder | None = None
+    measurer = Measurer(options)
     done = []
-    for number, (name, capture, problem) in enumerate(_read(inputs, options)):
-        if capture is None:
-            added = Added(name, problem=problem)
+    for number, read in enumerate(read_captures(inputs, options.reading)):
+        if isinstance(read, Failure):
+            added = Added(read.capture or read.input, failure=read)
         else:
-            key = key_of(round_key, name, _content(capture))
-            added = Added(name, key)
-            if key not in there:
-                finder = finder or make_finder(options)
-                try:
-                    stop = _measured(capture, number, place, (finder, options, site), store)
-                    store.save_stop(replace(stop, key=key, round_key=round_key))
-                    fruit = sum(len(one.fruit) for one in stop.captures)
-                    added = Added(name, key, fruit, new=True)
-                    there.add(key)
-                except CucumberVisionError as error:
-                    added = Added(name, problem=str(error))
+            added = Added(read.name, key_of(round_key, read.name, _content(read)))
+            if added.stop_key not in there:
+                measurer.load()
+                failures: list[Failure] = []
+                with Boundary(failures, read.source, read.name):
+                    result, stop = measured_stop(read, number, place, measurer, store.images)
+                    failures += () if result.error is None else result.failures
+                    if not failures:
+                        store.save_stop(replace(stop, key=added.stop_key, round_key=round_key))
+                        there.add(added.stop_key)
+                        added = replace(added, fruit=len(result.fruit), new=True)
+                if failures:
+                    added = Added(read.name, failure=failures[0])
         done.append(added)
         if report is not None:
             report(added)
     return done
-
-
-def _site(options: MeasureOptions) -> SiteCalibration | None:
-    if options.calibration is None:
-        return None
-    from cucumbervision.calibration.calibration_file import read_site_calibration
-
-    return read_site_calibration(options.calibration)
-
-
-def _read(
-    inputs: Sequence[Path], options: MeasureOptions
-) -> Iterator[tuple[str, Capture | None, str]]:
-    from cucumbervision.capture.readers import open_source
-
-    for path in inputs:
-        try:
-            source = open_source(path, options.reading)
-            refs = iter(source)
-        except CucumberVisionError as error:
-            yield str(path), None, str(error)
-            continue
-        while True:
-            name = ""
-            try:
-                ref = next(refs, None)
-                if ref is None:
-                    break
-                name = ref.name
-                capture = ref.load()
-            except CucumberVisionError as error:
-                yield name or str(path), None, str(error)
-                if not name:  # the source itself broke: nothing more will come
-                    break
-                continue
-            yield capture.name, capture, ""
 
 
 def _content(capture: Capture) -> str:
@@ -196,50 +162,53 @@ def _content(capture: Capture) -> str:
     return digest.hexdigest()
 
 
-def _measured(
+def measured_stop(
     capture: Capture,
     number: int,
     place: Place,
-    means: tuple[Finder, MeasureOptions, SiteCalibration | None],
-    store: Store,
-) -> StopRecord:
-    from cucumbervision.pipeline.results import Failure
-    from cucumbervision.pipeline.run import capture_rows, measure_capture
-    from cucumbervision.store.results import (
-        MeasuredCapture,
-        artifact_records,
-        records_from_result,
-    )
+    measurer: Measurer,
+    images: ImageStore | None,
+) -> tuple[CaptureResult, StopRecord]:
+    """Measure a capture as a stop of a round.
 
-    finder, options, site = means
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    number : int
+        How many came before it, for its position and step where nothing else says them.
+    place : Place
+        Where it was taken.
+    measurer : Measurer
+        What measures.
+    images : ImageStore, optional
+        Takes the pictures.
+
+    Returns
+    -------
+    result : CaptureResult
+        Its `error` says why nothing was measured.
+    stop : StopRecord
+        With the fruit's offsets along the row; the failure where nothing was measured. It has no
+        key and no round yet.
+
+    Raises
+    ------
+    RoundError
+        If a pose file has no line for it.
+    StoreError
+        If a picture cannot be written.
+    """
     spot, sd_m, pose = _spot(capture, number, place)
-    capture = replace(capture, stop=spot)
-    if site is not None:
-        from cucumbervision.pipeline.calibrated import calibrated_capture
-
-        capture = calibrated_capture(capture, site)
-    fruit, refused = measure_capture(capture, finder, options)
-    measured = MeasuredCapture(capture, fruit, capture_rows(capture, fruit, options, site))
-    stop = records_from_result(
-        "",
-        [measured],
-        key="",
-        stop=spot,
-        position_sd_m=sd_m,
-        images=store.images,
-        artifacts=artifact_records(options, finder.models, site),
-        failures=[Failure(capture.source, capture.name, e.code, str(e)) for e in refused],
-        length=options.length,
-    )
-    return placed_stop(stop, pose)
+    result = measurer.attempt(replace(capture, stop=spot))
+    stop = records_from_result("", [result], measurer, key="", position_sd_m=sd_m, images=images)
+    return result, placed_stop(stop, pose)
 
 
 def _spot(
     capture: Capture, number: int, place: Place
 ) -> tuple[Stop, float | None, NDArray[np.float64]]:
-    """Give row, side, position and step; how sure the position is; and the camera's pose."""
-    from cucumbervision.capture.frames import Stop
-
+    """Return row, side, position and step; how sure the position is; and the camera's pose."""
     own, line = capture.stop, place.poses.get(capture.name)
     if place.poses and line is None:
         raise RoundError(
@@ -268,7 +237,7 @@ def _spot(
 
 
 def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> DetectionRecord:
-    """Give a fruit its offset along the row from the camera's pose.
+    """Return a fruit with its offset along the row from the camera's pose.
 
     Examples
     --------
@@ -291,7 +260,7 @@ def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> Detection
 
 
 def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:
-    """Give a stop the camera's pose, and each of its fruit the offset along the row.
+    """Return a stop with the camera's pose, its fruit with their offsets along the row.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from cucumbervision.agronomy.fruit import FruitState
 from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, grade
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.agronomy.picking import pick_list
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.rounds.day_linking import LinkSettings
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.service import DAY_S, find_round, fruit_table, row_reports
@@ -111,22 +111,22 @@ def grade_of(record: DetectionRecord, profile: CropProfile) -> Grade:
     if record.inner_arc_m is not None and record.chord_m:
         arc = 1000 * record.inner_arc_m / (10 * record.chord_m)
     lengths = {
-        Length.THREAD: record.thread_m,
-        Length.CENTRELINE: record.centreline_m,
-        Length.CHORD: record.chord_m,
+        LengthDefinition.THREAD: record.thread_m,
+        LengthDefinition.CENTRELINE: record.centreline_m,
+        LengthDefinition.CHORD: record.chord_m,
     }
-    if record.length_kind in list(Length) and record.length_m:
-        lengths[Length(record.length_kind)] = record.length_m  # as calibrated
+    if record.length_kind in list(LengthDefinition) and record.length_m:
+        lengths[LengthDefinition(record.length_kind)] = record.length_m  # as calibrated
     belief, about = None, None
-    if record.interval_of in list(Length):
-        about = Length(record.interval_of)
+    if record.interval_of in list(LengthDefinition):
+        about = LengthDefinition(record.interval_of)
         measured, low, high = lengths[about], record.interval_low_m, record.interval_high_m
         if measured and low and high:
             belief = LengthBelief.from_interval(measured, low, high)
     traits = GradingTraits(
-        lengths[Length.THREAD],
-        lengths[Length.CENTRELINE],
-        lengths[Length.CHORD],
+        lengths[LengthDefinition.THREAD],
+        lengths[LengthDefinition.CENTRELINE],
+        lengths[LengthDefinition.CHORD],
         belief,
         about if belief else None,
         arc,

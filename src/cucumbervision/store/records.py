@@ -190,7 +190,7 @@ class MethodRecord:
 class DetectionRecord:
     """One detected fruit of one capture.
 
-    Names are those of `session.rows.COLUMNS`, in metres in place of centimetres.
+    Names are those of `Column.si_name` of `pipeline.fields.FIELDS`.
 
     Parameters
     ----------

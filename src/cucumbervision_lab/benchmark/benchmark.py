@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
 from cucumbervision.accuracy.records import Masks
-from cucumbervision.measurement.intervals import shipped_book, write_book
+from cucumbervision.measurement.intervals import shipped_interval_models, write_interval_models
 from cucumbervision_lab.benchmark import experiments
-from cucumbervision_lab.benchmark.interval_fit import fit_book, with_intervals
+from cucumbervision_lab.benchmark.interval_fit import fit_interval_models, with_intervals
 from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.protocol import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.benchmark.runner import run_cases
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.records import Record
     from cucumbervision.accuracy.table import Table
-    from cucumbervision.measurement.intervals import IntervalBook
+    from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision_lab.benchmark.protocol import Case
 
 __all__ = ["BenchmarkPlan", "learn_intervals", "plan_cases", "run_benchmark"]
@@ -96,7 +96,7 @@ def run_benchmark(
     outsiders = plan.outsiders and not plan.quick
     records = run("protocol", protocol, CaseOptions(kinds, outsiders))
     records += run("stress", stress, CaseOptions(both))
-    book = shipped_book()
+    book = shipped_interval_models()
     records = [_covered(record, book) for record in records]
     if plan.quick:
         return records, {}
@@ -122,7 +122,7 @@ def run_benchmark(
     return records, tables
 
 
-def _covered(record: Record, book: IntervalBook) -> Record:
+def _covered(record: Record, book: IntervalModels) -> Record:
     found = with_intervals(record, book)
     details: dict[str, Any] = {**record.details, "intervals": found}
     for key, name in (("M6", "interval"), ("M6 thread", "thread_interval")):
@@ -134,7 +134,7 @@ def _covered(record: Record, book: IntervalBook) -> Record:
 
 def learn_intervals(
     file: Path, out: Path, fruit: int, workers: int, report: Callable[[str, int, int], None] | None
-) -> IntervalBook:
+) -> IntervalModels:
     """Learn the book of intervals anew, on fruit that no benchmark measures.
 
     Half of the records come from exact outlines and half from disturbed ones, so that the fit's
@@ -156,8 +156,8 @@ def learn_intervals(
     cases = stress_cases(fruit, first=LEARN_FIRST)
     tell = None if report is None else (lambda count: report("learning", count, fruit))
     options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
-    book = fit_book(run_cases(cases, options, out / "learning.jsonl", workers, tell))
-    write_book(file, book)
+    book = fit_interval_models(run_cases(cases, options, out / "learning.jsonl", workers, tell))
+    write_interval_models(file, book)
     return book
 
 

@@ -10,7 +10,7 @@ from cucumbervision.measurement.intervals import (
     RAW_FEATURES,
     TUBE_EDGES,
     TUBE_FEATURES,
-    IntervalBook,
+    IntervalModels,
     fit_interval_model,
     raw_features,
 )
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.records import Record
 
-__all__ = ["KEYS", "fit_book", "record_features", "record_truth_m", "with_intervals"]
+__all__ = ["KEYS", "fit_interval_models", "record_features", "record_truth_m", "with_intervals"]
 
 KEYS = ("M1", "M2", "M3", "M4", "M5", "M6", "M6 thread", "M6 chord")
 
@@ -43,7 +43,7 @@ def record_features(record: Record, key: str) -> dict[str, float] | None:
     return raw_features(length, record.distance_m, record.fill)
 
 
-def fit_book(records: Sequence[Record], level: float = 0.90) -> IntervalBook:
+def fit_interval_models(records: Sequence[Record], level: float = 0.90) -> IntervalModels:
     """Fit one model a key on the records, depth scale known.
 
     Parameters
@@ -65,7 +65,7 @@ def fit_book(records: Sequence[Record], level: float = 0.90) -> IntervalBook:
         features = {name: columns[:, k] for k, name in enumerate(names)}
         edges = TUBE_EDGES if key.startswith("M6") else ()
         models[key] = fit_interval_model(key, errors, features, fruit, level, edges)
-    return IntervalBook(level, models, len({record.fruit for record in records}))
+    return IntervalModels(level, models, len({record.fruit for record in records}))
 
 
 def _training(records: Sequence[Record], key: str, names: Sequence[str]) -> tuple[Any, Any, Any]:
@@ -81,7 +81,7 @@ def _training(records: Sequence[Record], key: str, names: Sequence[str]) -> tupl
     return np.array(errors), np.array(rows).reshape(len(rows), len(names)), np.array(fruit)
 
 
-def with_intervals(record: Record, book: IntervalBook) -> dict[str, Any]:
+def with_intervals(record: Record, book: IntervalModels) -> dict[str, Any]:
     """Give a record's intervals by key, with the depth scale known and unknown.
 
     With the scale unknown the camera reads every length times its own scale error, and the

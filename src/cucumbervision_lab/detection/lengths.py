@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.statistics import Metrics
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.detection.pictures import Frame
 
 __all__ = ["GROUPS", "LengthScore", "group_of", "length_records", "length_scores"]
@@ -136,7 +136,7 @@ def _record(
     )
 
 
-def _lengths(fruit: Fruit, capture: Capture) -> dict[str, float | None]:
+def _lengths(fruit: FruitMeasurement, capture: Capture) -> dict[str, float | None]:
     lengths: dict[str, float | None] = {
         str(method): one.length_m for method, one in fruit.measurements.items()
     }

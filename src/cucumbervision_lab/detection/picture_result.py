@@ -112,7 +112,7 @@ def open_networks(
     """
     from cucumbervision.perception.registry import file_sha256, load_registry
     from cucumbervision.perception.sam import Segmenter
-    from cucumbervision.pipeline.networks import load_ends
+    from cucumbervision.pipeline.finders import load_ends
 
     models: list[dict[str, Any]] = []
 
@@ -187,7 +187,7 @@ def shipped(
 ) -> tuple[Instance, ...]:
     """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
-    As `session.networks.Detectors.find`, which runs the networks for itself.
+    As `pipeline.finders.Detectors.find`, which runs the networks for itself.
 
     Parameters
     ----------

@@ -15,8 +15,8 @@ from cucumbervision.accuracy.report import HTML_NAME, render_page
 from cucumbervision.accuracy.sections import Picture, Section
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.pipeline.exports import write_json
-from cucumbervision.pipeline.rows import defused
+from cucumbervision.pipeline.fields import defused
+from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.detection import plots
 from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.overlaps import OverlapRow

@@ -9,7 +9,7 @@ from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.measurement.intervals import TUBE_FEATURES
 from cucumbervision_lab.benchmark.interval_fit import (
     KEYS,
-    fit_book,
+    fit_interval_models,
     record_features,
     record_truth_m,
     with_intervals,
@@ -50,7 +50,7 @@ def drawn(count: int, seed: int) -> list[Record]:
 
 
 def test_learnt_intervals_cover_other_fruit_known_scale_or_not() -> None:
-    book = fit_book(drawn(1200, 1))
+    book = fit_interval_models(drawn(1200, 1))
     others = drawn(1500, 2)
     for key in ("M1", "M6", "M6 thread", "M6 chord"):
         for scale in ("known", "unknown"):
@@ -64,7 +64,7 @@ def test_learnt_intervals_cover_other_fruit_known_scale_or_not() -> None:
 
 
 def test_hidden_fruit_get_wider_intervals() -> None:
-    book = fit_book(drawn(1200, 1))
+    book = fit_interval_models(drawn(1200, 1))
     seen = dict.fromkeys(TUBE_FEATURES, 0.0)
     narrow = book.interval("M6", 0.2, seen, scale_known=True)
     wide = book.interval("M6", 0.2, {**seen, "hidden": 0.5}, scale_known=True)
@@ -77,9 +77,9 @@ def test_what_was_not_measured_teaches_nothing() -> None:
     record = drawn(1, 3)[0]
     refused = replace(record, lengths_m=dict.fromkeys(KEYS))
     assert record_features(refused, "M6") is None
-    assert with_intervals(refused, fit_book(drawn(200, 4))) == {}
+    assert with_intervals(refused, fit_interval_models(drawn(200, 4))) == {}
 
 
 def test_too_few_fruit_are_refused() -> None:
     with pytest.raises(ValueError, match="cannot carry a level"):
-        fit_book(drawn(20, 5))
+        fit_interval_models(drawn(20, 5))

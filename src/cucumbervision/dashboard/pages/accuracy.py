@@ -19,7 +19,7 @@ from cucumbervision.dashboard.hand_truth import (
     write_hand_lengths,
 )
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.round_tables import RoundLists
@@ -60,9 +60,9 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     shown = fruit[(int(number) - 1) * LINES : int(number) * LINES]
     kind = st.segmented_control(
         "Measured by hand",
-        list(Length),
+        list(LengthDefinition),
         format_func=lambda x: str(x).capitalize(),
-        default=Length.THREAD,
+        default=LengthDefinition.THREAD,
         required=True,
         help="Thread: laid over the outer side, from end to end. Chord: with calipers.",
     )
@@ -88,7 +88,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     if st.button("Save these lengths", type="primary", icon=":material/save:"):
         for view, line in zip(shown, edited, strict=True):
             known[view.key] = _metres(line["First"]), _metres(line["Second"])
-        write_hand_lengths(path, fruit, known, kind or Length.THREAD)
+        write_hand_lengths(path, fruit, known, kind or LengthDefinition.THREAD)
         st.rerun()
 
 

@@ -218,19 +218,18 @@ def _result(one: RoundView) -> TakenStop | None:
 
 
 def _lengths(one: RoundView, taken: TakenStop) -> None:
-    units, stop = resources.settings().units, taken.measured.capture.stop
+    units, stop = resources.settings().units, taken.result.capture.stop
     st.markdown(f"**Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved**")
     lines = []
-    for row in taken.measured.rows:
-        length_cm = row["length_cm"]
-        length_m = float(length_cm) / 100 if isinstance(length_cm, int | float) else None
+    for row, fruit in zip(taken.result.rows(), taken.result.fruit, strict=True):
         found = grade(GradingTraits.from_row(row), resources.profile(one))
         lines.append(
             {
                 "Fruit": row["fruit"],
-                "Length": units.text(length_m) if length_m else "not measured",
+                "Length": units.text(fruit.length.value_m) if fruit.length else "not measured",
                 "Class": grade_name(found),
-                "Method": row["method"] or row["reason"],
+                "Method": fruit.method or fruit.reason,
+                "Mask by": fruit.mask_source.words if fruit.mask_source else "no mask",
             }
         )
     if lines:
@@ -240,7 +239,7 @@ def _lengths(one: RoundView, taken: TakenStop) -> None:
 
 
 def _picture(taken: TakenStop) -> None:
-    measured = taken.measured
-    drawn = draw_overlay(measured.capture, measured.fruit, measured.rows)
-    size = (measured.capture.width, measured.capture.height)
+    capture = taken.result.capture
+    drawn = draw_overlay(capture, taken.result.fruit)
+    size = (capture.width, capture.height)
     picture("result", {"measured": as_data_url(drawn)}, size, title="What was measured")

@@ -21,6 +21,7 @@ from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.round_tables import RoundLists, grade_name
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.perception.instances import MaskSource
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
@@ -104,6 +105,7 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
         "Away from the camera": units.text(record.distance_m),
+        "Mask by": record.mask_source and MaskSource(record.mask_source).words,
         "Hidden": None if record.hidden_share is None else f"{100 * record.hidden_share:.0f} %",
     }
     said = [f"{name}: {value}" for name, value in traits.items() if value]

@@ -10,14 +10,14 @@ from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.dashboard import resources
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import Length
+from cucumbervision.measurement.result import LengthDefinition
 
 __all__ = ["page"]
 
 FINDERS = {
-    "automatic": "Whatever is here",
-    "models": "Only the networks",
-    "dataset": "Masks that come with captures",
+    "auto": "The masks that come with a capture, else the networks",
+    "models": "The networks",
+    "dataset": "The masks that come with a capture",
 }
 
 
@@ -75,7 +75,7 @@ def _crop() -> None:
 def _measuring() -> None:
     st.subheader("Measuring")
     now = resources.settings()
-    lengths = list(Length)
+    lengths = list(LengthDefinition)
     length = st.segmented_control(
         "Length that counts",
         lengths,

@@ -7,17 +7,10 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.result import (
-    Fruit,
-    Length,
-    LengthKind,
-    Measurement,
-    Method,
-    TubeLengths,
-)
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.pipeline.rows import COLUMNS, defused, fruit_row
+from cucumbervision.pipeline.fields import FIELDS, Cell, SeenFruit, defused, field, fruit_row
 
 NAMED_BY_THE_ISSUE = (
     "capture, frame, fruit, score, method, reason, fallback, length_cm, length_kind, "
@@ -45,15 +38,15 @@ def instance() -> Instance:
 
 
 def test_columns_start_with_the_named_ones_and_are_unique() -> None:
-    names = [c.name for c in COLUMNS]
+    names = [c.name for c in FIELDS]
     assert ", ".join(names[:20]) == NAMED_BY_THE_ISSUE
     assert len(set(names)) == len(names)
-    assert all(c.unit == "cm" for c in COLUMNS if c.name.endswith("_cm"))
+    assert all(c.unit == "cm" for c in FIELDS if c.name.endswith("_cm"))
 
 
 def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) -> None:
-    row = fruit_row(capture, 2, measure_fruit(capture, instance))
-    assert list(row) == [c.name for c in COLUMNS]
+    row = fruit_row(SeenFruit(capture, 2, measure_fruit(capture, instance)))
+    assert list(row) == [c.name for c in FIELDS]
     assert (row["capture"], row["frame"], row["fruit"], row["score"]) == ("plate", 17, 2, 0.91)
     assert row["method"] == "M6"
     assert row["reason"] == "mask-points-ge-100"
@@ -70,7 +63,7 @@ def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) ->
 
 def test_a_fruit_that_nothing_measured_has_a_row_too(capture: Capture) -> None:
     nothing = measure_fruit(capture, Instance(np.array([9.5, 9.5, 209.5, 49.5])))
-    row = fruit_row(capture, 1, nothing)
+    row = fruit_row(SeenFruit(capture, 1, nothing))
     assert row["method"] is None
     assert row["length_cm"] is None
     assert row["reason"] == "no-depth"
@@ -78,25 +71,54 @@ def test_a_fruit_that_nothing_measured_has_a_row_too(capture: Capture) -> None:
     assert row["distance_cm"] is None
 
 
-@pytest.mark.parametrize(
-    ("length", "expected"),
-    [(Length.THREAD, 22.0), (Length.CENTRELINE, 20.0), (Length.CHORD, 19.0)],
-)
+@pytest.mark.parametrize("definition", LengthDefinition)
 def test_a_tube_gives_the_length_that_was_asked(
-    capture: Capture, instance: Instance, length: Length, expected: float
+    capture: Capture, instance: Instance, definition: LengthDefinition
 ) -> None:
-    tube = TubeLengths(centreline_m=0.20, thread_m=0.22, chord_m=0.19)
-    fitted = Measurement(Method.M6, 0.20, LengthKind.SURFACE_ARC, tube=tube)
-    row = fruit_row(capture, 1, Fruit(instance, {Method.M6: fitted}, fitted, "x"), length)
-    assert row["length_cm"] == expected
-    assert row["length_kind"] == str(length)
-    assert (row["centreline_cm"], row["thread_cm"], row["chord_cm"]) == (20.0, 22.0, 19.0)
+    fruit = measure_fruit(capture, instance, definition=definition)
+    row = fruit_row(SeenFruit(capture, 1, fruit))
+    assert fruit.traits is not None
+    by_hand = 100 * getattr(fruit.traits.lengths, f"{definition}_m")
+    assert row["length_cm"] == row[f"{definition}_cm"] == pytest.approx(by_hand, abs=5e-4)
+    assert (row["length_kind"], row["interval_of"]) == (definition, definition)
+
+
+def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: Instance) -> None:
+    fruit = measure_fruit(capture, instance)
+    traits, length = fruit.traits, fruit.length
+    assert traits is not None
+    assert length is not None
+    assert length.low_m is not None
+    seen = SeenFruit(capture, 1, fruit)
+    by_hand: dict[str, Cell] = {
+        "interval_low_cm": round(100 * length.low_m, 3),
+        "interval_basis": "simulated",
+        "inner_arc_mm": round(1000 * traits.inner_arc_m, 2),
+        "inner_arc_mm_per_10cm": round(100 * traits.inner_arc_m / traits.lengths.chord_m, 2),
+        "diameter_max_mm": round(1000 * traits.diameter_max_m, 2),
+        "volume_ml": round(1e6 * traits.volume_m3, 1),
+        "mass_g": round(1000 * 960 * traits.volume_m3, 1),
+        "box_x2_px": 839.5,
+        "mask_source": "sam",
+        "simulated": False,
+        "raw_length_cm": None,
+    }
+    assert {name: field(name).of(seen) for name in by_hand} == by_hand
+    assert field("volume_ml").stored(seen) == round(traits.volume_m3, 9)
+    assert field("length_cm").stored(seen) == round(length.value_m, 9)
+    # Enumerations are plain texts in tables and in the store.
+    assert type(field("mask_source").of(seen)) is type(field("reason").stored(seen)) is str
+
+
+def test_the_store_names_fields_by_their_si_units() -> None:
+    names = [field(n).si_name for n in ("length_cm", "volume_ml", "inner_arc_mm", "tilt_deg")]
+    assert names == ["length_m", "volume_m3", "inner_arc_m", "tilt_deg"]
 
 
 def test_the_method_named_is_the_one_that_measured(capture: Capture, instance: Instance) -> None:
     few = np.zeros_like(instance.mask)
     few[360, 440:480] = True
-    row = fruit_row(capture, 1, measure_fruit(capture, replace(instance, mask=few)))
+    row = fruit_row(SeenFruit(capture, 1, measure_fruit(capture, replace(instance, mask=few))))
     assert row["method"] == "M2"
     assert row["reason"] == "mask-points-lt-100"
     assert row["fallback"] == "M3:too-few-points"

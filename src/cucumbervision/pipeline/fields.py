@@ -1,0 +1,298 @@
+"""The fields of a fruit's row: name, unit, type, words and getter, once for every table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+from cucumbervision.measurement.result import Method
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import FruitMeasurement
+
+__all__ = ["FIELDS", "Cell", "Column", "Field", "SeenFruit", "defused", "field", "fruit_row"]
+
+Cell: TypeAlias = str | int | float | bool | None
+CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
+
+DENSITY_KG_M3 = 960.0  # an assumption for cucumbers, until a crop profile says better
+
+# Of a unit of the tables: the SI unit, how many of it that is, and the digits that are written.
+_UNITS = {"cm": ("m", 100.0, 3), "mm": ("m", 1e3, 2), "ml": ("m3", 1e6, 1), "g": ("kg", 1e3, 1)}
+_FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
+_STORED_DIGITS = 9
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Parameters
+    ----------
+    name : str
+        As in CSV, Parquet and JSON; ends with the unit where there is one.
+    unit : str
+        The unit; empty where there is none.
+    type : {'text', 'whole', 'number', 'yes/no'}
+        Of its cells, each of which may also be empty.
+    says : str
+        What it is, for people.
+
+    Examples
+    --------
+    >>> column = Column("volume_ml", "ml", "number", "volume of the fitted tube")
+    >>> column.title, column.si_name, column.cell(0.00025128)
+    ('volume [ml]', 'volume_m3', 251.3)
+    """
+
+    name: str
+    unit: str
+    type: CellType
+    says: str
+
+    @property
+    def title(self) -> str:
+        """The head that people read, with the unit."""
+        plain = self.name.removesuffix(f"_{self.unit}") if self.unit else self.name
+        words = plain.replace("_", " ")
+        return f"{words} [{self.unit}]" if self.unit else words
+
+    @property
+    def si_name(self) -> str:
+        """The name with the SI unit in place of the table's, as the store has it."""
+        if self.unit not in _UNITS:
+            return self.name
+        return f"{self.name.removesuffix(self.unit)}{_UNITS[self.unit][0]}"
+
+    def cell(self, value: Any, digits: int | None = None) -> Any:
+        """Return an SI value in the column's unit, rounded to `digits` or as the unit is."""
+        _, scale, usual = _UNITS.get(self.unit, ("", 1.0, None))
+        digits = usual if digits is None else digits
+        if value is None or digits is None:
+            return value
+        return round(scale * value, digits)
+
+
+@dataclass(frozen=True)
+class Field(Column):
+    """A column of the table of fruit, and how a fruit fills it.
+
+    Parameters
+    ----------
+    name, unit, type, says
+        As in `Column`.
+    path : str
+        Where the value is in a `SeenFruit`, in SI units: attributes and keys, joined by dots; a
+        part that is None leaves the cell empty.
+    digits : int, optional
+        Digits that are written; those of the unit if not given.
+    """
+
+    path: str
+    digits: int | None = None
+
+    def value(self, seen: SeenFruit) -> Any:
+        """Return the value in SI units; None where there is none."""
+        value: Any = seen
+        for part in self.path.split("."):
+            if value is None:
+                return None
+            value = value.get(part) if isinstance(value, Mapping) else getattr(value, part)
+        return value
+
+    def of(self, seen: SeenFruit) -> Cell:
+        """Return the cell of a table: in `unit`, rounded, enumerations as plain texts."""
+        cell: Cell = self.cell(self.value(seen), self.digits)
+        return str(cell) if isinstance(cell, str) else cell
+
+    def stored(self, seen: SeenFruit) -> Cell:
+        """Return the cell of the store: in SI units."""
+        value: Cell = self.value(seen)
+        if isinstance(value, str):
+            return str(value)
+        digits = _STORED_DIGITS if self.unit in _UNITS else self.digits
+        return value if digits is None or value is None else round(value, digits)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFruit:
+    """One fruit of one capture: what a row is made of.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    number : int
+        The fruit's number in it, from 1.
+    fruit : FruitMeasurement
+        The fruit.
+    """
+
+    capture: Capture
+    number: int
+    fruit: FruitMeasurement
+
+    @property
+    def fallback(self) -> str:
+        """The methods tried before, as one text."""
+        return " > ".join(self.fruit.fallback)
+
+    @property
+    def flags(self) -> str:
+        """The flags, as one text."""
+        return " ".join(self.fruit.flags)
+
+    @property
+    def box(self) -> dict[str, float]:
+        """The edges of the box, pixels."""
+        edges = self.fruit.instance.box.tolist()
+        return dict(zip(("x1", "y1", "x2", "y2"), edges, strict=True))
+
+    @property
+    def mask_px(self) -> int | None:
+        """Pixels of the mask that was measured."""
+        return None if self.fruit.mask is None else int(np.count_nonzero(self.fruit.mask))
+
+    @property
+    def mass_kg(self) -> float | None:
+        """The tube's volume at the assumed density, kilograms."""
+        return None if self.fruit.traits is None else self.fruit.traits.mass_kg(DENSITY_KG_M3)
+
+
+def _text(name: str, path: str, says: str) -> Field:
+    return Field(name, "", "text", says, path)
+
+
+def _whole(name: str, path: str, says: str, unit: str = "") -> Field:
+    return Field(name, unit, "whole", says, path)
+
+
+def _number(name: str, unit: str, path: str, says: str, digits: int | None = None) -> Field:
+    return Field(name, unit, "number", says, path, digits)
+
+
+_LENGTHS = "fruit.traits.lengths"
+
+FIELDS = (
+    _text("capture", "capture.name", "capture's name"),
+    _whole("frame", "capture.frame", "source's own number of the frame"),
+    _whole("fruit", "number", "number of the fruit in the capture, from 1"),
+    _number("score", "", "fruit.instance.confidence", "detector's confidence, 0 to 1", 4),
+    _text("method", "fruit.method", "method that the selector took"),
+    _text("reason", "fruit.reason", "why that method, or why none"),
+    _text("fallback", "fallback", "methods tried before, and why each gave nothing"),
+    _number("length_cm", "cm", "fruit.length.value_m", "length"),
+    _text("length_kind", "fruit.length.kind", "what it is the length of"),
+    _number("interval_low_cm", "cm", "fruit.length.low_m", "lower end of the length's interval"),
+    _number("interval_high_cm", "cm", "fruit.length.high_m", "upper end of the length's interval"),
+    _number("centreline_cm", "cm", f"{_LENGTHS}.centreline_m", "central axis, stem to blossom end"),
+    _number("thread_cm", "cm", f"{_LENGTHS}.thread_m", "thread over the outer side, end to end"),
+    _number("chord_cm", "cm", f"{_LENGTHS}.chord_m", "straight from end to end"),
+    *(
+        _number(f"{m.lower()}_cm", "cm", f"fruit.measurements.{m}.length_m", f"length by {m}")
+        for m in Method
+    ),
+    _text("flags", "flags", "what else to know of the measurement"),
+    _text("interval_of", "fruit.length.interval_of", "which length the interval is about"),
+    _text("interval_basis", "fruit.length.basis", "what the interval rests on"),
+    _number(
+        "inner_arc_mm",
+        "mm",
+        "fruit.traits.inner_arc_m",
+        "largest distance from the chord to the inner edge",
+    ),
+    _number(
+        "inner_arc_mm_per_10cm",
+        "mm",
+        "fruit.traits.inner_arc_m_per_10cm",
+        "the same for each 10 cm of chord (UNECE FFV-15)",
+    ),
+    _number("diameter_max_mm", "mm", "fruit.traits.diameter_max_m", "largest diameter"),
+    _number(
+        "diameter_mean_mm", "mm", "fruit.traits.diameter_mean_m", "mean diameter along the axis"
+    ),
+    _number("volume_ml", "ml", "fruit.traits.volume_m3", "volume of the fitted tube"),
+    _number("mass_g", "g", "mass_kg", f"volume at {DENSITY_KG_M3:.0f} kg per cubic metre"),
+    _number(
+        "tilt_deg", "deg", "fruit.traits.tilt_deg", "angle of the chord out of the picture plane", 2
+    ),
+    _number(
+        "hidden_share",
+        "",
+        "fruit.fit.hidden_share",
+        "share of the fitted tube that something nearer hides",
+        3,
+    ),
+    _text("label", "fruit.instance.class_name", "detector's class"),
+    _text("mask_source", "fruit.mask_source", "who drew the mask that was measured"),
+    _whole("mask_px", "mask_px", "pixels of that mask", "px"),
+    _number("fill", "", "fruit.fill", "share of them with a valid depth reading", 4),
+    _number("distance_cm", "cm", "fruit.distance_m", "median depth of the fruit"),
+    _number("box_x1_px", "px", "box.x1", "left edge of the box", 2),
+    _number("box_y1_px", "px", "box.y1", "upper edge of the box", 2),
+    _number("box_x2_px", "px", "box.x2", "right edge of the box", 2),
+    _number("box_y2_px", "px", "box.y2", "lower edge of the box", 2),
+    _whole("burst_frame", "capture.burst_frame", "frame of the burst whose colour was kept"),
+    _whole("burst_size", "capture.burst_size", "frames fused"),
+    _text("row", "capture.stop.row", "row in the house"),
+    _text("side", "capture.stop.side", "side of the row"),
+    _number("position_m", "m", "capture.stop.position_m", "position along the row"),
+    _whole("step", "capture.stop.step", "number of the stop"),
+    _number("timestamp_s", "s", "capture.timestamp_s", "time of the capture, seconds since 1970"),
+    Field(
+        "simulated",
+        "",
+        "yes/no",
+        "whether the capture was drawn, not taken",
+        "capture.simulated",
+    ),
+    _text("source", "capture.source", "where the capture was read from"),
+    _number(
+        "raw_length_cm",
+        "cm",
+        "fruit.raw_length.value_m",
+        "length before the site's calibration, as it was read",
+    ),
+    _text("raw_length_kind", "fruit.raw_length.kind", "what that is the length of"),
+    _text(
+        "calibration",
+        "fruit.calibration",
+        "site's calibration that was applied: name and hash",
+    ),
+)
+
+_BY_NAME = {one.name: one for one in FIELDS}
+
+
+def field(name: str) -> Field:
+    """Return the field of that name.
+
+    Examples
+    --------
+    >>> field("length_cm").says
+    'length'
+    """
+    return _BY_NAME[name]
+
+
+def fruit_row(seen: SeenFruit) -> dict[str, Cell]:
+    """Return a fruit's row: a cell for every name of `FIELDS`, in the tables' units."""
+    return {one.name: one.of(seen) for one in FIELDS}
+
+
+def defused(text: str) -> str:
+    """Return a text that no spreadsheet runs as a formula.
+
+    A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
+    injection), as do their full-width forms, which some spreadsheets read alike.
+
+    Examples
+    --------
+    >>> defused("=1+1"), defused("row 3")
+    ("'=1+1", 'row 3')
+    """
+    return f"'{text}" if text[:1] in _FORMULA_STARTS else text

@@ -1,0 +1,344 @@
+"""The one way from a capture to its fruit: calibrate, find, measure; with a boundary around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.calibration.corrections import Form, corrected
+from cucumbervision.errors import CalibrationError, InternalError, named_error
+from cucumbervision.measurement.result import (
+    Flag,
+    FruitMeasurement,
+    IntervalBasis,
+    Length,
+    LengthDefinition,
+    calibration_key,
+)
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.pipeline.fields import SeenFruit, fruit_row
+from cucumbervision.pipeline.finders import make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from cucumbervision.calibration.calibration_file import SiteCalibration
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.perception.instances import Instance
+    from cucumbervision.perception.registry import Registry
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.finders import Finder
+
+__all__ = [
+    "Boundary",
+    "CaptureResult",
+    "Failure",
+    "Measurer",
+    "calibrated_capture",
+    "calibrated_fruit",
+    "exit_code",
+]
+
+RANGE_MARGIN = 0.10
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why an input, a capture or an instance could not be read, measured or written.
+
+    Parameters
+    ----------
+    input : str
+        The file or folder that was named.
+    capture : str
+        The capture in it; empty where the input itself failed.
+    error : str
+        Stable name: a class of `cucumbervision.errors`.
+    message : str
+        The fault and the remedy in one line.
+    """
+
+    input: str
+    capture: str
+    error: str
+    message: str
+
+    @classmethod
+    def of(cls, error: Exception, input: str, capture: str = "") -> Failure:
+        """Return the failure that any exception is."""
+        named = named_error(error, capture or input)
+        return cls(input, capture, named.code, str(named))
+
+    @property
+    def is_defect(self) -> bool:
+        """Whether the software itself is at fault."""
+        return self.error == InternalError.__name__
+
+
+class Boundary:
+    """Turns whatever is raised inside into a failure, so that the next capture can go on.
+
+    KeyboardInterrupt and SystemExit are no `Exception` and pass.
+
+    Parameters
+    ----------
+    failures : list of Failure
+        Gets the failure.
+    input, capture : str
+        As in `Failure`.
+
+    Examples
+    --------
+    >>> failures = []
+    >>> with Boundary(failures, "house", "a"):
+    ...     raise MemoryError
+    >>> failures[0].error
+    'OutOfMemoryError'
+    """
+
+    def __init__(self, failures: list[Failure], input: str, capture: str = "") -> None:
+        self._failures, self._input, self._capture = failures, input, capture
+
+    def __enter__(self) -> None:
+        """Begin what may fail."""
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
+        """Note the failure, if there is one."""
+        if isinstance(error, Exception):
+            self._failures.append(Failure.of(error, self._input, self._capture))
+        return isinstance(error, Exception)
+
+
+def exit_code(done: int, failures: Iterable[Failure]) -> int:
+    """Return a command's exit code.
+
+    Parameters
+    ----------
+    done : int
+        How many captures went well.
+    failures : iterable of Failure
+        What did not.
+
+    Returns
+    -------
+    int
+        70 (EX_SOFTWARE) if one is a defect of the software, 0 without failures, 1 where others
+        went well, 2 where nothing could be done.
+
+    Examples
+    --------
+    >>> exit_code(3, []), exit_code(0, [Failure("a", "", "CaptureError", "does not exist")])
+    (0, 2)
+    """
+    failed = list(failures)
+    if any(failure.is_defect for failure in failed):
+        return 70
+    return 0 if not failed else (1 if done else 2)
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureResult:
+    """What was measured in one capture.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame as it was measured: its depth scaled where a calibration says so.
+    fruit : tuple of FruitMeasurement
+        One for every detection.
+    failures : tuple of Failure
+        Why nothing was measured, or what a file of instances gave that is no fruit here.
+    error : CucumberVisionError, optional
+        Why nothing was measured; None where the capture was measured, even without fruit.
+    """
+
+    capture: Capture
+    fruit: tuple[FruitMeasurement, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    error: CucumberVisionError | None = None
+
+    @property
+    def seen(self) -> tuple[SeenFruit, ...]:
+        """The fruit, numbered from 1."""
+        return tuple(SeenFruit(self.capture, n, one) for n, one in enumerate(self.fruit, 1))
+
+    def rows(self) -> list[dict[str, Cell]]:
+        """Return the rows of the table of fruit."""
+        return [fruit_row(one) for one in self.seen]
+
+
+class Measurer:
+    """Measures captures; its calibration and networks are loaded once, with the first capture.
+
+    Parameters
+    ----------
+    options : MeasureOptions
+        How to measure.
+    registry : Registry, optional
+        Where networks with a name lie; the package's own if not given.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.bundled import bundled_captures
+    >>> from cucumbervision.capture.readers import open_source
+    >>> measurer = Measurer(MeasureOptions(instances="dataset"))
+    >>> result = measurer.measure(next(iter(open_source(bundled_captures()))).load())
+    >>> length = result.fruit[0].length
+    >>> f"{100 * length.low_m:.0f} to {100 * length.high_m:.0f} cm, {length.kind}"
+    '16 to 17 cm, thread'
+    """
+
+    def __init__(
+        self, options: MeasureOptions | None = None, registry: Registry | None = None
+    ) -> None:
+        self.options = options or MeasureOptions()
+        self.site: SiteCalibration | None = None
+        self._registry = registry
+        self._finder: Finder | None = None
+
+    @property
+    def models(self) -> list[dict[str, Any]]:
+        """Name, SHA-256 and runtime of each network that was loaded so far."""
+        return [] if self._finder is None else self._finder.models
+
+    def load(self) -> Finder:
+        """Load what is needed, if it is not loaded already; SAM waits until it is asked for.
+
+        Raises
+        ------
+        CucumberVisionError
+            If a network, the file of instances or the calibration cannot be loaded.
+        """
+        if self._finder is None:
+            if self.options.calibration is not None:
+                from cucumbervision.calibration.calibration_file import read_site_calibration
+
+                self.site = read_site_calibration(self.options.calibration)
+            self._finder = make_finder(self.options, self._registry)
+        return self._finder
+
+    def measure(self, capture: Capture) -> CaptureResult:
+        """Find and measure the fruit of one capture.
+
+        Raises
+        ------
+        CucumberVisionError
+            If a network cannot be loaded, or the calibration belongs to another camera.
+        """
+        finder = self.load()
+        if self.site is not None:
+            capture = calibrated_capture(capture, self.site)
+        found = finder.find(capture)
+        fruit = [self.measure_instance(capture, one) for one in found.instances]
+        for number in found.clipped:
+            fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
+        refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
+        return CaptureResult(capture, tuple(fruit), tuple(refused))
+
+    def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:
+        """Measure one fruit of a capture whose depth is scaled already."""
+        self.load()
+        options = self.options
+        fruit = measure_fruit(
+            capture,
+            instance,
+            options.methods,
+            options.selector,
+            options.length,
+            scale_known=self.site is not None and self.site.depth_scale is not None,
+        )
+        return fruit if self.site is None else calibrated_fruit(fruit, self.site, options.length)
+
+    def attempt(self, capture: Capture) -> CaptureResult:
+        """Measure a capture; whatever goes wrong is in the result."""
+        try:
+            return self.measure(capture)
+        except Exception as error:
+            named = named_error(error, capture.source or capture.name)
+            failure = Failure.of(named, capture.source, capture.name)
+            return CaptureResult(capture, (), (failure,), named)
+
+
+def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
+    """Return a capture with its depth divided by the calibrated depth scale.
+
+    Every length scales by 1 / scale: x = z (u - cx)/fx and y scale with the depth z as z itself
+    does. A depth gate in metres, such as M2's, keeps its width.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame as it was read.
+    site : SiteCalibration
+        The calibration.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration was made for another camera.
+    """
+    serial = capture.provenance.get("serial")
+    different = site.camera.difference(capture.intrinsics, str(serial) if serial else None)
+    if different:
+        raise CalibrationError(
+            f"calibration '{site.name}' was made for another camera: {different}",
+            source=capture.source or capture.name,
+            remedy="calibrate this camera, or measure it without --calibration",
+        )
+    if site.depth_scale is None:
+        return capture
+    return replace(capture, depth_m=capture.depth_m / np.float32(site.depth_divisor))
+
+
+def calibrated_fruit(
+    fruit: FruitMeasurement,
+    site: SiteCalibration,
+    definition: LengthDefinition = LengthDefinition.THREAD,
+) -> FruitMeasurement:
+    """Return a fruit with its length corrected; the single methods stay as they were read.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        As `measure_fruit` returns it.
+    site : SiteCalibration
+        The calibration.
+    definition : LengthDefinition
+        The length that is wanted: the kind of truth whose correction applies.
+
+    Returns
+    -------
+    FruitMeasurement
+        With `calibration`, `raw_length` as read, the corrected `length` and, where the calibration
+        carries one, its interval. Where it does not cover the method, mask or length, the fruit is
+        unchanged but for a flag.
+    """
+    if site.depth_scale is not None:
+        fruit = replace(fruit, calibration=site.tag)
+    raw, method = fruit.length, fruit.method
+    if raw is None or method is None:
+        return fruit
+    entry = site.entry(calibration_key(method, raw.kind), definition)
+    if entry is None:
+        return fruit.flagged(Flag.NOT_COVERED)
+    if (fruit.mask_source or "") not in entry.mask_sources:
+        return fruit.flagged(Flag.OTHER_MASK)
+    value_m = float(corrected(raw.value_m, entry.scale, entry.offset_m))
+    if value_m <= 0:
+        return fruit.flagged(Flag.OUTSIDE_RANGE)
+    # An interval from before belongs to the length as it was read.
+    length = raw if entry.form is Form.NONE else Length(value_m, entry.truth_kind)
+    done = replace(fruit, calibration=site.tag, raw_length=raw, length=length)
+    low_m, high_m = entry.raw_range_m
+    if not (1 - RANGE_MARGIN) * low_m <= raw.value_m <= (1 + RANGE_MARGIN) * high_m:
+        return done.flagged(Flag.OUTSIDE_RANGE)
+    half = entry.interval.half_width
+    if half is None:
+        return done
+    kind = entry.truth_kind
+    limits = value_m * (1 - half), value_m * (1 + half)
+    return replace(done, length=Length(value_m, kind, *limits, kind, IntervalBasis.OWN_TRUTH))

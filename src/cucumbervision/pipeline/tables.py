@@ -1,0 +1,304 @@
+"""Tables of what was measured: CSV as it comes, Excel and JSON at the end."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import platform
+from collections import Counter
+from statistics import fmean, median, stdev
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.pipeline.fields import FIELDS, defused
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from datetime import datetime
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    from cucumbervision.measurement.result import Measurement
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
+
+__all__ = [
+    "FAILURE_COLUMNS",
+    "HEAD_COLOR",
+    "CsvSink",
+    "capture_json",
+    "cell_value",
+    "provenance_of",
+    "summary_lines",
+    "write_json",
+    "write_workbook",
+]
+
+FAILURE_COLUMNS = ("input", "capture", "error", "message")
+HEAD_COLOR = "#2F6B3A"
+
+
+class CsvSink:
+    """A CSV file that grows, so that what was measured outlives a crash.
+
+    Parameters
+    ----------
+    path : Path
+        Written anew; UTF-8 with a byte order mark, which Excel needs to read accents.
+    columns : sequence of str
+        The head.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
+    >>> with CsvSink(path, ["name", "length_cm"]) as sink:
+    ...     sink.write({"name": "=1+1", "length_cm": 12.5})
+    >>> path.read_text(encoding="utf-8-sig").split()
+    ['name,length_cm', "'=1+1,12.5"]
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        # Unbuffered: what a full disk refuses must not come back with the next row.
+        self._file = path.open("wb", buffering=0)
+        self._columns = list(columns)
+        self._size = 0
+        self._append(b"\xef\xbb\xbf" + _csv_lines([self._columns]))
+
+    def write(self, *rows: Mapping[str, Any]) -> None:
+        """Append rows, all or none; texts are defused, None leaves the cell empty.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written.
+        """
+        self._append(_csv_lines([[cell_value(row[c]) for c in self._columns] for row in rows]))
+
+    def _append(self, data: bytes) -> None:
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError:
+            os.truncate(self._file.fileno(), self._size)
+            self._file.seek(self._size)
+            raise
+        self._size += len(data)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+
+def _csv_lines(lines: Sequence[Sequence[Any]]) -> bytes:
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(lines)
+    return text.getvalue().encode()
+
+
+def cell_value(value: Cell) -> str | int | float | None:
+    """Return what a spreadsheet's cell holds: texts defused, true and false as words.
+
+    Examples
+    --------
+    >>> cell_value("@home"), cell_value(True), cell_value(-1.5)
+    ("'@home", 'true', -1.5)
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return defused(value) if isinstance(value, str) else value
+
+
+def write_json(path: Path, report: Mapping[str, Any]) -> None:
+    """Write a report as JSON, UTF-8, one value a line."""
+    path.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> dict[str, Any]:
+    """Return one capture for `measurements.json`: camera, provenance, fruit, every method.
+
+    Parameters
+    ----------
+    result : CaptureResult
+        The capture.
+    rows : sequence of mapping
+        The rows of its fruit, in the same order.
+    """
+    capture = result.capture
+    camera = capture.intrinsics
+    return {
+        "name": capture.name,
+        "frame": capture.frame,
+        "source": capture.source,
+        "simulated": capture.simulated,
+        "intrinsics": {
+            "stream": str(camera.stream),
+            "width": camera.width,
+            "height": camera.height,
+            "fx_px": camera.fx_px,
+            "fy_px": camera.fy_px,
+            "cx_px": camera.cx_px,
+            "cy_px": camera.cy_px,
+            "distortion": str(camera.distortion),
+            "coefficients": list(camera.coefficients),
+        },
+        "provenance": dict(capture.provenance),
+        "fill": round(capture.fill, 4),
+        "fruit": [
+            {**row, "methods": {str(m): _method_json(x) for m, x in one.measurements.items()}}
+            for row, one in zip(rows, result.fruit, strict=True)
+        ],
+    }
+
+
+def _method_json(measurement: Measurement) -> dict[str, Any]:
+    path = measurement.path_m
+    return {
+        "length_m": measurement.length_m,
+        "kind": measurement.kind and str(measurement.kind),
+        "reason": str(measurement.reason),
+        "fallback": list(measurement.fallback),
+        "tips_m": None if path is None else np.round(path[[0, -1]], 5).tolist(),
+    }
+
+
+def provenance_of(measurer: Measurer, started: datetime) -> dict[str, Any]:
+    """Return what a run was measured with: software, options, networks, calibration, versions."""
+    site = measurer.site
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
+        "started": started.isoformat(timespec="seconds"),
+        "config": measurer.options.as_json(),
+        "config_sha256": measurer.options.sha256,
+        "models": measurer.models,
+        "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
+        "versions": {"python": platform.python_version(), **installed_versions()},
+    }
+
+
+def summary_lines(
+    rows: Sequence[Mapping[str, Any]],
+    captures: int,
+    failures: Sequence[Failure],
+    provenance: Mapping[str, Any],
+) -> list[tuple[str, Any]]:
+    """Return the summary of a run as lines of what and value, for the workbook's first sheet.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Of all fruit.
+    captures : int
+        How many were measured.
+    failures : sequence of Failure
+        What was not.
+    provenance : mapping
+        As `provenance_of` returns it.
+    """
+    known = [float(row["length_cm"]) for row in rows if row["length_cm"] is not None]
+    lines: list[tuple[str, Any]] = [
+        ("Captures", captures),
+        ("Fruit", len(rows)),
+        ("Fruit measured", len(known)),
+        ("Inputs that could not be read", len(failures)),
+    ]
+    if any(row["simulated"] for row in rows):
+        lines.append(("Note", "simulated captures are among them: drawn, not taken"))
+    if known:
+        lines += [
+            ("Mean length [cm]", round(fmean(known), 2)),
+            ("Median length [cm]", round(median(known), 2)),
+            ("Shortest [cm]", round(min(known), 2)),
+            ("Longest [cm]", round(max(known), 2)),
+        ]
+    if len(known) > 1:
+        lines.append(("Standard deviation [cm]", round(stdev(known), 2)))
+    for what, column in (("method", "method"), ("source of the mask", "mask_source")):
+        counts = Counter(str(row[column] or "none") for row in rows)
+        lines += [(f"Fruit by {what} {name}", count) for name, count in sorted(counts.items())]
+    lines += [
+        ("Software", provenance["software"]),
+        ("Licence", provenance["licence"]),
+        ("Source", provenance["source"]),
+        ("Started (UTC)", provenance["started"]),
+        ("Configuration SHA-256", provenance["config_sha256"]),
+    ]
+    if provenance["calibration"]:
+        lines.append(("Calibration", provenance["calibration"]["tag"]))
+    lines += [(f"Model {m['name']}", f"{m['runtime']} {m['sha256']}") for m in provenance["models"]]
+    return lines
+
+
+def write_workbook(
+    path: Path, rows: Sequence[Mapping[str, Cell]], summary: Sequence[tuple[str, Any]]
+) -> None:
+    """Write the rows as an Excel file: the fruit, a summary, and what each column means.
+
+    Parameters
+    ----------
+    path : Path
+        The .xlsx file.
+    rows : sequence of mapping
+        As `fields.fruit_row` fills them.
+    summary : sequence of (str, value)
+        Lines of the summary sheet.
+    """
+    import xlsxwriter
+
+    # Texts are written as texts, whatever they start with: never as formulas or links.
+    safe = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+    with xlsxwriter.Workbook(path, safe) as book:
+        head = book.add_format({"bold": True, "font_color": "white", "bg_color": HEAD_COLOR})
+        head.set_text_wrap()
+        sheet = book.add_worksheet("Summary")
+        sheet.set_column(0, 0, 34)
+        sheet.set_column(1, 1, 60)
+        for line, (what, value) in enumerate(summary):
+            sheet.write_string(line, 0, what)
+            _write(sheet, line, 1, value)
+        _fruit_sheet(book, rows, head)
+        sheet = book.add_worksheet("Columns")
+        sheet.set_column(0, 2, 24)
+        for column, text in enumerate(("column", "unit", "what it says")):
+            sheet.write_string(0, column, text, head)
+        for line, item in enumerate(FIELDS, start=1):
+            for column, text in enumerate((item.name, item.unit, item.says)):
+                sheet.write_string(line, column, text)
+
+
+def _fruit_sheet(book: Any, rows: Sequence[Mapping[str, Cell]], head: Any) -> None:
+    sheet = book.add_worksheet("Fruit")
+    two_digits = book.add_format({"num_format": "0.00"})
+    for index, one in enumerate(FIELDS):
+        sheet.write_string(0, index, one.title, head)
+        sheet.set_column(index, index, 12, two_digits if one.unit == "cm" else None)
+        for line, row in enumerate(rows, start=1):
+            _write(sheet, line, index, cell_value(row[one.name]))
+    sheet.set_row(0, 32)
+    sheet.freeze_panes(1, 3)
+    sheet.autofilter(0, 0, max(len(rows), 1), len(FIELDS) - 1)
+
+
+def _write(sheet: Any, line: int, column: int, value: Any) -> None:
+    if value is None:
+        return
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        sheet.write_number(line, column, value)
+    else:
+        sheet.write_string(line, column, str(value))

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.intervals import (
+    RAW_FEATURES,
+    TUBE_FEATURES,
+    Band,
+    IntervalModel,
+    IntervalModels,
+    shipped_interval_models,
+)
+from cucumbervision.measurement.result import (
+    Flag,
+    IntervalBasis,
+    Length,
+    LengthDefinition,
+    LengthKind,
+    Method,
+)
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.masks import box_of_mask
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
+from cucumbervision_lab.synthesis.scene import Scene, render
+
+
+def even(key: str, percent: float) -> IntervalModel:
+    return IntervalModel(key, 0.9, (), (np.log(percent / 100),), {"": Band(0.0, 1.0, 1.0, 100)})
+
+
+MODELS = IntervalModels(
+    0.9, {key: even(key, p) for key, p in (("M1", 20), ("M6", 1), ("M6 thread", 2))}, 100
+)
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[Capture, Instance]:
+    """A drawn fruit, 20 cm along its axis, half a metre away."""
+    camera = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
+    tube = arc_tube(0.2, 0.018, 0.4).moved(rotation(10), (0, 0, 0.5))
+    scene = render(Scene.of(tube, backdrop_m=0.9), camera)
+    mask = scene.mask(0)
+    color = np.zeros((720, 1280, 3), np.uint8)
+    capture = Capture(color, scene.depth_m.astype(np.float32), camera, "drawn")
+    return capture, Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
+
+
+def length_of(
+    seen: tuple[Capture, Instance],
+    definition: LengthDefinition = LengthDefinition.THREAD,
+    *,
+    known: bool = True,
+    models: IntervalModels = MODELS,
+) -> Length:
+    fruit = measure_fruit(*seen, definition=definition, scale_known=known, models=models)
+    assert fruit.length is not None
+    return fruit.length
+
+
+@pytest.mark.parametrize(
+    ("definition", "percent"),
+    [(LengthDefinition.CENTRELINE, 1.0), (LengthDefinition.THREAD, 2.0)],
+)
+def test_a_tubes_interval_is_about_the_length_that_was_asked(
+    seen: tuple[Capture, Instance], definition: LengthDefinition, percent: float
+) -> None:
+    length = length_of(seen, definition)
+    assert length.interval_of is length.kind is definition
+    assert length.basis is IntervalBasis.SIMULATED
+    assert length.high_m == pytest.approx(length.value_m * np.exp(percent / 100))
+    assert length.low_m == pytest.approx(length.value_m * np.exp(-percent / 100))
+
+
+def test_an_unknown_scale_is_in_it(seen: tuple[Capture, Instance]) -> None:
+    length = length_of(seen, LengthDefinition.CENTRELINE, known=False)
+    half = np.hypot(0.01, 1.6449 * 0.01)
+    assert length.low_m == pytest.approx(length.value_m * np.exp(-half), rel=1e-5)
+
+
+def test_a_length_without_a_model_has_no_interval(seen: tuple[Capture, Instance]) -> None:
+    length = length_of(seen, LengthDefinition.CHORD)
+    assert (length.low_m, length.interval_of, length.basis) == (None, None, None)
+
+
+def test_a_raw_lengths_interval_is_about_the_centreline(seen: tuple[Capture, Instance]) -> None:
+    capture, instance = seen
+    boxed = replace(instance, mask=None, mask_source=None)
+    length = length_of((capture, boxed))
+    assert (length.kind, length.interval_of) == (
+        LengthKind.BOX_CHORD,
+        LengthDefinition.CENTRELINE,
+    )
+    assert length.high_m == pytest.approx(length.value_m * np.exp(0.2))
+
+
+def test_what_was_not_measured_has_no_length(seen: tuple[Capture, Instance]) -> None:
+    capture, instance = seen
+    dark = replace(capture, depth_m=np.zeros_like(capture.depth_m))
+    assert measure_fruit(dark, instance).length is None
+
+
+def test_an_interval_that_says_nothing_is_left_out_and_flagged(
+    seen: tuple[Capture, Instance],
+) -> None:
+    definition = LengthDefinition.CENTRELINE
+    # exp(2 x 0.75) is a factor of 4.5, exp(2 x 0.60) one of 3.3.
+    for percent, flagged in ((75, True), (60, False)):
+        models = IntervalModels(0.9, {"M6": even("M6", percent)}, 100)
+        fruit = measure_fruit(*seen, definition=definition, scale_known=True, models=models)
+        assert fruit.length is not None
+        assert (fruit.length.low_m is None) is flagged
+        assert (Flag.INTERVAL_TOO_WIDE in fruit.flags) is flagged
+
+
+def test_the_shipped_models_know_every_method() -> None:
+    shipped = shipped_interval_models()
+    assert shipped.level == 0.9
+    assert set(shipped.models) == {*(str(m) for m in Method), "M6 thread", "M6 chord"}
+    for key, model in shipped.models.items():
+        names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
+        assert model.features == names
+        assert model.bands[""].count >= 500
+    # A good fruit at half a metre, both ends seen: a centimetre or so on 25 cm.
+    values = dict.fromkeys(TUBE_FEATURES, 0.0) | {
+        "log_sd": np.log(0.003), "log_outline": np.log(0.4), "distance_m": 0.5,
+        "log_pixels": np.log(0.5), "hidden": 0.0,
+    }  # fmt: skip
+    low, high = shipped.models["M6"].interval(0.25, values)
+    assert 0.22 < low < 0.25 < high < 0.28

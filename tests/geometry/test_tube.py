@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.geometry.tube import (
-    arc_positions,
     axis_path,
     bending_direction,
+    cubic_basis,
     inner_arc_height,
     profile,
     thread_length,
-    volume_of_profile,
 )
 from cucumbervision_lab.synthesis.bodies import arc_tube
 
@@ -72,7 +72,7 @@ def test_volume_of_a_bent_capsule_is_the_straight_ones() -> None:
     tube = arc_tube(0.25, 0.02, 0.2)
     by_hand = np.pi * 0.02**2 * 0.21 + 4 / 3 * np.pi * 0.02**3
     along, diameter = profile(tube.centres_m, tube.radii_m, 401)
-    assert volume_of_profile(along, diameter) == pytest.approx(by_hand, rel=1e-3)
+    assert np.trapezoid(np.pi / 4 * diameter**2, along) == pytest.approx(by_hand, rel=1e-3)
     assert diameter[0] == pytest.approx(0, abs=1e-6)
     assert diameter.max() == pytest.approx(0.04, rel=1e-6)
 
@@ -81,3 +81,17 @@ def test_a_straight_body_has_some_outward_side() -> None:
     outward = bending_direction(straight(0.2, np.full(9, 0.02)))
     assert np.linalg.norm(outward) == pytest.approx(1)
     assert outward[0] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("segments", [1, 4, 12])
+def test_weights_sum_to_one_and_are_never_negative(segments: int) -> None:
+    basis = cubic_basis(np.linspace(0, 1, 101), segments)
+    assert basis.shape == (101, segments + 3)
+    np.testing.assert_allclose(basis.sum(axis=1), 1)
+    assert basis.min() >= 0
+
+
+def test_evenly_spaced_controls_make_a_straight_line() -> None:
+    t = np.linspace(0, 1, 33)
+    controls = np.arange(7) - 1.0  # a spline of four segments: its ends lie one control in
+    np.testing.assert_allclose(cubic_basis(t, 4) @ controls, 4 * t, atol=1e-12)

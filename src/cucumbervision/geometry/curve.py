@@ -1,4 +1,4 @@
-"""Lengths of polylines and splines in space."""
+"""Polylines and splines in space: lengths, and points along them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["natural_spline", "polyline_length"]
+__all__ = ["arc_positions", "natural_spline", "points_along", "polyline_length"]
 
 COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters would be
 
@@ -78,3 +78,39 @@ def natural_spline(
     u = np.linspace(0.0, 1.0, samples)
     speed = np.linalg.norm(spline(u, 1), axis=1)
     return float(np.trapezoid(speed, u)), spline(u)
+
+
+def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
+    """Give each centre's arc length from the first, metres.
+
+    Examples
+    --------
+    >>> arc_positions(np.array([[0.0, 0, 0], [3.0, 4.0, 0], [3.0, 4.0, 2.0]])).tolist()
+    [0.0, 5.0, 7.0]
+    """
+    steps = np.linalg.norm(np.diff(centres_m, axis=0), axis=1)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def points_along(vertices: NDArray[Any], shares: ArrayLike) -> NDArray[np.float64]:
+    """Give the points of a polyline at shares of its length.
+
+    Parameters
+    ----------
+    vertices : ndarray of float, shape (K, D)
+        In order.
+    shares : array_like, shape (N,)
+        0 the first vertex, 1 the last.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, D)
+
+    Examples
+    --------
+    >>> points_along(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]]), [0.25, 0.75]).tolist()
+    [[2.0, 0.0], [4.0, 2.0]]
+    """
+    run = arc_positions(vertices)
+    at = np.asarray(shares) * run[-1]
+    return np.stack([np.interp(at, run, column) for column in np.asarray(vertices).T], axis=1)

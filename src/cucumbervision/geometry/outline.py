@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.geometry.medians import valid_median
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -85,13 +87,5 @@ def depth_across(
     pixel = np.rint(at).astype(np.intp)
     u, v = pixel[..., 0], pixel[..., 1]
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    z = np.where(inside, depth_m[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], 0.0)
-    # Sorted with the missing ones last, the median of n readings is the mean of the middle two.
-    z = np.sort(np.where(z > 0, z, np.inf), axis=1)
-    count = np.isfinite(z).sum(axis=1)
-    rows = np.arange(len(z))
-    low, high = (
-        z[rows, np.maximum(count - 1, 0) // 2],
-        z[rows, np.minimum(count // 2, len(steps_px) - 1)],
-    )
-    return np.where(count > 0, 0.5 * (low + high), np.nan)
+    z = depth_m[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)].astype(np.float64)
+    return valid_median(z, inside & (z > 0), axis=1)

@@ -15,22 +15,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.tube import (
-    BALLS,
-    BEND_SEGMENTS,
-    Gaps,
-    TubeShape,
-    bases,
-    depth_gaps,
-    differences,
-    gaps,
-)
+from cucumbervision.geometry.axis import principal_axis
+from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, TubeShape, bases, shape_from_curve
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Evidence", "TubeFitting", "fit_shape"]
+__all__ = [
+    "Evidence",
+    "Gaps",
+    "TubeFitting",
+    "depth_gaps",
+    "fit_shape",
+    "gaps",
+    "guess_shape",
+    "near_depths",
+]
 
+FINE = 1024  # positions along the curve to which a nearest ball is rounded
+GRAZING = 0.2  # the cosine below which a ray only grazes the body
+MISSED_M = 100.0
+ROUNDS = 4
+DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
+PLANE_ROUNDS, PLANE_RIDGE, LEAST_OFF_M = 6, 1e-6, 0.002
 # How much larger than its own each reading's error is taken to be, step by step.
 SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
 SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
@@ -56,6 +63,244 @@ ACROSS = 0.3  # a depth reading's position across, in units of the outline's err
 LEAST_WIDTH = 0.15  # of the middle radius
 LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
 SCATTER_RAYS, SCATTER_POINTS = (0.5, 2.0), (0.7, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """Signed gaps between readings and a shape, and where on it they are measured.
+
+    Parameters
+    ----------
+    gap_m : ndarray of float64, shape (N,)
+        Metres; positive outside the body.
+    away : ndarray of float64, shape (N, 3)
+        Unit vector from the reading to the nearest ball's centre: the gap's derivative by it.
+    bend_basis, width_basis : ndarray of float64, shape (N, 7) and (N, 15)
+        Weights of the control points in that ball's centre and radius.
+    centres_m : ndarray of float64, shape (N, 3)
+        That ball's centre.
+    share : ndarray of float64, shape (N,)
+        Its position along the curve, 0 to 1.
+    """
+
+    gap_m: NDArray[np.float64]
+    away: NDArray[np.float64]
+    bend_basis: NDArray[np.float64]
+    width_basis: NDArray[np.float64]
+    centres_m: NDArray[np.float64]
+    share: NDArray[np.float64]
+
+
+def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps:
+    """Measure how far readings are from a shape.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body.
+    readings : ndarray of float64, shape (N, 3)
+        Points in metres, or unit directions of rays from the camera.
+    rays : bool
+        Which of the two.
+
+    Returns
+    -------
+    Gaps
+        Of each reading to its nearest ball.
+
+    Examples
+    --------
+    >>> x = np.linspace(0, 0.2, 33)
+    >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
+    >>> gaps(shape, np.array([[0.1, 0.0, 0.47]]), rays=False).gap_m.round(6).tolist()
+    [0.01]
+
+    A ray that touches the body's side at sin a = 0.02 / 0.5:
+
+    >>> touching = np.array([[0.0, 0.04, np.sqrt(1 - 0.04**2)]])
+    >>> bool(abs(gaps(shape, touching, rays=True).gap_m[0]) < 1e-9)
+    True
+    """
+    centres, radii = shape.balls()
+    along = readings @ centres.T
+    squared = np.einsum("ij,ij->i", centres, centres)
+    if rays:
+        distance = np.sqrt(np.maximum(squared - along * along, 0.0))
+    else:
+        own = np.einsum("ij,ij->i", readings, readings)
+        distance = np.sqrt(np.maximum(own[:, None] + squared - 2 * along, 0.0))
+    distance -= radii
+    index, bend, width, centre = _ball_at(shape, _lowest(distance))
+    if rays:
+        away = centre - np.einsum("ij,ij->i", centre, readings)[:, None] * readings
+    else:
+        away = centre - readings
+    far = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
+    away /= far[:, None]
+    return Gaps(far - width @ shape.width_m, away, bend, width, centre, index / FINE)
+
+
+def depth_gaps(
+    shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
+) -> tuple[Gaps, NDArray[np.float64]]:
+    """Measure how far depth readings are from where their rays enter a shape.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body.
+    rays : ndarray of float64, shape (N, 3)
+        Unit directions from the camera.
+    far_m : ndarray of float64, shape (N,)
+        Distance read along each.
+
+    Returns
+    -------
+    found : Gaps
+        `gap_m` is the distance along the ray times `facing`, positive before the surface; for
+        a ray that misses the body or only grazes it, the point's own gap.
+    facing : ndarray of float64, shape (N,)
+        Cosine between the ray and the surface's normal where it enters.
+
+    Examples
+    --------
+    >>> x = np.linspace(0, 0.2, 33)
+    >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
+    >>> found, facing = depth_gaps(shape, np.array([[0.0, 0.0, 1.0]]), np.array([0.47]))
+    >>> found.gap_m.round(6).tolist(), facing.round(6).tolist()
+    ([0.01], [1.0])
+    """
+    centres, radii = shape.balls()
+    along = rays @ centres.T
+    inside = along * along + (radii * np.abs(radii) - np.einsum("ij,ij->i", centres, centres))
+    entry = np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0.0)), MISSED_M)
+    # Between the balls the place is found by the entry point's distance, which stays smooth where
+    # a ray grazes the body.
+    nearest = np.argmin(entry, axis=1)
+    first = entry[np.arange(len(rays)), nearest]
+    nearest = np.clip(nearest, 1, BALLS - 2)
+    three = nearest[:, None] + np.arange(-1, 2)
+    off = centres[three] - (first[:, None] * rays)[:, None, :]
+    distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off)) - radii[three]
+    index, bend, width, centre = _ball_at(shape, nearest - 1 + _lowest(distance))
+    radius = np.maximum(width @ shape.width_m, 1e-4)
+    along_one = np.einsum("ij,ij->i", centre, rays)
+    beside = np.einsum("ij,ij->i", centre, centre) - along_one**2
+    facing = np.sqrt(np.clip(1 - beside / radius**2, 0.0, 1.0))
+    at = along_one - facing * radius
+    away = (centre - at[:, None] * rays) / radius[:, None]
+    gap = (at - far_m) * facing
+    missed = np.flatnonzero(facing <= GRAZING)
+    if len(missed):
+        own = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
+        gap[missed], away[missed], centre[missed] = own.gap_m, own.away, own.centres_m
+        bend[missed], width[missed] = own.bend_basis, own.width_basis
+        index[missed] = np.rint(own.share * FINE)
+    return Gaps(gap, away, bend, width, centre, index / FINE), facing
+
+
+def _ball_at(
+    shape: TubeShape, ball: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    # Index among FINE positions, bases of centre and radius, and centre, at a fractional ball.
+    index = np.rint(ball * (FINE / (BALLS - 1))).astype(np.intp)
+    bend, width = (table[index] for table in bases(FINE + 1))
+    return index, bend, width, bend @ shape.bend_m
+
+
+def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Position of each row's minimum, by a parabola through the lowest value and its neighbours.
+    last = values.shape[1] - 1
+    k = np.clip(np.argmin(values, axis=1), 1, last - 1)
+    rows = np.arange(len(values))
+    a, b, c = values[rows, k - 1], values[rows, k], values[rows, k + 1]
+    curve = a - 2 * b + c
+    step = np.where(curve > 1e-12, 0.5 * (a - c) / np.maximum(curve, 1e-12), np.sign(a - c))
+    return np.asarray(np.clip(k + np.clip(step, -1.0, 1.0), 0, last))
+
+
+def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Say which points are near the plane that most of them lie along.
+
+    A tilted fruit lies along a plane however steep it is and whatever hides its middle; what
+    the mask caught of the background does not, nor what the sensor blends between the two.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Camera coordinates, metres.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        Within three median deviations and `DEEP_M` in depth.
+
+    Examples
+    --------
+    >>> x = np.linspace(-0.1, 0.1, 9)
+    >>> steep = np.stack([x, 0.1 * x, 0.6 + x], axis=1)
+    >>> near_depths(np.vstack([steep, [[0.05, 0.0, 0.9]]])).tolist()[-2:]
+    [True, False]
+    """
+    far = points_m[:, 2]
+    # A plane in space is linear in the inverse depth over the picture.
+    terms = np.column_stack([points_m[:, :2] / far[:, None], np.ones(len(far))])
+    weight = np.ones(len(far))
+    for _ in range(PLANE_ROUNDS):  # towards the least sum of absolute deviations
+        weighted = terms * weight[:, None]
+        ridge = PLANE_RIDGE * np.diag([1.0, 1.0, 0.0]) * weight.sum()
+        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / far))
+        off = np.abs(1 / far - terms @ plane) * far**2
+        weight = 1 / np.maximum(off, LEAST_OFF_M)
+    near: NDArray[np.bool_] = off <= 3.0 * np.median(off) + DEEP_M
+    return near
+
+
+def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeShape:
+    """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Points of the visible surface, camera coordinates, metres.
+    gated : bool
+        Whether to leave out what `near_depths` does.
+
+    Returns
+    -------
+    TubeShape
+        Its ends one radius short of the cloud's.
+
+    Examples
+    --------
+    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 99), np.linspace(-1, 1, 30)))
+    >>> cloud = np.stack([x, 0.02 * a, 0.5 - 0.02 * np.sqrt(1 - a**2)], axis=1)
+    >>> centres, radii = guess_shape(cloud).balls(3)
+    >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
+    (True, True)
+    """
+    level = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
+    near = level
+    for _ in range(ROUNDS):
+        centroid, axis = principal_axis(points_m[near])
+        along = (points_m - centroid) @ axis
+        off = points_m - centroid - along[:, None] * axis
+        power = np.stack([np.ones_like(along), along, along**2], axis=1)
+        bow = np.linalg.lstsq(power[near], off[near], rcond=None)[0]
+        rest = off - power @ bow
+        left = np.linalg.norm(rest, axis=1)
+        near = level & (left <= 3.0 * np.median(left[near]) + 1e-6)
+    view = centroid / np.linalg.norm(centroid)
+    side = np.cross(axis, view)
+    norm = float(np.linalg.norm(side))
+    across = np.abs(rest[near] @ side) / norm if norm > 0.05 else left[near]
+    radius = 2.0 * float(np.median(across))
+    low, high = np.quantile(along[near], [0.002, 0.998])
+    short = min(radius, 0.4 * (high - low))
+    t = np.linspace(low + short, high - short, 33)
+    curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
+    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
+    return shape_from_curve(curve, max(radius, 1e-3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +558,7 @@ def _moved(
 
 @lru_cache(maxsize=4)
 def _differences(count: int, order: int) -> NDArray[np.float64]:
-    return differences(count, order)
+    return np.diff(np.eye(count), order, axis=0)
 
 
 def _add_prior(
@@ -328,7 +573,8 @@ def _add_prior(
         TWIST_SD * step / BEND_SEGMENTS**2, BEND_CHANGE_SD * step**3
     )
     bow = _differences(count, 2) / (BEND_SD * step**2)
-    hold = shape.ends_basis / (anchors[1] * radius)[:, None]
+    ends = bases(2)[0]
+    hold = ends / (anchors[1] * radius)[:, None]
     same = third.T @ third + bow.T @ bow + hold.T @ hold  # for each coordinate alike
     # Control points keep their distances: nothing else tells where along the curve they sit.
     second = _differences(count, 2)
@@ -337,8 +583,7 @@ def _add_prior(
     even = (second[:, :, None] * tangent[:, None, :]).reshape(count - 2, -1) / (SPEED_SD * step)
     # Where depth hardly tells, a fruit rather lies across the view than along it.
     middle = bend.mean(axis=0)
-    ends = shape.ends_basis[1] - shape.ends_basis[0]
-    deep = np.outer(ends, middle / np.linalg.norm(middle)).ravel()
+    deep = np.outer(ends[1] - ends[0], middle / np.linalg.norm(middle)).ravel()
     deep /= TILT_SD * step * BEND_SEGMENTS
     even = np.vstack([even, deep])
     normal[:split, :split] += even.T @ even

@@ -9,8 +9,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.outline import depth_across, outline_cracks
-from cucumbervision.geometry.tube import TubeShape, gaps, guess_shape, near_depths
-from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape
+from cucumbervision.geometry.tube import TubeShape
+from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape, gaps, guess_shape, near_depths
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.geometry.tube import (
-    arc_positions,
     axis_path,
     bending_direction,
     inner_arc_height,
     profile,
     thread_length,
-    volume_of_profile,
 )
 
 if TYPE_CHECKING:
@@ -136,7 +135,7 @@ def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) ->
         inner_arc_height(centres_m, radii, ends, outward),
         along,
         diameter,
-        volume_of_profile(along, diameter),
+        float(np.trapezoid(np.pi / 4 * diameter**2, along)),
         float(np.rad2deg(np.arcsin(min(deep, 1.0)))),
         axis,
     )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
-from cucumbervision.geometry.tube import arc_positions, points_along
+from cucumbervision.geometry.curve import arc_positions, points_along
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ from cucumbervision._version import __version__
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Stop
-from cucumbervision.geometry.tube import arc_positions
+from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag, LengthDefinition
 from cucumbervision.perception.masks import encode_rle
 from cucumbervision.pipeline.fields import FIELDS

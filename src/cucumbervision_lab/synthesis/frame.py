@@ -9,7 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.geometry.tube import arc_positions, points_along
+from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision_lab.synthesis.appearance import random_style
 from cucumbervision_lab.synthesis.color_camera import expose, random_exposure
 from cucumbervision_lab.synthesis.compose import Composition, Setting, compose

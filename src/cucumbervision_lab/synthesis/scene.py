@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.tube import points_along
+from cucumbervision.geometry.curve import points_along
 from cucumbervision_lab.synthesis.raycast import (
     Leaf,
     Plane,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import TrainingError
-from cucumbervision.geometry.tube import arc_positions
+from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.perception.ends import STRIP_PX, SURE, straighten
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.datasets.labels import DataSet, Label

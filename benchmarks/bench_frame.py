@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.letterbox import fit

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cucumbervision.capture.burst import median_depth
+from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method

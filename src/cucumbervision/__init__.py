@@ -5,7 +5,7 @@ The public names; each is loaded when it is first used.
 Examples
 --------
 >>> import cucumbervision
->>> from cucumbervision.capture.bundled import bundled_captures
+>>> from cucumbervision.capture.source import bundled_captures
 >>> capture = next(iter(cucumbervision.open_source(bundled_captures()))).load()
 >>> measurer = cucumbervision.Measurer(cucumbervision.MeasureOptions(instances="dataset"))
 >>> length = measurer.measure(capture).fruit[0].length
@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 
 if TYPE_CHECKING:
-    from cucumbervision.capture.burst import fuse_burst
     from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
-    from cucumbervision.capture.frames import Capture, Stop
+    from cucumbervision.capture.frames import Capture, Stop, fuse_burst
     from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream, check_intrinsics
     from cucumbervision.capture.readers import open_source
     from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
@@ -52,9 +51,8 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.run import RunResult, measure_inputs
 
 _NAMES = {
-    "capture.burst": "fuse_burst",
     "capture.cameras.realsense": "CameraConfig RealSenseCamera",
-    "capture.frames": "Capture Stop",
+    "capture.frames": "Capture Stop fuse_burst",
     "capture.intrinsics": "Distortion Intrinsics Stream check_intrinsics",
     "capture.readers": "open_source",
     "capture.source": "CaptureRef CaptureSource ReadOptions",

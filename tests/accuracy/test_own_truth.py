@@ -9,7 +9,7 @@ import pytest
 from cucumbervision.accuracy.measured import Measured, Reading, read_measured
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError, TruthError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.pipeline.options import MeasureOptions

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.burst import fuse_burst, median_depth, sharpness
+from cucumbervision.capture.frames import fuse_burst, median_depth, sharpness
 from cucumbervision.errors import CaptureError
 
 GREY = np.full((2, 3, 3), 90, np.uint8)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.camera_file import read_calibration
+from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
 from cucumbervision.errors import CaptureError, IntrinsicsError
 
@@ -51,7 +51,7 @@ def without(*keys: str) -> dict[str, Any]:
     ],
 )
 def test_the_forms_that_are_read(data: dict[str, Any], tmp_path: Path) -> None:
-    calibration = read_calibration(write(tmp_path, data))
+    calibration = read_camera_file(write(tmp_path, data))
     assert calibration.intrinsics == COLOR
     # BOP's scale is in millimetres.
     assert calibration.depth_unit_m == (0.0001 if "depth_scale" in data else None)
@@ -65,7 +65,7 @@ def test_lens_and_stream(tmp_path: Path) -> None:
         "coefficients": [0.1, -0.05, 0.001, -0.002, 0.01],
         "depth_unit_m": 0.0001,
     }
-    calibration = read_calibration(write(tmp_path, data))
+    calibration = read_camera_file(write(tmp_path, data))
     assert calibration.intrinsics.stream is Stream.DEPTH
     assert calibration.intrinsics.distortion is Distortion.INVERSE_BROWN_CONRADY
     assert calibration.intrinsics.coefficients == (0.1, -0.05, 0.001, -0.002, 0.01)
@@ -80,7 +80,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
             "depth": DEPTH,
             "depth_to_color": {"rotation": rotation, "translation_m": [0.015, 0, 0]},
         }
-        calibration = read_calibration(write(tmp_path, data))
+        calibration = read_camera_file(write(tmp_path, data))
         assert calibration.depth is not None
         assert calibration.depth.stream is Stream.DEPTH
         assert calibration.depth_to_color is not None
@@ -118,7 +118,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
 )
 def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:
     with pytest.raises(IntrinsicsError, match=rf"k\.json: .*{words}") as caught:
-        read_calibration(write(tmp_path, data))
+        read_camera_file(write(tmp_path, data))
     assert "\n" not in str(caught.value)
 
 
@@ -128,16 +128,16 @@ def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:
 )
 def test_what_is_no_json(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=rf"k\.json: .*{words}"):
-        read_calibration(write(tmp_path, text))
+        read_camera_file(write(tmp_path, text))
 
 
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"none\.json: the file is missing"):
-        read_calibration(tmp_path / "none.json")
+        read_camera_file(tmp_path / "none.json")
 
 
 def test_what_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "k.json"
     path.write_bytes(b"\x80\x81\x82\x83\x84")
     with pytest.raises(CaptureError, match=r"k\.json: is no JSON text"):
-        read_calibration(path)
+        read_camera_file(path)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from cucumbervision.capture.camera_file import read_calibration
+from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.readers.native import Manifest
 
 PAGE = Path(__file__).parents[2] / "docs" / "captures.md"
@@ -31,7 +31,7 @@ def test_json_blocks(tmp_path: Path) -> None:
         else:
             kinds.append("intrinsics")
             (tmp_path / "k.json").write_text(block)
-            assert read_calibration(tmp_path / "k.json").intrinsics.size == (1280, 720)
+            assert read_camera_file(tmp_path / "k.json").intrinsics.size == (1280, 720)
     assert sorted(kinds) == ["capture"] + ["intrinsics"] * 3
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.burst import fuse_burst
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, fuse_burst
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.writer import write_native
 from cucumbervision.errors import CaptureError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import bundled_captures
 
 
 def run(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:

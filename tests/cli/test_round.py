@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 

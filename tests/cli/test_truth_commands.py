@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import bundled_captures
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:

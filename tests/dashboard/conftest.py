@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.store.repository import open_store
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

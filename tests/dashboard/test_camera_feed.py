@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.cameras.realsense import CameraConfig
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.camera_feed import CameraFeed, Look, Replay
 from cucumbervision.errors import CameraError, CaptureError
 

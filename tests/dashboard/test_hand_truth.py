@@ -8,7 +8,7 @@ import pytest
 from cucumbervision.accuracy.own_truth import evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.site_calibration import calibrate_lengths
-from cucumbervision.capture.bundled import bundled_captures
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.hand_truth import (
     hand_file,
     hand_lengths,

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource

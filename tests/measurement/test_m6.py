@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.capture.burst import median_depth
+from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.measurement.m6 import measure_m6

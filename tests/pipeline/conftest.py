@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.perception.letterbox import fit
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry

@@ -18,10 +18,10 @@ from cucumbervision.calibration.calibration_file import (
     write_site_calibration,
 )
 from cucumbervision.calibration.corrections import Form
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CalibrationError
 from cucumbervision.measurement.result import (
     Choice,

@@ -10,8 +10,7 @@ import numpy as np
 import openpyxl
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
-from cucumbervision.capture.source import ReadOptions
+from cucumbervision.capture.source import ReadOptions, bundled_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.finders import make_finder

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.measurement.result import Flag, Method
 from cucumbervision.measurement.selector import measure_fruit

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Calibration", "CameraModel", "Extrinsics", "read_calibration"]
+__all__ = ["CameraFile", "CameraModel", "Extrinsics", "read_camera_file"]
 
 _BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
 _SAY_STREAM = (
@@ -43,7 +43,7 @@ class Extrinsics:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class CameraFile:
     """What an intrinsics file says.
 
     Parameters
@@ -107,7 +107,7 @@ class CameraModel(_Lens):
 
     @classmethod
     def of(cls, intrinsics: Intrinsics) -> CameraModel:
-        """Give the block that says `intrinsics`."""
+        """Return the block that says `intrinsics`."""
         i = intrinsics
         return cls(
             stream=i.stream,
@@ -138,7 +138,7 @@ class _FileModel(CameraModel):
     depth_unit_m: float | None = Field(default=None, gt=0)
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_camera_file(path: Path) -> CameraFile:
     """Read an intrinsics file.
 
     Parameters
@@ -151,7 +151,7 @@ def read_calibration(path: Path) -> Calibration:
 
     Returns
     -------
-    Calibration
+    CameraFile
         What it says; whether that fits a picture is for `check_intrinsics`.
 
     Raises
@@ -179,7 +179,7 @@ def read_calibration(path: Path) -> Calibration:
     if "matrix" in data:
         data |= _from_matrix(data.pop("matrix"), path)
     model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
-    return Calibration(
+    return CameraFile(
         model.intrinsics,
         path,
         model.depth.as_intrinsics(Stream.DEPTH) if model.depth else None,

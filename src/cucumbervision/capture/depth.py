@@ -19,7 +19,7 @@ _UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
 
 
 def default_unit_m(raw: NDArray[Any]) -> float:
-    """Give the unit of depth that says none: millimetres for whole numbers, metres for floats.
+    """Return the unit of depth that says none: millimetres for whole numbers, metres for floats.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def default_unit_m(raw: NDArray[Any]) -> float:
 def depth_to_metres(
     raw: NDArray[Any], unit_m: float | None = None, *, source: object = None
 ) -> NDArray[np.float32]:
-    """Turn a depth picture's numbers into metres.
+    """Convert a depth picture's numbers into metres.
 
     Parameters
     ----------

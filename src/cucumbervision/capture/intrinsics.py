@@ -131,7 +131,7 @@ class Intrinsics:
         return self.width, self.height
 
     def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Give the ray (x/z, y/z) of each pixel, with the lens distortion undone.
+        """Return the ray (x/z, y/z) of each pixel, with the lens distortion undone.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Intrinsics:
         return undistort(x, y, self.distortion, self.coefficients)
 
     def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Give the pixels where points are seen, lens distortion included.
+        """Return the pixels where points are seen, lens distortion included.
 
         Parameters
         ----------
@@ -189,7 +189,7 @@ class Intrinsics:
         return np.stack([x * self.fx_px + self.cx_px, y * self.fy_px + self.cy_px], axis=1)
 
     def with_stream(self, stream: Stream) -> Intrinsics:
-        """Give the same camera as another stream's calibration."""
+        """Return the same camera as another stream's calibration."""
         return replace(self, stream=stream)
 
 

@@ -1,18 +1,26 @@
-"""What every reader gives: captures by name, each loaded on demand."""
+"""What every reader gives: captures by name, each loaded on demand; where the bundled ones are."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["CaptureRef", "CaptureSource", "ReadOptions", "safe_name", "unique_name", "unique_names"]
+__all__ = [
+    "CaptureRef",
+    "CaptureSource",
+    "ReadOptions",
+    "bundled_captures",
+    "safe_name",
+    "unique_name",
+    "unique_names",
+]
 
 
 @dataclass(frozen=True)
@@ -131,7 +139,7 @@ def unique_names(names: Iterable[str]) -> list[str]:
 
 
 def unique_name(name: str, taken: set[str]) -> str:
-    """Give one name as `unique_names` would after those before it, and take it.
+    """Return one name as `unique_names` would after those before it, and take it.
 
     Examples
     --------
@@ -145,3 +153,14 @@ def unique_name(name: str, taken: set[str]) -> str:
         candidate = f"{name}-{n}"
     taken.add(candidate.lower())
     return candidate
+
+
+def bundled_captures() -> Path:
+    """Return the folder of the captures that come with the package.
+
+    Examples
+    --------
+    >>> sorted(p.name for p in bundled_captures().iterdir())
+    ['simulated-bench', 'simulated-row-a', 'simulated-row-b']
+    """
+    return Path(__file__).with_name("bundled_captures")

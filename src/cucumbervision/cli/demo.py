@@ -23,7 +23,7 @@ def demo(
 
     Masks by MobileSAM, lengths by M1 to M6.
     """
-    from cucumbervision.capture.bundled import bundled_captures
+    from cucumbervision.capture.source import bundled_captures
     from cucumbervision.cli.console import run_and_show
     from cucumbervision.perception.registry import load_registry
     from cucumbervision.pipeline.finders import demo_options

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.frames import fuse_burst, valid_depth
 from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
 

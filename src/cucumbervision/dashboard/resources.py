@@ -122,7 +122,7 @@ def replay_path() -> Path:
     """Give what is replayed where no camera is: as the command says, or the bundled captures."""
     if chosen := os.environ.get(REPLAY_VARIABLE):
         return Path(chosen)
-    from cucumbervision.capture.bundled import bundled_captures
+    from cucumbervision.capture.source import bundled_captures
 
     return bundled_captures()
 
@@ -265,7 +265,7 @@ def prepare() -> Job | None:
 
 
 def _demonstrate(job: Job) -> None:
-    from cucumbervision.capture.bundled import bundled_captures
+    from cucumbervision.capture.source import bundled_captures
 
     source = open_source(bundled_captures(), ReadOptions(burst=settings().burst))
     job.total = source.total or 0
@@ -276,7 +276,7 @@ def _demonstrate(job: Job) -> None:
 
 
 def _warm(_: Job) -> None:
-    from cucumbervision.capture.bundled import bundled_captures
+    from cucumbervision.capture.source import bundled_captures
 
     first = next(iter(open_source(bundled_captures())))
     measurer().with_options(options()).measure(first.load())

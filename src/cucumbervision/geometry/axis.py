@@ -93,7 +93,7 @@ def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
 
 
 def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the centroid and the direction of largest spread.
+    """Return the centroid and the direction of largest spread.
 
     The first right singular vector of the centred cloud (the paper's Eq. 2), found as the first
     eigenvector of its 3x3 scatter matrix: the same vector, without an SVD of N rows.
@@ -130,7 +130,7 @@ def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray
 def project(
     points_m: NDArray[Any], centroid_m: NDArray[Any], axis: NDArray[Any]
 ) -> NDArray[np.float64]:
-    """Give each point's position along an axis, in metres from the centroid.
+    """Return each point's position along an axis, in metres from the centroid.
 
     Examples
     --------

@@ -54,7 +54,7 @@ def _brown(
 def distort(
     x: NDArray[Any], y: NDArray[Any], model: Distortion, coefficients: Sequence[float]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Give where the lens puts the ray (x, y): the forward model, used to project.
+    """Apply the lens distortion to the ray (x, y): the forward model, used to project.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def distort(
 def undistort(
     x: NDArray[Any], y: NDArray[Any], model: Distortion, coefficients: Sequence[float]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Give the ray that the lens put at (x, y): the inverse of `distort`, by fixed point.
+    """Remove the lens distortion at (x, y): the inverse of `distort`, by fixed point.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def undistort(
 
 
 def scale_error(f_right_px: float, f_wrong_px: float) -> float:
-    """Give the relative error of a length across the view, deprojected with a wrong focal length.
+    """Return the relative error of a length across the view, deprojected with a wrong focal length.
 
     A length's pixels are divided by the focal length, so L'/L - 1 = f_right / f_wrong - 1.
 
@@ -132,7 +132,7 @@ def scale_error(f_right_px: float, f_wrong_px: float) -> float:
 
 
 def scale_error_tilted(f_right_px: float, f_wrong_px: float, tilt_deg: float) -> float:
-    """Give the same error for a fruit tilted towards the camera.
+    """Return the same error for a fruit tilted towards the camera.
 
     Depth is unharmed by the focal length, only the part across the view scales by
     k = f_right / f_wrong: L'/L = sqrt(k² cos² t + sin² t).
@@ -167,7 +167,7 @@ def align_depth_to_color(
     depth_lens: Lens = _NO_LENS,
     color_lens: Lens = _NO_LENS,
 ) -> NDArray[np.float32]:
-    """Give depth in the colour camera's pixels.
+    """Align depth to the colour camera's pixels.
 
     Parameters
     ----------

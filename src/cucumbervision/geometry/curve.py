@@ -15,7 +15,7 @@ COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters 
 
 
 def polyline_length(vertices_m: NDArray[Any]) -> float:
-    """Give the summed length of the segments.
+    """Return the summed length of the segments.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def natural_spline(
 
 
 def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
-    """Give each centre's arc length from the first, metres.
+    """Return each centre's arc length from the first, metres.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def points_along(vertices: NDArray[Any], shares: ArrayLike) -> NDArray[np.float64]:
-    """Give the points of a polyline at shares of its length.
+    """Return the points of a polyline at shares of its length.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ __all__ = ["valid_median"]
 
 
 def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) -> NDArray[Any]:
-    """Give the median along an axis over the valid entries only.
+    """Return the median along an axis over the valid entries only.
 
     Parameters
     ----------

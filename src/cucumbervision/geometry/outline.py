@@ -17,7 +17,7 @@ __all__ = ["depth_across", "outline_cracks"]
 def outline_cracks(
     mask: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the points between a pixel of the mask and a neighbour outside it.
+    """Return the points between a pixel of the mask and a neighbour outside it.
 
     A body's true outline runs somewhere between the two pixels' centres, so their middle is
     unbiased, which a contour through pixel centres is not (it lies half a pixel inside).
@@ -59,7 +59,7 @@ def depth_across(
     outward: NDArray[Any],
     steps_px: tuple[float, ...] = (0.5, 1.5, 2.5, 3.5),
 ) -> NDArray[np.float64]:
-    """Give the median depth on one side of outline points.
+    """Return the median depth on one side of outline points.
 
     Parameters
     ----------

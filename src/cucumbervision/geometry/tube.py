@@ -50,7 +50,7 @@ class TubeShape:
     width_m: NDArray[np.float64]
 
     def balls(self, count: int = BALLS) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Give centres, shape (count, 3), and radii, shape (count,), evenly along the curve."""
+        """Return centres, shape (count, 3), and radii, shape (count,), evenly along the curve."""
         bend, width = bases(count)
         return bend @ self.bend_m, width @ self.width_m
 
@@ -87,13 +87,13 @@ def cubic_basis(t: NDArray[Any], segments: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def bases(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the bases of centre and radius at evenly spaced places, (count, 7) and (count, 15)."""
+    """Return the bases of centre and radius at evenly spaced places, (count, 7) and (count, 15)."""
     t = np.linspace(0.0, 1.0, count)
     return cubic_basis(t, BEND_SEGMENTS), cubic_basis(t, WIDTH_SEGMENTS)
 
 
 def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape:
-    """Give the shape of even radius whose centres run along a polyline.
+    """Return the tube of constant radius along a polyline.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape
 
 
 def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:
-    """Give the central axis from pole to pole.
+    """Return the central axis from pole to pole.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.floa
 
 
 def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
-    """Give the unit vector from the chord towards the convex side, in the plane of bending.
+    """Return the unit vector from the chord towards the convex side, in the plane of bending.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArray[Any]) -> float:
-    """Give the length of a thread laid from pole to pole over the convex side.
+    """Return the length of a thread laid from pole to pole over the convex side.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArr
 def inner_arc_height(
     centres_m: NDArray[Any], radii_m: NDArray[Any], poles_m: NDArray[Any], outward: NDArray[Any]
 ) -> float:
-    """Give the largest distance from the chord to the body's inner edge.
+    """Return the largest distance from the chord to the body's inner edge.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def inner_arc_height(
 def profile(
     centres_m: NDArray[Any], radii_m: NDArray[Any], samples: int = 101
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the body's diameter along its axis from pole to pole.
+    """Return the body's diameter along its axis from pole to pole.
 
     Parameters
     ----------

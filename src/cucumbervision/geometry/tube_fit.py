@@ -220,7 +220,7 @@ def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Say which points are near the plane that most of them lie along.
+    """Return which points are near the plane that most of them lie along.
 
     A tilted fruit lies along a plane however steep it is and whatever hides its middle; what
     the mask caught of the background does not, nor what the sensor blends between the two.

@@ -90,7 +90,7 @@ def box_points(
 
 
 def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Give the half-open pixel range left, top, right, bottom whose centres lie in a box.
+    """Return the half-open pixel range left, top, right, bottom whose centres lie in a box.
 
     Parameters
     ----------

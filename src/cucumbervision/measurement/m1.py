@@ -115,7 +115,7 @@ def window_depths(
     window_px: int,
     mask: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
-    """Give the median of the valid readings in a square window around each position.
+    """Return the median of the valid readings in a square window around each position.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def measure_m2(box_points_m: NDArray[Any]) -> Measurement:
 
 
 def principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
-    """Give the chord between the extreme projections on the principal axis.
+    """Return the chord between the extreme projections on the principal axis.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ POLYLINE_FROM = 4
 
 
 def endpoints_visible(keypoints: NDArray[np.float64] | None) -> bool:
-    """Say whether both endpoints are seen well enough for M4 (visibility >= 0.50).
+    """Return whether both endpoints are seen well enough for M4 (visibility >= 0.50).
 
     Parameters
     ----------

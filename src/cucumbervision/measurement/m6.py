@@ -10,7 +10,14 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.outline import depth_across, outline_cracks
 from cucumbervision.geometry.tube import TubeShape
-from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape, gaps, guess_shape, near_depths
+from cucumbervision.geometry.tube_fit import (
+    Evidence,
+    TubeFitting,
+    fit_shape,
+    gaps,
+    guess_shape,
+    near_depths,
+)
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -119,7 +126,7 @@ class TubeView:
 
 
 def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-    """Give a D4xx's RMS depth error at a distance, metres: z² s / (f B).
+    """Return a D4xx's RMS depth error at a distance, metres: z² s / (f B).
 
     Parameters
     ----------

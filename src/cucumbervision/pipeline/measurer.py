@@ -183,7 +183,7 @@ class Measurer:
 
     Examples
     --------
-    >>> from cucumbervision.capture.bundled import bundled_captures
+    >>> from cucumbervision.capture.source import bundled_captures
     >>> from cucumbervision.capture.readers import open_source
     >>> measurer = Measurer(MeasureOptions(instances="dataset"))
     >>> result = measurer.measure(next(iter(open_source(bundled_captures()))).load())

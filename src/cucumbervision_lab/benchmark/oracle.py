@@ -22,7 +22,7 @@ SHORTEST_COS = 0.3  # an end that points along the view tells nothing of its own
 def oracle_length_m(
     truth: FruitTruth, mask: NDArray[np.bool_], camera: Intrinsics, rng: np.random.Generator
 ) -> float:
-    """Give the true centreline, wrong only by the mask's outline at both ends.
+    """Return the true centreline, wrong only by the mask's outline at both ends.
 
     Each end is wrong by as many pixels as the mask's outline lies beyond (or short of) the exact
     one along the axis, plus the pixel grid's own rounding, drawn evenly from half a pixel either
@@ -35,7 +35,7 @@ def oracle_length_m(
     mask : ndarray of bool, shape (H, W)
         The mask that the methods were given.
     camera : Intrinsics
-        Who looks.
+        The camera.
     rng : numpy.random.Generator
         For the grid's rounding.
     """
@@ -60,7 +60,7 @@ def end_shift_px(
     back_px: NDArray[np.float64],
     tip_px: NDArray[np.float64],
 ) -> float | None:
-    """Give how far a mask reaches beyond the exact one, walking from inside over the tip.
+    """Return how far a mask reaches beyond the exact one, walking from inside over the tip.
 
     Parameters
     ----------

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.burst import fuse_burst
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, fuse_burst
 from cucumbervision_lab.benchmark.protocol import CAMERA, Case
 from cucumbervision_lab.synthesis.appearance import Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, random_fruit, rotation, variety_of

@@ -33,7 +33,7 @@ class HouseSettings:
     visits : tuple of int
         Days of the rounds; the last is 0, today.
     links : int
-        Links that the forecast gets to see, at most; fruit are chosen by chance.
+        Links that the forecast gets to see, at most; fruit are chosen at random.
     found, false : float
         Share of fruit that a round finds, and of invented ones among the found.
     relative_sd, floor_sd_m : float
@@ -94,7 +94,7 @@ class SimulatedHouse:
 
 
 def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
-    """Draw a house.
+    """Simulate a house.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def _increment(
 def _measured(
     s: HouseSettings, length: NDArray[np.float64], scale: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Give measured lengths, NaN where the fruit was missed or is too small."""
+    """Return measured lengths, NaN where the fruit was missed or is too small."""
     sd = np.hypot(s.relative_sd * length, s.floor_sd_m)
     read = scale * (length + sd * rng.standard_normal(len(length)))
     seen = (rng.random(len(length)) < s.found) & (read >= s.shortest_m)
@@ -146,7 +146,7 @@ def _measured(
 
 
 def _sd(s: HouseSettings, read: float) -> float:
-    """Give the standard deviation as the intervals say it: the shared error is part of it."""
+    """Return the standard deviation as the intervals say it: the shared error is part of it."""
     return float(np.hypot(np.hypot(s.relative_sd, s.scale_sd) * read, s.floor_sd_m))
 
 

@@ -1,6 +1,6 @@
 """Rows whose fruit are known: the truth that merging and linking are held against.
 
-Fruit have the sizes of `synthesis.bodies`; what a capture shows of them is drawn by chance, with
+Fruit have the sizes of `synthesis.bodies`; what a capture shows of them is drawn at random, with
 the errors that the benchmark of single captures found. No pictures are drawn.
 """
 
@@ -58,7 +58,7 @@ class SimulatedRow:
     sides : int
         1, or 2 for both aisles.
     open_share : float
-        Share of fruit that can be seen from both aisles; the others from one by chance.
+        Share of fruit that can be seen from both aisles; the others from a random one.
     thickness_m, band_m : float
         How deep and how high the fruit hang.
     """
@@ -121,7 +121,7 @@ class Walk:
 
 
 def simulate_row(settings: SimulatedRow, seed: int) -> Walk:
-    """Draw a row and a walk along it.
+    """Simulate a row and a walk along it.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def simulate_row(settings: SimulatedRow, seed: int) -> Walk:
 
 
 def simulate_plants(settings: SimulatedRow, rng: np.random.Generator) -> Plants:
-    """Draw the fruit of a row; none reaches into another."""
+    """Simulate the fruit of a row; none reaches into another."""
     from cucumbervision_lab.synthesis.bodies import random_fruit
 
     bodies = np.sort(rng.uniform(0.06, 0.38, SIZES))
@@ -196,7 +196,7 @@ def _capture(
     s: SimulatedRow,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Give columns along, up, depth, length, diameter, partial, score; names; what is in view."""
+    """Return columns along, up, depth, length, diameter, partial, score; names; what is in view."""
     sign = 1.0 - 2.0 * side
     offset = plants.place_m - camera_m
     offset[:, DEPTH] = sign * offset[:, DEPTH] + s.distance_m
@@ -275,7 +275,7 @@ def grow_plants(
     shift_m : ndarray of float64, shape (F, 3)
         How far each fruit's plant is moved.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     picked_over_m : float
         Nearly all fruit longer than that are picked.
     new_share : float

@@ -278,12 +278,12 @@ def random_style(
     varieties: Sequence[str] | None = None,
     up: Vector | None = None,
 ) -> Style:
-    """Draw how a scene looks.
+    """Sample a random appearance for a scene.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     scene : Scene
         Its bodies.
     assets : Assets

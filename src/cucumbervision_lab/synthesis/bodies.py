@@ -113,7 +113,7 @@ class Tube:
         return np.asarray(line[kept])
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Tube:
-        """Give the same body turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the body turned about the origin by a 3x3 rotation, then moved by metres."""
         return Tube(
             self.centres_m @ turn.T + np.asarray(by_m, dtype=float),
             self.radii_m,
@@ -228,7 +228,7 @@ def helix_tube(
 
 
 def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0) -> NDArray[Any]:
-    """Give a 3x3 rotation: spin about the fruit's axis x, tilt to the camera, roll in the picture.
+    """Return a 3x3 rotation: spin about the fruit's axis x, tilt to the camera, then roll.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ _SIZES = {
 
 
 def variety_of(length_m: float) -> Variety:
-    """Say which variety a fruit of that length is taken for.
+    """Return the variety that a fruit of that length is taken for.
 
     Examples
     --------
@@ -360,12 +360,12 @@ def random_fruit(
     s_shape: bool | None = None,
     balls: int = BALLS,
 ) -> Tube:
-    """Draw one fruit of a length.
+    """Sample one fruit of a length.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     length_m : float
         Centreline, pole to pole, metres.
     variety : Variety or str, optional

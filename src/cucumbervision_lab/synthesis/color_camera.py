@@ -1,4 +1,4 @@
-"""What a camera makes of the light: exposure, blur, noise, tone curve, compression."""
+"""The colour camera: exposure, blur, noise, tone curve and compression."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ class Exposure:
 
 
 def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
-    """Draw an exposure: most good, some dark, bright, blurred or noisy.
+    """Sample an exposure: most good, some dark, bright, blurred or noisy.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     width : int
         Of the picture, pixels: blurs go with it.
 
@@ -121,7 +121,7 @@ def expose(
     exposure : Exposure
         How.
     rng : numpy.random.Generator
-        The source of chance, for the noise.
+        Random generator of the noise.
     depth_m : ndarray of float, shape (H, W), optional
         Metres, 0 for far; without it all is in focus.
 

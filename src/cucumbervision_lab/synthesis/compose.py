@@ -1,4 +1,4 @@
-"""Whole scenes by chance: fruit on the plant, on a bench or in a crate, seen by a handheld camera.
+"""Random whole scenes: fruit on the plant, on a bench or in a crate, seen by a handheld camera.
 
 Everything is placed in the camera's coordinates. What each leaf and rod stands for is kept beside
 the scene, for whoever paints it.
@@ -89,14 +89,14 @@ class Composition:
 
 
 def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str) -> Composition:
-    """Put a scene together.
+    """Compose a scene.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance; the same seed gives the same scene.
+        Random generator; the same seed gives the same scene.
     camera : Intrinsics
-        Who looks.
+        The camera.
     setting : Setting or str
         Where the fruit are.
 
@@ -251,7 +251,7 @@ def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, 
 def _ends_of(
     rng: np.random.Generator, fruit: Tube
 ) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
-    """Give a fruit's withered blossom and its stalk, which tell its ends apart."""
+    """Return a fruit's withered blossom and its stalk, which tell its ends apart."""
     blossom, stem = fruit.poles_m
     radius = float(fruit.radii_m.max())
     petals: list[Leaf] = []
@@ -290,7 +290,7 @@ def _stalk(
 
 
 def _held(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
-    """Turn a scene as a camera is held, mostly level, sometimes upright or askew; and say up."""
+    """Rotate a scene as a hand-held camera sees it, mostly level; return the up vector too."""
     pick = rng.random()
     if pick < 0.68:
         roll = rng.normal(0, 6)

@@ -56,7 +56,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class DemoScene:
-    """A named scene: the fruit in it, what lies behind at which depth, and the seed of chance."""
+    """A named scene: the fruit in it, what lies behind at which depth, and the random seed."""
 
     name: str
     fruit: tuple[Pose, ...]
@@ -102,7 +102,7 @@ SCENES = (
 
 
 def place(pose: Pose) -> Tube:
-    """Give the body of a pose in camera coordinates.
+    """Return the body of a pose in camera coordinates.
 
     Examples
     --------
@@ -117,14 +117,14 @@ def place(pose: Pose) -> Tube:
 def draw_scene(
     scene: DemoScene, camera: Intrinsics = CAMERA, frames: int = FRAMES
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], View, list[Tube]]:
-    """Draw a burst of a scene.
+    """Generate a burst of a scene.
 
     Parameters
     ----------
     scene : DemoScene
         What to draw.
     camera : Intrinsics
-        Who looks.
+        The camera.
     frames : int
         Size of the burst.
 
@@ -155,7 +155,7 @@ def draw_scene(
 
 
 def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]:
-    """Draw the bundled captures as native capture folders, each with a `truth.json`.
+    """Generate the bundled captures as native capture folders, each with a `truth.json`.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ class Matched:
 def smooth_field(
     shape: tuple[int, ...], sigma_px: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Draw normal noise, smooth over some pixels, of mean 0 and standard deviation 1.
+    """Generate normal noise, smooth over some pixels, of mean 0 and standard deviation 1.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def smooth_field(
     sigma_px : float
         Standard deviation of the Gaussian that white noise is blurred by.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Notes
     -----
@@ -142,7 +142,7 @@ def smooth_field(
 
 
 def hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Say which pixels of the left imager the right one cannot see.
+    """Return which pixels of the left imager the right one cannot see.
 
     The point at column x is seen at x - d by the right imager; it is hidden when something
     further right in the row is seen there or left of it. The band stands to the left of what is
@@ -168,7 +168,7 @@ def hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Generator) -> Matched:
-    """Give what a matcher reads of exact disparity, before noise.
+    """Simulate a stereo matcher on exact disparity, before noise.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     matcher : Matcher
         How it errs.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------
@@ -338,7 +338,7 @@ class D4xx:
         )
 
     def drawn(self, rng: np.random.Generator, scale_sd: float = 0.01) -> D4xx:
-        """Give one camera of the series: with a scale error of its own.
+        """Sample one camera of the series, with a scale error of its own.
 
         The data sheet allows 2 % at 2 m, taken as two standard deviations.
         """
@@ -348,16 +348,16 @@ class D4xx:
 def sense(
     scene: Scene, camera: D4xx, rng: np.random.Generator, frames: int = 5
 ) -> list[NDArray[np.float32]]:
-    """Give a burst of depth frames, aligned to colour, as the camera reads a scene.
+    """Simulate a burst of depth frames, aligned to colour.
 
     Parameters
     ----------
     scene : Scene
         In the colour camera's coordinates.
     camera : D4xx
-        Who looks.
+        The camera.
     rng : numpy.random.Generator
-        The source of chance; the same seed gives the same frames.
+        The random generator; the same seed gives the same frames.
     frames : int
         Size of the burst. Its frames share the part of the noise that is fixed in space, and
         most holes.
@@ -454,7 +454,7 @@ def _lost_on_surfaces(
 
 @lru_cache(maxsize=8)
 def _in_sight(camera: D4xx) -> Intrinsics:
-    """Give the part of the depth camera's picture that the colour camera can see into."""
+    """Return the part of the depth camera's picture that the colour camera can see into."""
     color, depth = camera.color, camera.depth
     u = np.array([0, color.width / 2, color.width - 1, 0, color.width - 1] * 2, dtype=float)
     v = np.array([0, 0, 0, color.height - 1, color.height - 1] * 2, dtype=float)
@@ -485,7 +485,7 @@ def _in_sight(camera: D4xx) -> Intrinsics:
 def color_sources(
     depth_m: NDArray[np.float32], seen_by: Intrinsics, camera: D4xx
 ) -> NDArray[np.int32]:
-    """Say which depth pixel each colour pixel takes its reading from.
+    """Return which depth pixel each colour pixel takes its reading from.
 
     The rule is `align_depth_to_color`'s, told as indices, so that a burst needs it once.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.burst import fuse_burst
+from cucumbervision.capture.frames import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision_lab.synthesis.appearance import random_style
@@ -103,7 +103,7 @@ class Frame:
 
 
 def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> Frame:
-    """Draw one frame of a set.
+    """Render one frame of a set.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def _style(rng: np.random.Generator, staged: Composition, assets: Assets) -> Sty
 
 
 def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
-    """Give the skin of something that has a cucumber's shape only."""
+    """Return the skin of something that has a cucumber's shape only."""
     color = np.array(DECOYS[int(rng.integers(len(DECOYS)))]) * rng.uniform(0.8, 1.1)
     red, green, blue = np.clip(color + rng.normal(0, 8, 3), 0, 255).tolist()
     base = (red, green, blue)
@@ -197,7 +197,7 @@ def _read_depth(
 
 
 def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
-    """Give a fruit's metric truth as plain numbers, to be written beside its label.
+    """Return a fruit's metric truth as plain numbers, to be written beside its label.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def parse_options(
     depth: bool = True,
     scale_sd: float = 0.0,
 ) -> SynthOptions:
-    """Give the options that the words mean.
+    """Parse the command line's words into options.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class SynthOptions:
     frames : int
         How many pictures.
     seed : int
-        The source of chance.
+        Random generator.
     frame : FrameOptions
         Size, settings and depth of every frame.
     assets : str
@@ -175,7 +175,7 @@ def generate(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> DataSet:
-    """Draw a set, or what of it is still missing.
+    """Render a set, or what of it is still missing.
 
     Parameters
     ----------
@@ -323,7 +323,7 @@ def _write_jpeg(path: Path, color: np.ndarray[Any, Any], quality: int) -> None:
 
 
 def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
-    """Give a drawn frame's labels.
+    """Return a drawn frame's labels.
 
     Parameters
     ----------

@@ -99,12 +99,12 @@ class LightMaps:
 
 
 def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1.0, 0.0)) -> Light:
-    """Draw a light: overcast, under glass, sunny, under lamps, deep in the leaves.
+    """Sample a light: overcast, under glass, sunny, under lamps, deep in the leaves.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     assets : Assets
         Environments to take, in half of all cases where there are any.
     up : tuple of float
@@ -144,12 +144,12 @@ def _triple(values: NDArray[np.float64]) -> Vector:
 
 
 def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightMaps:
-    """Work out a light for all normals.
+    """Compute a light for all normals.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance, for a drawn sky.
+        The random generator, for a drawn sky.
     light : Light
         Its sun is not in the maps.
     assets : Assets
@@ -233,7 +233,7 @@ def _basis(d: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Give the nine coefficients of an environment's light.
+    """Return the nine coefficients of an environment's light.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def irradiance(nine: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give the irradiance at normals (Ramamoorthi and Hanrahan 2001, equation 6).
+    """Return the irradiance at normals (Ramamoorthi and Hanrahan 2001, equation 6).
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def _grown(small: NDArray[Any], shape: tuple[int, ...], step: int) -> NDArray[np
 def sun_shadow(
     rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
 ) -> NDArray[np.float32]:
-    """Say how much of the sun each pixel gets, as far as the picture tells.
+    """Compute the share of sunlight that each pixel gets, from the depth in sight.
 
     From each point a few steps are taken towards the sun; where the picture shows something
     nearer to the camera than such a step, and not far nearer, that thing is in the way.
@@ -350,11 +350,11 @@ def sun_shadow(
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance: steps are jittered, which makes soft edges.
+        Random generator: steps are jittered, which makes soft edges.
     depth_m : ndarray of float32, shape (H, W)
         Metres, far where nothing is.
     camera : Intrinsics
-        Who looks; its distortion is left out of account.
+        The camera; its distortion is left out of account.
     light : Light
         Whose sun.
 
@@ -389,16 +389,16 @@ def sun_shadow(
 def dappled_shade(
     rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
 ) -> NDArray[np.float32]:
-    """Say how much of the sun leaves out of sight let through.
+    """Compute the share of sunlight that leaves outside the picture let through.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     depth_m : ndarray of float32, shape (H, W)
         Metres.
     camera : Intrinsics
-        Who looks.
+        The camera.
     light : Light
         Its sun's direction, `shade` and `spot_m`.
 
@@ -426,7 +426,7 @@ def dappled_shade(
 
 
 def ambient_occlusion(depth_m: NDArray[np.float32], strength: float = 1.0) -> NDArray[np.float32]:
-    """Say how open each pixel lies to the light all around, by what stands out before it.
+    """Compute each pixel's ambient occlusion from the depth around it.
 
     Parameters
     ----------

@@ -20,14 +20,14 @@ LEAVES = 260
 
 
 def leafy_backdrop(width: int, height: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw leaves over one another, far ones dark, with a string or two.
+    """Generate leaves over one another, far ones dark, with a string or two.
 
     Parameters
     ----------
     width, height : int
         Size in pixels.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------
@@ -60,14 +60,14 @@ def leafy_backdrop(width: int, height: int, rng: np.random.Generator) -> NDArray
 
 
 def bench_backdrop(width: int, height: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw boards with their grain.
+    """Generate boards with their grain.
 
     Parameters
     ----------
     width, height : int
         Size in pixels.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def bench_backdrop(width: int, height: int, rng: np.random.Generator) -> NDArray
 
 
 def paint(scene: View, backdrop: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Give the scene's colours under one light from above left.
+    """Return the scene's colours under one light from above left.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def paint(scene: View, backdrop: NDArray[np.uint8], rng: np.random.Generator) ->
     backdrop : ndarray of uint8, shape (H, W, 3)
         RGB of what lies behind.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------

@@ -122,7 +122,7 @@ def paste(
     count : int
         How many to paste.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------

@@ -77,14 +77,14 @@ def foliage(
     depth_m: float = 0.35,
     density: float = 1.6,
 ) -> tuple[Leaf, ...]:
-    """Draw a layer of leaves that fills the view.
+    """Generate a layer of leaves that fills the view.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     camera : Intrinsics
-        Whose view to fill.
+        The camera whose view is filled.
     distance_m, depth_m : float
         The nearest leaf's middle and how far back the layer goes, metres.
     density : float
@@ -136,12 +136,12 @@ def _leaf(
 def string(
     rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0.0015, lean: float = 0.03
 ) -> Stem:
-    """Draw a string or a stem from above the view to below it.
+    """Generate a string or a stem from above the view to below it.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     x_m, z_m : float
         Where it crosses the height of the camera, metres.
     radius_m : float
@@ -166,9 +166,9 @@ def trellis(
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     camera : Intrinsics
-        Who looks.
+        The camera.
     fruit : tuple of Tube
         Placed, in the camera's coordinates.
     behind_m : float
@@ -209,13 +209,13 @@ def occlude(
     scene : Scene
         Whose fruit `index` is not hidden yet.
     camera : Intrinsics
-        Who looks.
+        The camera.
     index : int
         Which fruit.
     hidden_share : float
         Share of its outline's pixels to hide, 0 to 0.6 with both ends free, to 0.9 otherwise.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     ends_free : bool
         Whether both ends stay in sight; otherwise the leaf hides one end.
 
@@ -334,7 +334,7 @@ class Ground:
 
     @classmethod
     def seen(cls, rng: np.random.Generator, distance_m: float) -> Ground:
-        """Draw how a camera looks at it: from straight above to 55 degrees off, turned at will.
+        """Sample a view of it: from straight above to 55 degrees off, at any heading.
 
         Examples
         --------
@@ -363,11 +363,11 @@ class Ground:
         return Plane(self.point_m, self.frame[2])
 
     def at(self, x_m: float, y_m: float, height_m: float) -> NDArray[np.float64]:
-        """Give a point by its place on the surface and height above it, metres."""
+        """Return a point by its place on the surface and height above it, metres."""
         return np.asarray(self.point_m + np.array([x_m, y_m, height_m]) @ self.frame)
 
     def below(self, camera: Intrinsics, u: float, v: float) -> tuple[float, float]:
-        """Give the place on the surface that a pixel sees, metres."""
+        """Return the place on the surface that a pixel sees, metres."""
         x, y = camera.rays(u, v)
         ray = np.array([float(x), float(y), 1.0])
         met = ray * float(self.frame[2] @ self.point_m) / float(self.frame[2] @ ray)
@@ -387,9 +387,9 @@ def place_lying(
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     camera : Intrinsics
-        Who looks: on an open surface they lie where it sees them.
+        The camera: on an open surface they lie where it sees them.
     ground : Ground
         What they lie on.
     bodies : sequence of Tube
@@ -441,7 +441,7 @@ def _spot(
     body: Tube,
     inner_m: tuple[float, float] | None,
 ) -> tuple[tuple[float, float], NDArray[np.float64]]:
-    """Draw a place and a turn; rows of the turn are ground axes."""
+    """Sample a place and a rotation; rows of the rotation are ground axes."""
     if inner_m is None:
         yaw = rng.uniform(0, 2 * np.pi)
         u, v = rng.uniform(0.08, 0.92) * camera.width, rng.uniform(0.1, 0.9) * camera.height
@@ -462,7 +462,7 @@ def _rest(
     radii_m: NDArray[np.float64],
     lain: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
 ) -> float:
-    """Give the height at which a level body, let down, touches something."""
+    """Return the height at which a level body, let down, touches something."""
     height = float((radii_m - flat_m[:, 2]).max())
     for centres, radii in lain:
         across = ((flat_m[:, None, :2] - centres[None, :, :2]) ** 2).sum(axis=2)
@@ -481,7 +481,7 @@ def crate_rods(
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance: height, thickness and number of bars.
+        Random generator: height, thickness and number of bars.
     ground : Ground
         What it stands on.
     inner_m : tuple of float

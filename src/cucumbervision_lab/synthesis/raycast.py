@@ -90,7 +90,7 @@ class RayGrid:
     rows: tuple[NDArray[np.float64], NDArray[np.float64]]
 
     def window(self, low: ArrayLike, high: ArrayLike) -> Window | None:
-        """Give the pixels whose rays can lie between two corners (x, y); None if there are none."""
+        """Return the pixels whose rays can lie between two corners (x, y); None if there is none."""
         (x_low, y_low), (x_high, y_high) = np.asarray(low), np.asarray(high)
         left, right = (
             np.searchsorted(self.columns[1], x_low),
@@ -104,7 +104,7 @@ class RayGrid:
 
 @lru_cache(maxsize=8)
 def ray_grid(camera: Intrinsics) -> RayGrid:
-    """Give the rays of all pixels of a camera, kept for the next call.
+    """Return the rays of all pixels of a camera, kept for the next call.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def ray_grid(camera: Intrinsics) -> RayGrid:
 def ball_bounds(
     centre_m: NDArray[np.float64], radius_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the corners, in rays, of the rectangle that a ball's outline just fits in.
+    """Return the corners, in rays, of the rectangle that a ball's outline just fits in.
 
     Parameters
     ----------
@@ -162,14 +162,14 @@ def ball_bounds(
 
 
 def cast_tube(tube: Tube, camera: Intrinsics) -> Hit | None:
-    """Meet a swept ball.
+    """Intersect each pixel's ray with a swept ball.
 
     Parameters
     ----------
     tube : Tube
         In the camera's coordinates.
     camera : Intrinsics
-        Who looks.
+        The camera.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def _refine(
 def cast_capsules(
     vertices_m: NDArray[np.float64], radius_m: float, camera: Intrinsics
 ) -> Hit | None:
-    """Meet a round rod along a polyline, its ends and joints round.
+    """Intersect the rays with a round rod along a polyline, its ends and joints round.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def cast_capsules(
     radius_m : float
         Of the rod, metres.
     camera : Intrinsics
-        Who looks.
+        The camera.
 
     Returns
     -------
@@ -375,7 +375,7 @@ class Leaf:
     lobe: float = 0.0
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Leaf:
-        """Give the same leaf turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the leaf turned about the origin by a 3x3 rotation, then moved by metres."""
         return Leaf(
             self.centre_m @ turn.T + np.asarray(by_m, dtype=float),
             self.frame @ turn.T,
@@ -402,7 +402,7 @@ class Stem:
     radius_m: float
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Stem:
-        """Give the same rod turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the rod turned about the origin by a 3x3 rotation, then moved by metres."""
         return Stem(self.vertices_m @ turn.T + np.asarray(by_m, dtype=float), self.radius_m)
 
 
@@ -442,7 +442,7 @@ class Plane:
         return cls(np.array([0.0, 0.0, distance_m]), np.array([right, -up, -1.0]) + 0.0)
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Plane:
-        """Give the same plane turned about the origin by a 3x3 rotation, then moved by metres."""
+        """Return the plane turned about the origin by a 3x3 rotation, then moved by metres."""
         return Plane(
             turn @ self.point_m + np.asarray(by_m, dtype=float),
             turn @ self.normal,
@@ -450,14 +450,14 @@ class Plane:
 
 
 def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
-    """Meet a leaf.
+    """Intersect each pixel's ray with a leaf.
 
     Parameters
     ----------
     leaf : Leaf
         In the camera's coordinates.
     camera : Intrinsics
-        Who looks.
+        The camera.
 
     Returns
     -------
@@ -529,7 +529,7 @@ def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> N
 
 
 def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
-    """Meet a stem or string; as `cast_capsules`."""
+    """Intersect the rays with a stem or string; as `cast_capsules`."""
     return cast_capsules(stem.vertices_m, stem.radius_m, camera)
 
 

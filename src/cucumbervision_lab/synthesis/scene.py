@@ -218,14 +218,14 @@ def _hits(scene: Scene, camera: Intrinsics) -> Iterator[tuple[Kind, int, Hit | N
 
 
 def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tuple[FruitTruth, ...]:
-    """Give the truth of each fruit of a scene.
+    """Return the truth of each fruit of a scene.
 
     Parameters
     ----------
     scene : Scene
         In the camera's coordinates.
     camera : Intrinsics
-        Who looks.
+        The camera.
     view : View, optional
         What `look` gave for them, if at hand.
 
@@ -249,7 +249,7 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
 
 
 def reaches_border(mask: NDArray[np.bool_]) -> bool:
-    """Say whether a mask of shape (H, W) has a pixel in the picture's outermost rows or columns.
+    """Return whether a mask of shape (H, W) has a pixel in the picture's outermost rows or columns.
 
     Examples
     --------

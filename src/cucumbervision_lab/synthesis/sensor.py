@@ -26,7 +26,7 @@ def noisy_depth(
     rng: np.random.Generator,
     unit_m: float = 0.001,
 ) -> list[NDArray[np.float32]]:
-    """Give a burst of depth pictures as a D435 would read an exact scene.
+    """Return a burst of depth pictures as a D435 would read an exact scene.
 
     Disparity noise of RMS z² s / (f B), s = 0.08 px, part of it fixed in space and part new in
     each frame, both smooth over a few pixels; no reading where neighbouring depths jump; whole
@@ -41,7 +41,7 @@ def noisy_depth(
     frames : int
         Size of the burst.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     unit_m : float
         Depth unit, metres.
 

@@ -52,7 +52,7 @@ class EdgeProfile:
     invalid: NDArray[np.float64]
 
     def crossing_px(self, share: float) -> float:
-        """Give the offset at which the height has fallen to a share, by straight lines; or NaN."""
+        """Return the offset where the height has fallen to a share, interpolated; or NaN."""
         for k in range(len(self.height) - 1):
             a, b = self.height[k], self.height[k + 1]
             if a >= share > b:
@@ -110,7 +110,7 @@ def residual_at(
     distance_m: float,
     within_m: float = 0.02,
 ) -> tuple[float, int]:
-    """Give the median residual of the windows at a distance, and their number.
+    """Return the median residual of the windows at a distance, and their number.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def residual_at(
 def surface_residual(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], window_px: int = WINDOW_PX
 ) -> float:
-    """Give the median residual to a quadratic surface, of the windows inside a mask.
+    """Return the median residual to a quadratic surface, of the windows inside a mask.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def surface_residual(
 
 
 def fill_inside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
-    """Give the share of a mask's pixels that have a reading.
+    """Return the share of a mask's pixels that have a reading.
 
     Examples
     --------
@@ -164,7 +164,7 @@ def fill_inside(depth_m: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
 
 
 def noise_split(burst: Sequence[NDArray[np.float32]], window_px: int = WINDOW_PX) -> float:
-    """Give the share of the noise's variance that stays from frame to frame.
+    """Return the share of the noise's variance that stays from frame to frame.
 
     Of windows without a hole in any frame, on the residuals to their planes: the variance that
     two frames have in common over that of one frame. The camera and the scene must stand still.

@@ -1,4 +1,4 @@
-"""Paint a scene: what each body is made of, then light on all of it at once."""
+"""Shade a rendered scene: the material of each body, then light on all of it at once."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def shade(
     assets: Assets,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Give the light that each pixel sees.
+    """Compute the light that reaches each pixel.
 
     Parameters
     ----------
@@ -82,13 +82,13 @@ def shade(
     view : View
         What `render` gives for it.
     camera : Intrinsics
-        Who looks.
+        The camera.
     style : Style
         How each body looks.
     assets : Assets
         Richer pictures to take.
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
 
     Returns
     -------

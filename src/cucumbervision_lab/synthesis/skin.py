@@ -177,12 +177,12 @@ LOOKS: dict[str, _Look] = {
 
 
 def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
-    """Draw the look of a fruit.
+    """Sample the appearance of a fruit.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     variety : str
         One of `LOOKS`: "long", "slicing", "pale", "mini", "pickling".
     assets : Assets
@@ -240,12 +240,12 @@ def skin_maps(
     texel_m: float,
     assets: Assets,
 ) -> SkinMaps:
-    """Draw a fruit's skin, unrolled.
+    """Generate the texture maps of a fruit's skin.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     skin : Skin
         What to draw.
     length_m, radius_m : float

@@ -43,7 +43,7 @@ _ROW = 1024  # OpenCV's remap takes no row of 32767 pixels or more
 
 
 def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
-    """Turn sRGB of 0 to 255 to linear light of 0 to 1 (IEC 61966-2-1).
+    """Convert sRGB of 0 to 255 to linear light of 0 to 1 (IEC 61966-2-1).
 
     Examples
     --------
@@ -62,7 +62,7 @@ def _linear(c: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Turn linear light to sRGB, cut off at 0 and 1.
+    """Convert linear light to sRGB, cut off at 0 and 1.
 
     Parameters
     ----------
@@ -144,12 +144,12 @@ def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
 def jitter(
     rng: np.random.Generator, color: ArrayLike, spread: float = 0.12
 ) -> tuple[float, float, float]:
-    """Draw a colour near another: brightness and each channel vary by a factor.
+    """Sample a colour near another: brightness and each channel vary by a factor.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     color : array_like, shape (3,)
         sRGB, 0 to 255.
     spread : float
@@ -163,12 +163,12 @@ def jitter(
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], grain_px: Grain, *, wrap: bool = False
 ) -> NDArray[np.float32]:
-    """Draw noise of mean 0 and a spread of about 0.7, smooth over `grain_px`.
+    """Generate noise of mean 0 and a spread of about 0.7, smooth over `grain_px`.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     shape : tuple of int
         Rows and columns.
     grain_px : float or tuple of float
@@ -244,7 +244,7 @@ _MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
 
 @lru_cache(maxsize=4 * LEAF_TEXTURES)
 def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
-    """Draw a leaf's blade.
+    """Generate a leaf's blade.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArra
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     assets : Assets
         Whose `leaves` to cut from.
 
@@ -327,7 +327,7 @@ def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArra
 
 
 def leaf_level(half_px: float) -> int:
-    """Say how often a texture must be halved for a leaf of so many pixels from middle to tip.
+    """Return how often a texture must be halved for a leaf of so many pixels from middle to tip.
 
     Without it veins would flicker on small leaves.
 
@@ -348,7 +348,7 @@ def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
 
 
 def leaf_texel(place: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Turn a place on the blade, in half axes from its middle, to the texture's pixel."""
+    """Convert a place on the blade, in half axes from its middle, to the texture's pixel."""
     return (place / np.float32(_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
 
 
@@ -380,7 +380,7 @@ MATERIALS = tuple(_COLORS)
 
 
 def material_color(rng: np.random.Generator, material: str) -> tuple[float, float, float]:
-    """Draw a colour that a material comes in, sRGB, 0 to 255."""
+    """Sample a colour that a material comes in, sRGB, 0 to 255."""
     choices = _COLORS[material]
     return jitter(rng, choices[rng.integers(len(choices))], 0.08)
 
@@ -391,12 +391,12 @@ def material_tile(
     color: tuple[float, float, float],
     pixel_m: float = 0.0,
 ) -> NDArray[np.float32]:
-    """Draw a material.
+    """Generate a tileable texture of a material.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     material : str
         One of `MATERIALS`.
     color : tuple of float
@@ -505,12 +505,12 @@ _TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
 def far_view(
     rng: np.random.Generator, kind: str, width: int, height: int, assets: Assets
 ) -> NDArray[np.float32]:
-    """Draw what lies far behind, its own light included.
+    """Generate a distant background with its own light.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        The source of chance.
+        Random generator.
     kind : str
         "photo" (of the assets; leaves without any), "leaves", "film" (a pale wall of plastic or
         glass), "dark".

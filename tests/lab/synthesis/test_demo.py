@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.bundled import bundled_captures
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision_lab.synthesis.demo import SCENES, place, write_demo
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.cameras.realsense_sdk import AlignedFrame, AlignedStream, play_file
 from cucumbervision.capture.depth import require_readings
-from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.frames import Capture, Stop, fuse_burst
 from cucumbervision.errors import CameraError
 
 if TYPE_CHECKING:

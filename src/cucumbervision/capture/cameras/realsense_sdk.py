@@ -162,7 +162,7 @@ class AlignedStream:
         self._pipeline = self._playback = self._file = self._align = self._resuming = None
 
     def read(self) -> AlignedFrame | None:
-        """Give the next frame that has both pictures; None at a recording's end.
+        """Return the next frame that has both pictures; None at a recording's end.
 
         Raises
         ------
@@ -344,7 +344,7 @@ def camera_fault(error: RuntimeError, source: object) -> CameraError:
 
 
 def play_file(path: Path) -> Callable[[Any, Any], None]:
-    """Give the configuration that plays a recording once."""
+    """Return the configuration that plays a recording once."""
 
     def configure(_rs: Any, config: Any) -> None:
         config.enable_device_from_file(str(path), repeat_playback=False)

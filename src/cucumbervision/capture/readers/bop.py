@@ -39,7 +39,7 @@ from cucumbervision.errors import CaptureError, IntrinsicsError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.capture.camera_file import Calibration
+    from cucumbervision.capture.camera_file import CameraFile
 
 __all__ = ["find_scenes", "open_bop"]
 
@@ -52,7 +52,7 @@ class _FrameCamera(BaseModel):
 
 
 def find_scenes(path: Path) -> list[Path]:
-    """Give the BOP scenes in a folder: itself, or every one below it, in order."""
+    """Return the BOP scenes in a folder: itself, or every one below it, in order."""
     if (path / _CAMERA_FILE).is_file():
         return [path]
     return sorted(p.parent for p in path.rglob(_CAMERA_FILE))
@@ -89,7 +89,7 @@ def open_bop(path: Path, scenes: Sequence[Path], options: ReadOptions) -> Captur
 
 
 def _scene_refs(
-    scene: Path, prefix: str, given: Calibration | None, options: ReadOptions
+    scene: Path, prefix: str, given: CameraFile | None, options: ReadOptions
 ) -> list[CaptureRef]:
     files = {kind: _by_image(scene / kind) for kind in ("rgb", "depth", "mask_visib")}
     # A mask or depth picture without its colour picture is a broken frame, not none.
@@ -137,7 +137,7 @@ def _load(
     image: int,
     files: dict[str, list[Path]],
     cameras: dict[str, Any] | CaptureError,
-    given: Calibration | None,
+    given: CameraFile | None,
     unit_m: float | None,
 ) -> Capture:
     if isinstance(cameras, CaptureError):

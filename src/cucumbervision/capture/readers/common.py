@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.camera_file import Calibration
+    from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import ReadOptions
 
 __all__ = [
@@ -25,24 +25,24 @@ __all__ = [
 ]
 
 
-def given_calibration(options: ReadOptions) -> Calibration | None:
+def given_calibration(options: ReadOptions) -> CameraFile | None:
     """Read the user's intrinsics file, if one is named."""
     if options.intrinsics is None:
         return None
-    from cucumbervision.capture.camera_file import read_calibration
+    from cucumbervision.capture.camera_file import read_camera_file
 
-    return read_calibration(options.intrinsics)
+    return read_camera_file(options.intrinsics)
 
 
 def choose_intrinsics(
     own: Intrinsics | None,
-    given: Calibration | None,
+    given: CameraFile | None,
     width: int,
     height: int,
     *,
     source: object,
 ) -> Intrinsics:
-    """Give the user's intrinsics if they pass the guard, else the source's own.
+    """Return the user's intrinsics if they pass the guard, else the source's own.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def choose_intrinsics(
 
 
 def no_intrinsics(source: object) -> CaptureError:
-    """Give the error for a source that carries no calibration when the user names none."""
+    """Return the error for a source that carries no calibration when the user names none."""
     from cucumbervision.errors import IntrinsicsError
 
     return IntrinsicsError(
@@ -88,7 +88,7 @@ def aligned_depth(
     depth_m: NDArray[np.float32],
     color: NDArray[np.uint8],
     intrinsics: Intrinsics,
-    given: Calibration | None,
+    given: CameraFile | None,
     *,
     source: Path,
     depth_camera: Intrinsics | None = None,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import (
@@ -18,7 +17,7 @@ from cucumbervision.capture.files import (
     read_json,
     read_mask,
 )
-from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.frames import Capture, Stop, fuse_burst
 from cucumbervision.capture.readers.common import (
     choose_intrinsics,
     given_calibration,
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.camera_file import Calibration
+    from cucumbervision.capture.camera_file import CameraFile
 
 __all__ = ["FORMAT", "MANIFEST", "MASKS", "Frame", "Manifest", "find_captures", "open_native"]
 
@@ -98,7 +97,7 @@ class Manifest(_Strict):
 
 
 def find_captures(path: Path) -> list[Path]:
-    """Give the native captures in a folder: itself, or every one below it, in order."""
+    """Return the native captures in a folder: itself, or every one below it, in order."""
     if (path / MANIFEST).is_file():
         return [path]
     return sorted(p.parent for p in path.rglob(MANIFEST))
@@ -156,7 +155,7 @@ def _load(
     folder: Path,
     manifest: Manifest | CaptureError,
     name: str,
-    given: Calibration | None,
+    given: CameraFile | None,
     unit_m: float | None,
 ) -> Capture:
     if isinstance(manifest, CaptureError):

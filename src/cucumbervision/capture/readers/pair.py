@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.capture.camera_file import Calibration
+    from cucumbervision.capture.camera_file import CameraFile
 
 __all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs", "pair_role"]
 
@@ -179,7 +179,7 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
 
 
 def _load_pair(
-    pair: Pair, name: str, frame: int, given: Calibration, unit_m: float | None
+    pair: Pair, name: str, frame: int, given: CameraFile, unit_m: float | None
 ) -> Capture:
     if pair.color is None or pair.depth is None:
         raise CaptureError(
@@ -205,7 +205,7 @@ def _load_pair(
     )
 
 
-def _load_npz(path: Path, name: str, given: Calibration | None, unit_m: float | None) -> Capture:
+def _load_npz(path: Path, name: str, given: CameraFile | None, unit_m: float | None) -> Capture:
     arrays = read_arrays(path)
     if "color" not in arrays:
         raise CaptureError(

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.burst import fuse_burst
 from cucumbervision.capture.cameras.realsense_sdk import (
     AlignedFrame,
     AlignedStream,
@@ -14,7 +13,7 @@ from cucumbervision.capture.cameras.realsense_sdk import (
     play_file,
 )
 from cucumbervision.capture.depth import require_readings
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, fuse_burst
 from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, safe_name
 from cucumbervision.errors import CaptureError

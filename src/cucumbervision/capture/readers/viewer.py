@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cucumbervision.capture.camera_file import Calibration
+    from cucumbervision.capture.camera_file import CameraFile
 
 __all__ = ["Snapshot", "find_snapshots", "open_viewer", "read_metadata"]
 
@@ -54,7 +54,7 @@ class Snapshot:
 
 
 def find_snapshots(path: Path) -> list[Path]:
-    """Give the exports in a folder, as paths without their endings.
+    """Return the exports in a folder, as paths without their endings.
 
     A folder counts when it has depth as numbers (`.raw`) or its table; a colourised picture of
     depth counts beside a colour picture of the Viewer's name, so that it can be refused.
@@ -115,7 +115,7 @@ def _load(
     base: Path,
     name: str,
     table: Snapshot | CaptureError,
-    given: Calibration,
+    given: CameraFile,
     unit_m: float | None,
 ) -> Capture:
     raw_path = base.with_name(base.name + _RAW)

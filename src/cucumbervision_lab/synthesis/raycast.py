@@ -90,7 +90,7 @@ class RayGrid:
     rows: tuple[NDArray[np.float64], NDArray[np.float64]]
 
     def window(self, low: ArrayLike, high: ArrayLike) -> Window | None:
-        """Return the pixels whose rays can lie between two corners (x, y); None or None."""
+        """Return the pixels whose rays can lie between two corners (x, y), or None."""
         (x_low, y_low), (x_high, y_high) = np.asarray(low), np.asarray(high)
         left, right = (
             np.searchsorted(self.columns[1], x_low),

@@ -8,7 +8,6 @@ import pytest
 from scipy.special import ndtr
 
 from cucumbervision.agronomy.forecast import DetectionRates, Forecast, FruitState, forecast
-from cucumbervision.agronomy.fruit import mark_picked
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
 from cucumbervision.agronomy.profiles import load_profile
@@ -93,6 +92,9 @@ def test_missed_and_invented_fruit_move_the_count() -> None:
     assert half.high[0, 0] - half.low[0, 0] == pytest.approx(2 * 1.2816 * 1000**0.5, rel=0.12)
     fewer = steadily(fruit, detection=DetectionRates(false=0.1)).house
     assert fewer.expected[0, 0] == pytest.approx(450, rel=0.01)
+    # What is invented hides no missed fruit: 500 (1 - 0.4) / 0.5.
+    both = steadily(fruit, detection=DetectionRates(found=0.5, false=0.4), draws=2000).house
+    assert both.expected[0, 0] == pytest.approx(600, rel=0.01)
 
 
 def test_own_links_tell_fast_fruit_from_slow() -> None:
@@ -127,7 +129,7 @@ def test_crooked_fruit_stay_in_the_class_their_shape_allows() -> None:
 
 def test_picked_fruit_leave_the_forecast() -> None:
     fruit = fruit_of(0.30, 3)
-    left = steadily(mark_picked(fruit, {"1-1"}))
+    left = steadily([replace(one, picked=one.fruit_id == "1-1") for one in fruit])
     assert [f.fruit_id for f in left.fruit] == ["1-0", "1-2"]
     assert left.house.expected[0, 0] == 2
 

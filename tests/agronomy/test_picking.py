@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from cucumbervision.agronomy.forecast import Forecast, FruitState, forecast
-from cucumbervision.agronomy.fruit import mark_picked
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.profiles import load_profile
@@ -46,7 +47,7 @@ def test_threshold_decides_on_uncertain_fruit() -> None:
 
 
 def test_picked_fruit_are_not_listed_again() -> None:
-    left = mark_picked(FRUIT, {"b", "e"})
+    left = [replace(one, picked=one.fruit_id in {"b", "e"}) for one in FRUIT]
     assert [p.fruit.fruit_id for p in pick_list(found(left), 0.8)] == ["c", "a"]
 
 

@@ -160,7 +160,8 @@ def test_the_forecast_adds_up(tables: RoundTables) -> None:
         of_day = [line for line in lines if line["day"] == day]
         house = sum(float(str(x["expected"])) for x in of_day if x["scope"] == "house")
         rows = sum(float(str(x["expected"])) for x in of_day if x["scope"] == "row")
-        assert house == pytest.approx(13, abs=0.02)  # measured and neither picked nor rejected
+        # 14 hang, 13 of them measured; believed are 2 % invented and 10 % missed.
+        assert house == pytest.approx(14 * 0.98 / 0.9, rel=0.03)
         assert rows == pytest.approx(house, abs=0.02)
     assert [line["order"] for line in tables["picks"].records()] == list(
         range(1, len(tables["picks"].rows) + 1)

@@ -13,6 +13,7 @@ from cucumbervision.capture.writer import write_native
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import Added, Place, add_captures
+from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.poses import PoseLine
 from cucumbervision.rounds.service import fruit_table, merge_round
 from cucumbervision.store.records import key_of
@@ -77,7 +78,7 @@ def test_drawn_captures_become_each_fruit_once(store: Store, folder: Path) -> No
     [report] = merge_round(store, MORNING)
     assert report.mirrored == ()
     assert report.across_m == pytest.approx(ACROSS_M, abs=0.05)
-    table = fruit_table(store, MORNING)
+    table = fruit_table(read_round(store, MORNING))
     assert len(table) == len(FRUIT)
     for line, (along, _, _, length, _) in zip(table, FRUIT, strict=True):
         assert line.view.along_m == pytest.approx(along, abs=0.03)

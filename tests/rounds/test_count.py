@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.rounds.merge import NO_PAIRS, Merged
-from cucumbervision.rounds.row_fruit import estimate_count, times_shown
+from cucumbervision.rounds.row_fruit import CountEstimate, estimate_count, found_share, times_shown
 from cucumbervision.rounds.row_views import RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 
@@ -42,3 +42,24 @@ def test_share_seen_again_is_learnt(q: float) -> None:
     assert found.seen_again == pytest.approx(q, abs=0.02)
     assert found.expected == pytest.approx(4000, abs=4 * found.sd)
     assert found.sd < 100
+
+
+def test_share_found_by_hand() -> None:
+    # Nine fruit and one invented, two captures each, q = 0.5: of a pair of which something is
+    # seen, one view is 2/3 and two are 1/3 likely, so that their number has the variance 2/9.
+    # Information of q: 20 / 0.25 before, and 9 (2/9) / 0.25^2 = 32 from the views: 112.
+    # Expected are 9 / (1 - 0.25) = 12 fruit, which fall by 9 (2 * 0.5) / 0.75^2 = 16 for each q.
+    real = np.append(np.ones(9), 0.0)
+    twos = np.full(10, 2)
+    count = CountEstimate(12.0, 0.0, twos, twos, real, 0.5)
+    assert count.expected_variance() == pytest.approx(16**2 / 112)
+    assert found_share([count]) == pytest.approx((0.75, 0.75 * 16 / 112**0.5 / 12, 0.1))
+    # Another row like it: twice the variance of twice the sum.
+    found, sd, false = found_share([count, count])
+    assert (found, false) == pytest.approx((0.75, 0.1))
+    assert sd == pytest.approx(0.75 * 16 / 112**0.5 / 12 / 2**0.5)
+
+
+def test_without_any_row_the_priors_stand() -> None:
+    assert found_share([]) == pytest.approx((0.9, (0.9 * 0.1 / 20) ** 0.5, 0.02))
+    assert found_share([CountEstimate.of_nothing()]) == found_share([])

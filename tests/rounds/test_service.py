@@ -6,26 +6,40 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cucumbervision.agronomy.forecast import DetectionRates, forecast
+from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
+from cucumbervision.agronomy.picking import pick_list
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.forecasting import (
     forecast_for,
+    fruit_states,
     growth_links,
-    round_pick_list,
-    round_summary,
+    shared_scale_sd,
 )
+from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.service import (
     find_fruit,
     find_round,
     fruit_table,
     link_rounds,
     merge_round,
+    row_reports,
 )
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import (
+    ArtifactRecord,
+    CaptureRecord,
+    DetectionRecord,
+    RoundRecord,
+    StopRecord,
+    key_of,
+)
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import LinkKind
 from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 Save = Callable[..., None]
+LONG = load_profile("long-cucumber")
 ROW = SimulatedRow(fruit=60, per_m=10)
 MORNING = key_of("rounds", "morning")
 NEXT = RoundRecord(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cucumber")
@@ -42,7 +56,7 @@ def row(store: Store, save_walk: Save) -> Walk:
 
 def test_a_round_is_merged_and_counted(store: Store, row: Walk) -> None:
     [report] = merge_round(store, MORNING)
-    table = fruit_table(store, MORNING)
+    table = fruit_table(read_round(store, MORNING))
     assert report.fruit == len(table)
     assert report.views == len(row.views)
     assert abs(report.expected - row.in_view) < 4
@@ -62,9 +76,9 @@ def test_merging_again_changes_nothing(store: Store, row: Walk) -> None:
 
 def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
     del row
-    many = next(line.view for line in fruit_table(store, MORNING) if line.seen > 2)
+    many = next(line.view for line in fruit_table(read_round(store, MORNING)) if line.seen > 2)
     store.unmerge(many.key, by="kim")
-    rest = [line for line in fruit_table(store, MORNING) if line.view.key != many.key]
+    rest = [line for line in fruit_table(read_round(store, MORNING)) if line.view.key != many.key]
     single = [line.view for line in rest if line.seen == 1]
     one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
     store.merge(one.key, other.key, by="kim")
@@ -91,15 +105,54 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     assert 0.02 < grown < 0.04
     assert {link.fruit_id for link in links} <= {v.group for v in store.detections(NEXT.key)}
     assert store.shifts(NEXT.key)[0].shift_m == pytest.approx(found.shift_m)
-    from cucumbervision.agronomy.profiles import load_profile
+    content = read_round(store, NEXT.key)
+    [report] = row_reports(content)
+    said = forecast_for(store, NEXT.key, LONG, days=2)
+    # All fruit there are, invented ones taken off and unseen ones added.
+    assert said.house.expected[0].sum() == pytest.approx(report.expected, rel=0.02)
 
-    outlook = forecast_for(store, NEXT.key, load_profile("long-cucumber"), days=2)
-    assert outlook.house.expected[0].sum() == pytest.approx(len(fruit_table(store, NEXT.key)))
+
+def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store) -> None:
+    fruit = [
+        DetectionRecord(
+            k, length_m=0.25, length_kind="thread", interval_low_m=0.24, interval_high_m=0.26
+        )
+        for k in (1, 2, 3, 4)
+    ]
+    fruit[1] = DetectionRecord(2)  # found, and not measured
+    captures = (CaptureRecord("a", fruit=tuple(fruit)),)
+    store.save_stop(StopRecord(key_of("only"), MORNING, row="1", captures=captures))
+    table = fruit_table(read_round(store, MORNING))
+    # Nothing was merged: a capture is believed to find 0.9 +- sqrt(0.9 * 0.1 / 20) of the fruit, of
+    # which three in four have a length; 2 % of what it finds are no fruit; the scale is 1 % unsure.
+    rates = DetectionRates(0.675, 0.75 * 0.0045**0.5, 0.02)
+    expected = forecast(
+        fruit_states(table, 1.0, LONG),
+        fit_growth([], GrowthPrior.of(LONG)),
+        LONG,
+        2,
+        detection=rates,
+        scale_sd=0.01,
+    )
+    found = forecast_for(store, MORNING, LONG, days=2)
+    np.testing.assert_allclose(found.house.expected, expected.house.expected)
+    np.testing.assert_allclose(found.house.high, expected.house.high)
+    # 3 fruit of 0.98 / 0.675 each, and a little more since 1 / q is convex.
+    assert found.house.expected[0].sum() == pytest.approx(3 * 0.98 / 0.675, rel=0.05)
+
+
+def test_a_measured_depth_scale_narrows_what_all_lengths_share() -> None:
+    def site(error: float) -> list[ArtifactRecord]:
+        scale = {"value": 0.98, "standard_error": error}
+        return [ArtifactRecord("calibration", "bench", details={"depth_scale": scale})]
+
+    assert shared_scale_sd([]) == 0.01
+    assert shared_scale_sd([site(0.00098), site(0.00196)]) == pytest.approx(0.002)
+    own_truth_alone = ArtifactRecord("calibration", "b", details={"depth_scale": None})
+    assert shared_scale_sd([site(0.00098), [own_truth_alone]]) == 0.01
 
 
 def test_growth_is_followed_through_three_rounds(store: Store) -> None:
-    from cucumbervision.store.records import CaptureRecord, DetectionRecord, StopRecord
-
     keys = []
     for day in (1, 2, 3):
         record = RoundRecord(key_of("three", day), f"day {day}", "", day * 86400.0)
@@ -118,24 +171,18 @@ def test_growth_is_followed_through_three_rounds(store: Store) -> None:
 
 def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
     del row
-    from cucumbervision.agronomy.profiles import load_profile
-
-    profile = load_profile("long-cucumber")
-    picks = round_pick_list(store, MORNING, profile)
+    picks = pick_list(forecast_for(store, MORNING, LONG, days=0))
     assert picks
     store.pick([picks[0].fruit.fruit_id])
-    left = {pick.fruit.fruit_id for pick in round_pick_list(store, MORNING, profile)}
+    left = {pick.fruit.fruit_id for pick in pick_list(forecast_for(store, MORNING, LONG, days=0))}
     assert left == {pick.fruit.fruit_id for pick in picks[1:]}
-    summary = round_summary(store, MORNING, profile)
-    assert summary.picked == 1
-    assert sum(summary.classes.values()) == summary.fruit - 1
 
 
 def test_rounds_and_fruit_are_found_by_name(store: Store, row: Walk) -> None:
     del row
     assert find_round(store).key == find_round(store, "morning").key == MORNING
     assert find_round(store, MORNING[:6]).key == MORNING
-    second = fruit_table(store, MORNING)[1].view
+    second = fruit_table(read_round(store, MORNING))[1].view
     assert find_fruit(store, MORNING, "2").key == find_fruit(store, MORNING, second.key).key
     for name in ("0", "9999", "zz"):
         with pytest.raises(RoundError, match=f"no fruit called '{name}'"):
@@ -167,6 +214,6 @@ def test_stops_without_position_stand_alone(store: Store, save_walk: Save) -> No
 
 def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> None:
     del row
-    sizes = [line.seen for line in fruit_table(store, MORNING)]
+    sizes = [line.seen for line in fruit_table(read_round(store, MORNING))]
     links = store.links(MORNING, LinkKind.SAME)
     assert len(links) == sum(size * (size - 1) // 2 for size in sizes)

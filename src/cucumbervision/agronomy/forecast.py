@@ -28,11 +28,21 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import Filtered, Histories, Spreads
     from cucumbervision.agronomy.profiles import CropProfile
 
-__all__ = ["Counts", "DetectionRates", "Forecast", "FruitState", "Futures", "forecast", "simulate"]
+__all__ = [
+    "Counts",
+    "DetectionRates",
+    "Forecast",
+    "FruitState",
+    "LengthDraws",
+    "forecast",
+    "simulate",
+]
+
+SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no likelier than this
 
 
 @dataclass(frozen=True, eq=False)
-class Futures:
+class LengthDraws:
     """Drawn lengths.
 
     Parameters
@@ -55,7 +65,7 @@ def simulate(
     draws: int,
     scale_sd: float,
     rng: np.random.Generator,
-) -> Futures:
+) -> LengthDraws:
     """Draw the lengths of fruit on days 0 to `days`; lengths never shrink.
 
     Parameters
@@ -104,7 +114,7 @@ def simulate(
         newcomers[1:, where] = _newcomers(shared, spreads, rng)
     if scale_sd > 0:
         unslowed *= np.exp(scale_sd * rng.standard_normal((total, 1))).astype(np.float32)
-    return Futures(unslowed, newcomers)
+    return LengthDraws(unslowed, newcomers)
 
 
 def _histories(
@@ -189,9 +199,6 @@ def _newcomers(shared: _Shared, spreads: Spreads, rng: np.random.Generator) -> N
     luck = spreads.fruit_day * rng.standard_normal(shared.days.shape)
     steps = np.maximum(shared.beta[:, 0] + own + shared.days + luck, 0.0)
     return np.asarray(np.cumsum(steps, axis=0), np.float64)
-
-
-SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no likelier than this
 
 
 @dataclass(frozen=True)
@@ -353,12 +360,12 @@ def forecast(
     )
     now = max((f.day for f in fruit), default=0.0) if today is None else today
     rng = np.random.default_rng(seed)
-    futures = simulate(left, growth, now, days, draws, scale_sd, rng)
+    lengths = simulate(left, growth, now, days, draws, scale_sd, rng)
     tally = _Tally(
         left,
         profile,
         growth.curve.unslowed(profile.edges_m),
-        futures,
+        lengths,
         detection or DetectionRates(),
         rng,
     )
@@ -382,7 +389,7 @@ def forecast(
         by_row,
         picks,
         row_picks,
-        _complete(futures, growth, profile),
+        _complete(lengths, growth, profile),
         level,
     )
 
@@ -403,28 +410,28 @@ class _Tally:
         fruit: Sequence[FruitState],
         profile: CropProfile,
         edges_m: NDArray[np.float64],
-        futures: Futures,
+        lengths: LengthDraws,
         detection: DetectionRates,
         rng: np.random.Generator,
     ) -> None:
         names = [c.name for c in profile.classes]
         self.rows = tuple(dict.fromkeys(f.row for f in fruit))
         at = {name: k for k, name in enumerate(self.rows)}
-        self._profile, self._futures = profile, futures
+        self._profile, self._lengths = profile, lengths
         self._edges = edges_m.astype(np.float32)
-        self._weights = _weights(futures.unslowed_m.shape[1:], detection, rng)
+        self._weights = _weights(lengths.unslowed_m.shape[1:], detection, rng)
         self._of_bin = np.array(profile.outcome_of_bin, np.int8)
         best = [names.index(f.best_class) if f.best_class else 0 for f in fruit]
         self._best = np.array(best, np.int8)
         self._ready = np.array([name in profile.pick for name in profile.outcomes])
         row = np.array([at[f.row] for f in fruit], np.int64)
-        shape = futures.unslowed_m.shape[1:]
+        shape = lengths.unslowed_m.shape[1:]
         self._cell = (np.arange(shape[0])[:, None] * len(self.rows) + row) * len(profile.outcomes)
         self._before = np.zeros(shape, bool)
 
     def day(self, day: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Give probabilities (N, C), and counts in class and newly ready, (draws, R, C)."""
-        lengths = self._futures.unslowed_m[day]
+        lengths = self._lengths.unslowed_m[day]
         bins = np.zeros(lengths.shape, np.int8)
         for edge in self._edges:
             bins += lengths >= edge
@@ -450,19 +457,20 @@ class _Tally:
 def _weights(
     shape: tuple[int, ...], detection: DetectionRates, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
-    """Draw how many fruit each found one stands for: itself, unless false, and missed ones.
+    """Draw how many fruit each found one stands for, shape (draws, N); None where each for itself.
 
-    Of fruit found with probability q, the missed ones before each found one are geometric. None
-    where each stands for itself.
+    An invented one for none; a real one for itself and for missed ones: of fruit that are found
+    with probability q, the missed ones before each found one are geometric, so that a found one
+    stands for 1 / q on average.
     """
     if detection == DetectionRates():
         return None
     weights = np.ones(shape, np.float32)
-    if detection.false > 0:
-        weights *= rng.random(shape, np.float32) >= detection.false
     if detection.found < 1 or detection.found_sd > 0:
         q = rng.normal(detection.found, detection.found_sd, (shape[0], 1)).clip(0.05, 1.0)
-        weights += rng.geometric(np.broadcast_to(q, shape)).astype(np.float32) - 1
+        weights *= rng.geometric(np.broadcast_to(q, shape))
+    if detection.false > 0:
+        weights *= rng.random(shape, np.float32) >= detection.false
     return weights
 
 
@@ -481,10 +489,10 @@ def _counts(
     return found[0], found[1]
 
 
-def _complete(futures: Futures, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:
+def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:
     """Say up to when no fruit that is too small today can be in a class."""
     unslowed = growth.curve.unslowed
-    grown = unslowed(profile.acceptance.min_cm / 100) + futures.newcomer_m
+    grown = unslowed(profile.acceptance.min_cm / 100) + lengths.newcomer_m
     entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
     reach = [(grown >= unslowed(entry)).mean(axis=1) for entry in entries]
     complete = np.stack(reach, axis=1) <= SURELY_COMPLETE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,9 +11,9 @@ import numpy as np
 from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
 
-__all__ = ["FruitState", "check_fruit", "mark_picked", "natural_key"]
+__all__ = ["FruitState", "check_fruit", "natural_key"]
 
 
 @dataclass(frozen=True)
@@ -79,18 +79,6 @@ def check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
                 f"two fruit are called {one.fruit_id!r}", remedy="give each fruit a name of its own"
             )
         seen.add(one.fruit_id)
-
-
-def mark_picked(fruit: Sequence[FruitState], picked: Collection[str]) -> list[FruitState]:
-    """Mark the fruit of these names as picked.
-
-    Examples
-    --------
-    >>> fruit = [FruitState("a", "1", 0.5, 0.30, 0.004), FruitState("b", "1", 0.6, 0.20, 0.004)]
-    >>> [one.picked for one in mark_picked(fruit, {"a"})]
-    [True, False]
-    """
-    return [replace(one, picked=one.picked or one.fruit_id in picked) for one in fruit]
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:

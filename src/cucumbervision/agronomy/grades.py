@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -177,26 +177,58 @@ class GradingTraits:
         >>> traits.thread_m, traits.volume_m3
         (0.235, None)
         """
-        lengths = {kind: _number(row, f"{kind}_cm", 100) for kind in LengthDefinition}
-        if (stands := str(row.get("length_kind") or "")) in list(LengthDefinition):
-            # A site's calibration corrects `length_cm` alone.
-            lengths[LengthDefinition(stands)] = _number(row, "length_cm", 100)
-        low, high = _number(row, "interval_low_cm", 100), _number(row, "interval_high_cm", 100)
-        about = str(row.get("interval_of") or "")
-        kind = LengthDefinition(about) if about in list(LengthDefinition) else None
-        measured = lengths[kind] if kind else None
+        in_metres = ("length", "thread", "centreline", "chord", "interval_low", "interval_high")
+        return cls.from_si(
+            {
+                **{f"{name}_m": _number(row, f"{name}_cm", 100) for name in in_metres},
+                "length_kind": row.get("length_kind"),
+                "interval_of": row.get("interval_of"),
+                "inner_arc_mm_per_10cm": _number(row, "inner_arc_mm_per_10cm"),
+                "diameter_max_m": _number(row, "diameter_max_mm", 1000),
+                "volume_m3": _number(row, "volume_ml", 1e6),
+            }
+        )
+
+    @classmethod
+    def from_si(cls, values: Mapping[str, Any]) -> GradingTraits:
+        """Read a measurement's values in metres by the names of the store's records.
+
+        Parameters
+        ----------
+        values : mapping
+            `thread_m`, `centreline_m`, `chord_m`; `length_m` of `length_kind`; the interval
+            `interval_low_m` to `interval_high_m` of `interval_of`; `diameter_max_m`, `volume_m3`;
+            and `inner_arc_mm_per_10cm`, or `inner_arc_m` to be held against the chord.
+
+        Examples
+        --------
+        >>> values = {"length_m": 0.31, "length_kind": "thread"}
+        >>> values |= {"inner_arc_m": 0.01, "chord_m": 0.25}
+        >>> traits = GradingTraits.from_si(values)
+        >>> traits.thread_m, traits.inner_arc_mm_per_10cm
+        (0.31, 4.0)
+        """
+        lengths = {str(kind): values.get(f"{kind}_m") for kind in LengthDefinition}
+        arc_mm = values.get("inner_arc_mm_per_10cm")
+        if arc_mm is None and values.get("inner_arc_m") is not None and lengths["chord"]:
+            arc_mm = 100 * values["inner_arc_m"] / lengths["chord"]
+        if values.get("length_kind") in lengths and values.get("length_m"):
+            # A site's calibration corrects this length alone.
+            lengths[values["length_kind"]] = values["length_m"]
+        about, low, high = (values.get(f"interval_{end}") for end in ("of", "low_m", "high_m"))
+        measured = lengths.get(str(about))
         belief = None
-        if low is not None and high is not None and measured is not None:
+        if measured and low and high:
             belief = LengthBelief.from_interval(measured, low, high)
         return cls(
-            lengths[LengthDefinition.THREAD],
-            lengths[LengthDefinition.CENTRELINE],
-            lengths[LengthDefinition.CHORD],
+            lengths["thread"],
+            lengths["centreline"],
+            lengths["chord"],
             belief,
-            kind if belief else None,
-            _number(row, "inner_arc_mm_per_10cm"),
-            _number(row, "diameter_max_mm", 1000),
-            _number(row, "volume_ml", 1e6),
+            LengthDefinition(str(about)) if belief else None,
+            arc_mm,
+            values.get("diameter_max_m"),
+            values.get("volume_m3"),
         )
 
 

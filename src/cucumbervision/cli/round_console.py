@@ -12,7 +12,8 @@ from cucumbervision.cli.console import progress_bar, show_failures
 from cucumbervision.pipeline.measurer import exit_code
 from cucumbervision.pipeline.run import count_captures
 from cucumbervision.rounds.adding import add_captures
-from cucumbervision.rounds.service import find_round, fruit_table, list_rounds
+from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.service import find_round, fruit_table
 from cucumbervision.store.repository import open_store
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def show_round(where: str, name: str, given: str | None, limit: int) -> None:
     """Show a round's fruit."""
     with open_store(where) as store:
         view = find_round(store, name)
-        lines = fruit_table(store, view.key)
+        lines = fruit_table(read_round(store, view.key))
     profile = _profile(given, view.record.profile)
     title = f"{view.record.name or view.key}: {len(lines)} fruit, lengths in cm"
     table = Table(title=title, title_justify="left")
@@ -159,7 +160,7 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
 def show_rounds(where: str) -> None:
     """List rounds."""
     with open_store(where) as store:
-        rounds = list_rounds(store)
+        rounds = store.rounds()
     table = Table("key", "name", "house", "began", "profile")
     for head in ("stops", "views"):
         table.add_column(head, justify="right")
@@ -174,14 +175,15 @@ def show_rounds(where: str) -> None:
 
 def show_picks(where: str, name: str, given: str | None) -> None:
     """Show today's ready fruit."""
+    from cucumbervision.agronomy.picking import pick_list
     from cucumbervision.agronomy.profiles import load_profile
-    from cucumbervision.rounds.forecasting import round_pick_list
+    from cucumbervision.rounds.forecasting import forecast_for
 
     with open_store(where) as store:
         view = find_round(store, name)
         profile = load_profile(given or view.record.profile or "long-cucumber")
-        picks = round_pick_list(store, view.key, profile)
-        numbers = {line.view.key: line.number for line in fruit_table(store, view.key)}
+        picks = pick_list(forecast_for(store, view.key, profile, days=0))
+        numbers = {line.view.key: line.number for line in fruit_table(read_round(store, view.key))}
     table = Table("no.", "row", "side", title=f"{len(picks)} to pick", title_justify="left")
     for head in ("at, m", "length, cm", "ready"):
         table.add_column(head, justify="right")

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Counts, Forecast
     from cucumbervision.agronomy.picking import Rates
     from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.rounds.service import RoundFruit, RowReport
     from cucumbervision.store.records import DetectionRecord, ImageRef, MethodRecord
     from cucumbervision.store.repository import Store
@@ -384,10 +385,10 @@ def round_tables(
     """
     view = _round(store, round_key)
     content = read_round(store, round_key)
-    lines, stops = fruit_table(store, round_key, content), content.stops
-    reports = row_reports(store, round_key, content)
+    lines, stops = fruit_table(content), content.stops
+    reports = row_reports(content)
     artifacts = stop_artifacts(store, round_key)
-    forecast, note = _forecast(store, round_key, profile, days)
+    forecast, note = _forecast(store, content, profile, days)
     kept = _pictures(store, [*(s.thumbnail for s in stops), *(x.view.thumbnail for x in lines)])
     names = {sha: f"{PICTURES}/{path.name}" for sha, path in kept.items()} if pictures else {}
     fruit = fruit_records(lines, store.measurements(round_key), profile, forecast, artifacts, names)
@@ -426,12 +427,12 @@ def _round(store: Store, round_key: str) -> RoundView:
 
 
 def _forecast(
-    store: Store, round_key: str, profile: CropProfile | None, days: int
+    store: Store, content: RoundContent, profile: CropProfile | None, days: int
 ) -> tuple[Forecast | None, str]:
     if profile is None:
         return None, "no crop profile was named"
     try:
-        return forecast_for(store, round_key, profile, days), ""
+        return forecast_for(store, content.key, profile, days, content), ""
     except ForecastError as error:
         return None, str(error)
 

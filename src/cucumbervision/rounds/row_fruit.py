@@ -1,4 +1,10 @@
-"""The fruit of a merged row: the measurement that stands for each, and how many there are."""
+"""The fruit of a merged row: the measurement that stands for each, and how many there are.
+
+What was seen once only may be invented, and some fruit were never seen. A fruit is seen by each
+capture that could show it with one probability q; an invented one is seen once. Both shares are
+learnt from the row itself by expectation maximisation (Dempster, Laird & Rubin 1977), with weak
+priors, so that a short row does not run away.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +16,8 @@ import numpy as np
 from cucumbervision.rounds.row_views import DEPTH
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from cucumbervision.rounds.merge import Merged
@@ -22,13 +30,12 @@ __all__ = [
     "combined_length",
     "count_fruit",
     "estimate_count",
+    "found_share",
     "row_fruit",
     "times_shown",
 ]
 
 SHARED = 0.5  # of a view's variance: errors that all views of a fruit have in common
-
-LEAST_SD_M = 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +151,8 @@ def combined_length(
 
 
 MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
-
 SEEN, SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
-
 FALSE, FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
-
 STEPS = 400  # where much is hidden, it converges slowly
 
 
@@ -175,6 +179,26 @@ class CountEstimate:
     real: NDArray[np.float64]
     seen_again: float
 
+    @classmethod
+    def of_nothing(cls) -> CountEstimate:
+        """Return the count of a row without detections."""
+        none: NDArray[np.int64] = np.zeros(0, np.int64)
+        return cls(0.0, 0.0, none, none, np.zeros(0), SEEN)
+
+    def expected_variance(self) -> float:
+        """Return the variance of `expected` that the uncertainty of q gives it.
+
+        By the delta method, with the information that the numbers of views hold of q beyond its
+        prior: that of binomials of which the zeros are not seen. A fruit that one capture could
+        show, and did, says nothing of q.
+        """
+        q, k, nothing = self.seen_again, self.shown, (1 - self.seen_again) ** self.shown
+        mean = k * q / (1 - nothing)
+        spread = mean * (1 - q + k * q - mean)
+        information = SEEN_WEIGHT / (q * (1 - q)) + (self.real * spread).sum() / (q * (1 - q)) ** 2
+        slope = (self.real * k * nothing / (1 - q) / (1 - nothing) ** 2).sum()
+        return float(slope**2 / information)
+
 
 def count_fruit(merged: Merged, stops: RowStops, views: RowViews) -> CountEstimate:
     """Count the fruit of a merged row.
@@ -193,6 +217,40 @@ def count_fruit(merged: Merged, stops: RowStops, views: RowViews) -> CountEstima
     score = np.zeros(len(seen))
     np.maximum.at(score, merged.cluster, views.score)
     return estimate_count(seen, shown, score, views.score[seen[merged.cluster] > 1])
+
+
+def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
+    """Return which share of the fruit of some rows was found, its uncertainty, and false ones.
+
+    Parameters
+    ----------
+    counts : sequence of CountEstimate
+        Of merged rows; without any the priors stand.
+
+    Returns
+    -------
+    found, found_sd : float
+        Share of the fruit that were found, and its standard deviation.
+    false : float
+        Share of what was found that is no fruit.
+
+    Examples
+    --------
+    Fifty fruit that one capture each could show: how often such are missed is only believed.
+
+    >>> ones = np.ones(50, np.int64)
+    >>> count = CountEstimate(50 / 0.9, 0.0, ones, ones, np.ones(50), 0.9)
+    >>> [round(share, 3) for share in found_share([count])]
+    [0.9, 0.067, 0.0]
+    """
+    seen = sum(len(one.seen) for one in counts)
+    real = sum(float(one.real.sum()) for one in counts)
+    expected = sum(one.expected for one in counts)
+    if not seen or not real:
+        return SEEN, float(np.sqrt(SEEN * (1 - SEEN) / SEEN_WEIGHT)), FALSE
+    found = min(real / expected, 1.0)
+    sd = np.sqrt(sum(one.expected_variance() for one in counts)) / expected
+    return found, found * float(sd), 1.0 - real / seen
 
 
 def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> NDArray[np.int64]:
@@ -247,7 +305,7 @@ def estimate_count(
     (100, 0.1)
     """
     if not len(seen):
-        return CountEstimate(0.0, 0.0, seen, shown, np.zeros(0), SEEN)
+        return CountEstimate.of_nothing()
     likelier = _score_ratio(score, sure_scores)
     once = seen == 1
     q, real = SEEN, np.where(once, 0.5, 1.0)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.agronomy.fruit import natural_key
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.day_linking import LinkSettings, link_days
 from cucumbervision.rounds.from_store import (
@@ -16,15 +17,14 @@ from cucumbervision.rounds.from_store import (
     read_round,
     stored_merging,
 )
-from cucumbervision.rounds.merge import Merged, MergeSettings, merge_row
+from cucumbervision.rounds.merge import NO_PAIRS, Merged, MergeSettings, merge_row
 from cucumbervision.rounds.row_fruit import CountEstimate, combined_length, count_fruit, row_fruit
 from cucumbervision.rounds.row_views import ALONG
+from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from cucumbervision.rounds.from_store import StoredRow
     from cucumbervision.store.repository import Store
@@ -38,7 +38,6 @@ __all__ = [
     "find_round",
     "fruit_table",
     "link_rounds",
-    "list_rounds",
     "merge_round",
     "row_reports",
 ]
@@ -54,10 +53,12 @@ class RowReport:
     ----------
     row : str
         The row.
-    stops, views, fruit : int
-        Stops with a position, detections, and fruit that these are merged into.
-    expected, expected_sd : float
-        How many fruit there are, invented ones taken off and unseen ones added.
+    stops, views : int
+        Stops with a position, and detections.
+    count : CountEstimate
+        The fruit that these are merged into, and how many there are.
+    merged : bool
+        Whether the row has been merged.
     stop_sd_m : float, optional
         How well the stops are known now, on average, metres.
     across_m : float, optional
@@ -71,13 +72,27 @@ class RowReport:
     row: str
     stops: int
     views: int
-    fruit: int
-    expected: float
-    expected_sd: float
+    count: CountEstimate
+    merged: bool = True
     stop_sd_m: float | None = None
     across_m: float | None = None
     mirrored: tuple[str, ...] = ()
     unplaced: int = 0
+
+    @property
+    def fruit(self) -> int:
+        """How many fruit were found."""
+        return len(self.count.seen)
+
+    @property
+    def expected(self) -> float:
+        """How many fruit there are, invented ones taken off and unseen ones added."""
+        return self.count.expected
+
+    @property
+    def expected_sd(self) -> float:
+        """Standard deviation of `expected`."""
+        return self.count.sd
 
 
 @dataclass(frozen=True)
@@ -126,11 +141,6 @@ class RoundFruit:
     combined_m: float | None
     combined_sd_m: float | None
     seen: int
-
-
-def list_rounds(store: Store, house: str | None = None) -> list[RoundView]:
-    """List rounds, the newest first."""
-    return store.rounds(house)
 
 
 def find_round(store: Store, name: str = "") -> RoundView:
@@ -193,26 +203,19 @@ def merge_round(
 
 def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[LinkRecord]) -> Merged:
     if not len(row.views):
-        from cucumbervision.rounds.merge import NO_PAIRS
-        from cucumbervision.rounds.stop_alignment import prior_stops
-
         nothing = np.zeros(0)
         return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)
     return merge_row(row.stops, row.views, settings, by_hand_of(row, links))
 
 
-def _report(row: StoredRow, merged: Merged) -> RowReport:
-    nothing: NDArray[np.int64] = np.zeros(0, np.int64)
-    count = CountEstimate(0.0, 0.0, nothing, nothing, np.zeros(0), 0.0)
-    if len(row.views):
-        count = count_fruit(merged, row.stops, row.views)
+def _report(row: StoredRow, merged: Merged, *, done: bool = True) -> RowReport:
+    some = len(row.views) > 0
     return RowReport(
         row.name,
         len(row.stops),
         len(row.views),
-        len(count.seen),
-        count.expected,
-        count.sd,
+        count_fruit(merged, row.stops, row.views) if some else CountEstimate.of_nothing(),
+        done,
         float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
         merged.across_m,
         tuple(row.sides[side] for side in merged.mirrored),
@@ -220,15 +223,13 @@ def _report(row: StoredRow, merged: Merged) -> RowReport:
     )
 
 
-def row_reports(
-    store: Store, round_key: str, content: RoundContent | None = None
-) -> list[RowReport]:
-    """Give the rows of a round as they were merged last, what was done by hand included.
-
-    `content` is what `from_store.read_round` gave of the round, where it was read already.
-    """
-    content = content or read_round(store, round_key)
-    return [_report(row, stored_merging(content, row)) for row in load_rows(content)]
+def row_reports(content: RoundContent) -> list[RowReport]:
+    """Return the rows of a round as they were merged last, what was done by hand included."""
+    fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
+    return [
+        _report(row, stored_merging(content, row), done=not fitted.isdisjoint(row.stop_keys))
+        for row in load_rows(content)
+    ]
 
 
 def link_rounds(
@@ -279,24 +280,16 @@ def link_rounds(
     return found
 
 
-def fruit_table(
-    store: Store, round_key: str, content: RoundContent | None = None
-) -> list[RoundFruit]:
-    """List a round's fruit, each once, by row and position; rejected ones are left out.
-
-    `content` is what `from_store.read_round` gave of the round, where it was read already.
-    """
-    from cucumbervision.agronomy.fruit import natural_key
-
-    content = content or read_round(store, round_key)
+def fruit_table(content: RoundContent) -> list[RoundFruit]:
+    """Return a round's fruit, each once, by row and position; rejected ones are left out."""
     combined = _combined(content)
     best = [view for view in content.views if view.best and view.verdict is not Verdict.REJECTED]
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
-    lines = []
-    for number, view in enumerate(best, 1):
-        length_m, sd_m = combined.get(view.key, (None, None))
-        lines.append(RoundFruit(number, view, length_m, sd_m, view.views))
-    return lines
+    none: tuple[float | None, float | None] = (None, None)
+    return [
+        RoundFruit(number, view, *combined.get(view.key, none), view.views)
+        for number, view in enumerate(best, 1)
+    ]
 
 
 def _combined(content: RoundContent) -> dict[str, tuple[float, float]]:
@@ -325,7 +318,7 @@ def find_fruit(store: Store, round_key: str, name: str) -> DetectionView:
     """
     wanted = name.strip().lower()
     if wanted.isdecimal() and len(wanted) < 6:
-        lines = [line.view for line in fruit_table(store, round_key)]
+        lines = [line.view for line in fruit_table(read_round(store, round_key))]
         found = lines[int(wanted) - 1 : int(wanted)] if int(wanted) else []
     else:
         found = [v for v in store.detections(round_key) if wanted and v.key.startswith(wanted)]

@@ -33,8 +33,8 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception import runtime as runtimes
-from cucumbervision.perception.letterbox import fit
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.resize import fit
 from cucumbervision.pipeline.fields import SeenFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions

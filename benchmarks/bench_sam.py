@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.resize import mask_from_logits, prepare_picture
 from cucumbervision.perception.runtime import open_network
-from cucumbervision.perception.sam import Segmenter, mask_from_logits, prepare_picture
+from cucumbervision.perception.sam import Segmenter
 
 SIZE = (720, 1280)
 

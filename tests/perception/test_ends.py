@@ -10,10 +10,8 @@ from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.ends import STRIP_PX, EndTeller, straighten
-from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.instances import Instance, each_once, with_keypoints
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision.perception.merge import each_once
-from cucumbervision.perception.yolo import with_keypoints
 
 if TYPE_CHECKING:
     from pathlib import Path

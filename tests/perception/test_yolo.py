@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.yolo import YoloDetector, with_keypoints
+from cucumbervision.perception.yolo import YoloDetector, choose_raw, choose_rows
 
 onnx = pytest.importorskip("onnx")
 
@@ -164,30 +163,44 @@ def test_other_networks_are_refused(graph: bytes, fault: str) -> None:
         YoloDetector(graph)
 
 
-def fruit_at(x: float, keypoint: float | None = None, width: float = 10) -> Instance:
-    points = None if keypoint is None else np.full((5, 3), keypoint)
-    return Instance(np.array([x, 0, x + width, 40]), keypoints=points)
+def raw(*anchors: tuple[float, ...]) -> np.ndarray:
+    return np.array(anchors, np.float32).T
 
 
-def test_keypoints_go_to_the_best_one_to_one() -> None:
-    # Pose 7 overlaps both fruits; the sum is largest when each fruit gets its own.
-    fruits = [fruit_at(0), fruit_at(2)]
-    out = with_keypoints(fruits, [fruit_at(1.5, 7), fruit_at(0.5, 9)])
-    assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [9, 7]
+def test_rows_keep_their_order_and_exceed_the_confidence() -> None:
+    rows = np.array([[0, 0, 1, 1, s, 0, 7] for s in (0.5, 0.25, 0.75)], np.float32)
+    assert choose_rows(rows, 0.25)[:, 4].tolist() == [0.5, 0.75]
 
 
-def test_keypoints_below_the_overlap_are_not_given() -> None:
-    # Shifted by 5 of 10: IoU 1/3.
-    (out,) = with_keypoints([fruit_at(0)], [fruit_at(5, 7)])
-    assert out.keypoints is None
-    assert with_keypoints([], [fruit_at(5, 7)]) == ()
+def test_centres_become_corners_and_extras_follow() -> None:
+    out = choose_raw(raw((10, 20, 4, 8, 0.5, -1, 3)), 1, 0.3, one_to_one=True)
+    assert out.tolist() == [[8, 16, 12, 24, 0.5, 0, -1, 3]]
 
 
-def test_hopeless_pairs_push_no_good_one_aside() -> None:
-    # Fruit A overlaps pose 1 by 9.5/10.5 = 0.90 and pose 2 by 4.8/10 = 0.48; fruit B overlaps
-    # pose 1 by 0.48. The two 0.48 sum to more than 0.90, but neither may be given.
-    fruits = [fruit_at(0), fruit_at(0.5, width=4.8)]
-    out = with_keypoints(fruits, [fruit_at(0.5, 1), fruit_at(5.2, 2, width=4.8)])
-    assert out[0].keypoints is not None
-    assert out[0].keypoints[0, 0] == 1
-    assert out[1].keypoints is None
+def test_one_to_one_is_sorted_and_never_suppressed() -> None:
+    out = choose_raw(raw((5, 5, 4, 4, 0.5), (5, 5, 4, 4, 0.75)), 1, 0.3, one_to_one=True)
+    assert out[:, 4].tolist() == [0.75, 0.5]
+
+
+def test_one_to_one_anchor_may_answer_for_two_classes() -> None:
+    out = choose_raw(raw((5, 5, 4, 4, 0.5, 0.75)), 2, 0.3, one_to_one=True)
+    assert out[:, 4:6].tolist() == [[0.75, 1], [0.5, 0]]
+
+
+def test_one_to_one_takes_at_most_300() -> None:
+    anchors = [(5.0, 5.0, 4.0, 4.0, 0.4 + i * 1e-4) for i in range(400)]
+    out = choose_raw(raw(*anchors), 1, 0.3, one_to_one=True)
+    assert len(out) == 300
+    assert out[-1, 4] == pytest.approx(0.41)
+
+
+def test_one_to_many_suppresses_within_a_class_only() -> None:
+    same = choose_raw(raw((5, 5, 4, 4, 0.9, 0), (5, 5, 4, 4, 0.8, 0)), 2, 0.3, one_to_one=False)
+    other = choose_raw(raw((5, 5, 4, 4, 0.9, 0), (5, 5, 4, 4, 0, 0.8)), 2, 0.3, one_to_one=False)
+    assert (len(same), len(other)) == (1, 2)
+
+
+def test_nothing_above_the_confidence() -> None:
+    for one_to_one in (True, False):
+        out = choose_raw(raw((5, 5, 4, 4, 0.3, 1, 2)), 1, 0.3, one_to_one=one_to_one)
+        assert out.shape == (0, 8)

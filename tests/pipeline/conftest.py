@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.perception.letterbox import fit
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
+from cucumbervision.perception.resize import fit
 
 ROW_A = "simulated-row-a"
 Array = NDArray[Any]

@@ -34,7 +34,6 @@ __all__ = [
 ]
 
 _KEYPOINTS = 5
-
 _SLACK = 1e-6  # numbers written with few digits may lie this far outside 0 to 1
 
 

@@ -1,16 +1,38 @@
-"""One fruit in the picture: box, masks and keypoints, and where each came from."""
+"""One fruit in the picture, and one instance for each: finds in pieces or twice are put together.
+
+Three ways in which a fruit is found more than once are known by the masks: two boxes of one fruit
+(the masks agree), a box within a box (one mask lies in the other), and the pieces that a leaf
+makes of a fruit beside the whole (each lies in it). Pieces without the whole share no pixel; only
+a pose network that sees one fruit over both tells them from two fruit in a row. Boxes alone say
+little, since fruit that cross have boxes within each other.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from cucumbervision.perception.boxes import box_areas, box_iou
+from cucumbervision.perception.masks import mask_window
+
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-__all__ = ["KEYPOINT_NAMES", "SKELETON", "Instance", "MaskSource"]
+__all__ = [
+    "KEYPOINT_NAMES",
+    "SKELETON",
+    "Instance",
+    "MaskSource",
+    "each_once",
+    "join_pieces",
+    "merge_instances",
+    "with_keypoints",
+]
 
 KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
 """The five landmarks along a fruit, in the order in which they are stored."""
@@ -70,3 +92,282 @@ class Instance:
     keypoints: NDArray[np.float64] | None = None
     mask_failure: str = ""
     end_confidence: float | None = None
+
+
+SAME_IOU = 0.5  # of two masks of one fruit
+INSIDE = 0.8  # share of the smaller mask that lies in the larger, where both are of one fruit
+SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
+TRUSTED = 0.5  # of the best confidence, which the largest mask needs to be kept
+SPAN_IOU = 0.75  # of a pose's box with the common box of the pieces that it joins
+OWN_IOU = 0.5  # of a piece's box with that of another pose, whose fruit it is then
+OFF_LINE = 0.15  # of the pose's length: how far from its line a piece's middle may lie
+
+
+def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Keep one instance for each fruit.
+
+    Two instances are one fruit when their masks have an IoU of at least 0.5, or when 80 % of the
+    smaller mask lies in the larger; without masks, when their boxes have an IoU of at least 0.7.
+    Fruit that cross share their crossing only: about the thickness over the length of the thinner
+    one. An instance that holds two or more others which are not one fruit is the fruit that they
+    are pieces of if its confidence is at least their mean, else a box around several fruit, and
+    goes.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        From one detector; `detector_mask`, or else `mask`, is compared.
+
+    Returns
+    -------
+    tuple of Instance
+        Best first. Of those that are one fruit the one with the largest mask stays, unless its
+        confidence is below half of the best one's; it gets the best confidence, and, if it has
+        none, the keypoints of the best that has some.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.masks import box_of_mask
+    >>> whole, part, other = (np.zeros((20, 60), bool) for _ in range(3))
+    >>> whole[5:15, 5:45] = part[5:15, 5:25] = other[5:15, 46:56] = True
+    >>> found = [
+    ...     Instance(box_of_mask(m), c, detector_mask=m)
+    ...     for m, c in ((part, 0.8), (whole, 0.6), (other, 0.7))
+    ... ]
+    >>> [(one.confidence, one.box.tolist()) for one in merge_instances(found)]
+    [(0.8, [4.5, 4.5, 44.5, 14.5]), (0.7, [45.5, 4.5, 55.5, 14.5])]
+    """
+    found = sorted((_Region.of(one) for one in instances), key=_best_first)
+    found = [one for one in found if not _around_several(one, found)]
+    groups: list[list[_Region]] = []
+    # The largest first, each compared with the largest of a group only: a speck that lies in two
+    # fruit joins one of them and makes them no single one.
+    for one in sorted(found, key=lambda one: -one.area):
+        own = max(groups, key=lambda group: _shared(one, group[0]), default=None)
+        if own is not None and _same(one, own[0]):
+            own.append(one)
+        else:
+            groups.append([one])
+    return tuple(sorted(map(_kept, groups), key=lambda one: -one.confidence))
+
+
+def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Join the pieces that a leaf makes of a fruit, where a pose network sees the whole.
+
+    A pose whose keypoints run through two or more instances joins them when their common box has
+    an IoU of at least 0.75 with its own, more than each of them alone, and none of them is a fruit
+    of its own to another pose (IoU 0.5): two fruit in a row stay two.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        After `merge_instances`.
+    poses : sequence of Instance
+        After `merge_instances` too, with keypoints; others join nothing.
+
+    Returns
+    -------
+    tuple of Instance
+        Best first. Joined: the common box and mask, the best confidence, the pose's keypoints.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.masks import box_of_mask
+    >>> left, right = np.zeros((20, 60), bool), np.zeros((20, 60), bool)
+    >>> left[5:15, 5:25] = right[5:15, 30:55] = True
+    >>> pieces = [Instance(box_of_mask(m), detector_mask=m) for m in (left, right)]
+    >>> line = np.array([[u, 9.5, 1.0] for u in (6, 18, 30, 42, 54)])
+    >>> pose = Instance(np.array([4.5, 4.5, 54.5, 14.5]), keypoints=line)
+    >>> [one.box.tolist() for one in join_pieces(pieces, [pose])]
+    [[4.5, 4.5, 54.5, 14.5]]
+    """
+    left = list(instances)
+    for pose in poses:
+        pieces = [one for one in left if _is_piece(one, pose, poses)]
+        if len(pieces) < 2:
+            continue
+        edges = np.array([one.box for one in pieces])
+        box = np.concatenate([edges[:, :2].min(axis=0), edges[:, 2:].max(axis=0)])
+        alone = max(box_iou(one.box, pose.box) for one in pieces)
+        if box_iou(box, pose.box) < max(SPAN_IOU, alone):
+            continue
+        left = [one for one in left if one not in pieces]
+        left.append(_joined(pieces, box, pose))
+    return tuple(sorted(left, key=lambda one: -one.confidence))
+
+
+def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Return each fruit of two networks once, with the pose network's keypoints.
+
+    Parameters
+    ----------
+    found : sequence of Instance
+        Of the detector, after `merge_instances`.
+    posed : sequence of Instance
+        Of the pose network, as it gives them.
+
+    Returns
+    -------
+    tuple of Instance
+        Best first: pieces joined, keypoints where a pose fits.
+    """
+    poses = merge_instances(posed)
+    return with_keypoints(join_pieces(found, poses), poses)
+
+
+def with_keypoints(
+    instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float = 0.5
+) -> tuple[Instance, ...]:
+    """Return instances with the keypoints that a pose network found for them.
+
+    Boxes are matched one to one, so that the sum of their overlaps is largest.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        From a segmenting network, or from anywhere.
+    poses : sequence of Instance
+        With keypoints.
+    min_iou : float
+        Least overlap of the two boxes.
+
+    Returns
+    -------
+    tuple of Instance
+        The instances in their order; those without a match keep what they had.
+
+    Examples
+    --------
+    >>> fruit = Instance(np.array([0.0, 0, 10, 40]))
+    >>> pose = Instance(np.array([0.0, 0, 10, 38]), keypoints=np.zeros((5, 3)))
+    >>> with_keypoints([fruit], [pose])[0].keypoints.shape
+    (5, 3)
+    """
+    if not instances or not poses:
+        return tuple(instances)
+    from scipy.optimize import linear_sum_assignment
+
+    overlaps = np.array([[box_iou(a.box, b.box) for b in poses] for a in instances])
+    # Pairs below the threshold count nothing, so that they push no good pair aside.
+    overlaps[overlaps < min_iou] = 0.0
+    out = list(instances)
+    rows, columns = linear_sum_assignment(overlaps, maximize=True)
+    for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+        if overlaps[i, j] > 0 and poses[j].keypoints is not None:
+            out[i] = replace(
+                instances[i], keypoints=poses[j].keypoints, end_confidence=poses[j].end_confidence
+            )
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """An instance with its mask, the mask's window, and the pixels in it."""
+
+    instance: Instance
+    mask: NDArray[np.bool_] | None
+    window: tuple[slice, slice] | None
+    area: float
+
+    @classmethod
+    def of(cls, instance: Instance) -> _Region:
+        mask = _mask(instance)
+        window = None if mask is None else mask_window(mask)
+        if mask is None or window is None:
+            return cls(instance, None, None, float(box_areas(instance.box[None])[0]))
+        return cls(instance, mask, window, float(np.count_nonzero(mask[window])))
+
+
+def _mask(instance: Instance) -> NDArray[np.bool_] | None:
+    return instance.mask if instance.detector_mask is None else instance.detector_mask
+
+
+def _best_first(one: _Region) -> tuple[float, float]:
+    return -one.instance.confidence, -one.area
+
+
+def _shared(a: _Region, b: _Region) -> float:
+    """Return the pixels that two masks share; without masks the boxes' overlap."""
+    if a.mask is None or b.mask is None or a.window is None or b.window is None:
+        return box_iou(a.instance.box, b.instance.box)
+    rows, columns = (
+        slice(max(own.start, other.start), min(own.stop, other.stop))
+        for own, other in zip(a.window, b.window, strict=True)
+    )
+    return float(np.count_nonzero(a.mask[rows, columns] & b.mask[rows, columns]))
+
+
+def _same(a: _Region, b: _Region) -> bool:
+    if a.mask is None or b.mask is None:
+        return box_iou(a.instance.box, b.instance.box) >= SAME_BOX_IOU
+    shared = _shared(a, b)
+    return shared >= SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b)
+
+
+def _inside(shared: float, a: _Region, b: _Region) -> bool:
+    return shared >= INSIDE * min(a.area, b.area)
+
+
+def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
+    """Return whether an instance is a box around several fruit that are found one by one too."""
+    if one.mask is None:
+        return False
+    parts: list[_Region] = []
+    for other in found:
+        # What agrees with it as a whole is the same find again, not a part.
+        if other is one or other.mask is None or other.area >= one.area:
+            continue
+        shared = _shared(one, other)
+        if shared >= INSIDE * other.area and not any(_same(other, part) for part in parts):
+            parts.append(other)
+    if len(parts) < 2:
+        return False
+    return float(np.mean([part.instance.confidence for part in parts])) > one.instance.confidence
+
+
+def _kept(group: Sequence[_Region]) -> Instance:
+    members = sorted(group, key=_best_first)
+    best = members[0].instance.confidence
+    trusted = [one for one in members if one.instance.confidence >= TRUSTED * best]
+    kept = max(trusted, key=lambda one: one.area).instance
+    posed = [one for one in (kept, *(m.instance for m in members)) if one.keypoints is not None]
+    if not posed:
+        return replace(kept, confidence=best)
+    return replace(
+        kept, confidence=best, keypoints=posed[0].keypoints, end_confidence=posed[0].end_confidence
+    )
+
+
+def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
+    mask = _mask(one)
+    if pose.keypoints is None or mask is None or not mask.any():
+        return False
+    if any(box_iou(one.box, other.box) >= OWN_IOU for other in poses if other is not pose):
+        return False
+    rows, columns = np.nonzero(mask)
+    line = np.asarray(pose.keypoints[:, :2], np.float64)
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    middle = np.array([columns.mean(), rows.mean()])
+    return _distance(middle, line) <= OFF_LINE * length
+
+
+def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    """Return a point's distance to a polyline, shape (K, 2)."""
+    steps = np.diff(line, axis=0)
+    squares = np.maximum((steps**2).sum(axis=1), 1e-12)
+    along = np.clip(((point - line[:-1]) * steps).sum(axis=1) / squares, 0, 1)
+    near = line[:-1] + along[:, None] * steps
+    return float(np.linalg.norm(near - point, axis=1).min())
+
+
+def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance) -> Instance:
+    best = max(pieces, key=lambda one: one.confidence)
+    masks = [mask for one in pieces if (mask := _mask(one)) is not None]
+    mask = np.logical_or.reduce(masks)
+    return replace(
+        best,
+        box=box,
+        detector_mask=mask,
+        keypoints=pose.keypoints,
+        end_confidence=pose.end_confidence,
+    )

@@ -138,11 +138,9 @@ class FileCheck:
 
 
 FORMATS = ("onnx", "openvino")
-
 """What `Registry.export` writes."""
 
 _HERE = Path(__file__).parent
-
 _MANIFEST = "manifest.json"
 
 

@@ -228,7 +228,7 @@ def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
         return find
 
     def find_with_keypoints(capture: Capture) -> Found:
-        from cucumbervision.perception.yolo import with_keypoints
+        from cucumbervision.perception.instances import with_keypoints
 
         found = find(capture)
         if not found.instances:
@@ -369,7 +369,7 @@ class Detectors:
         tuple of Instance
             Best first, with the detector's masks and the pose network's keypoints.
         """
-        from cucumbervision.perception.merge import each_once, merge_instances
+        from cucumbervision.perception.instances import each_once, merge_instances
 
         found = merge_instances(self._detector.detect(color_rgb))
         if self._pose is None or not found:

@@ -50,9 +50,7 @@ ANNOTATIONS = "annotations.json"
 ROBOFLOW = "_annotations.coco.json"
 
 _FOLDERS = {"train": "train", "valid": "val", "val": "val", "test": "test"}
-
 _KEYPOINTS = 5
-
 _MOST_PIXELS = 2**30  # as OpenCV reads at most
 
 

@@ -222,7 +222,6 @@ def views_of_one_scene(
 
 
 SHARES = (0.70, 0.15, 0.15)
-
 """Of the pictures, in train, val and test: the paper's."""
 
 _EXPORTED = re.compile(r"\.rf\.[0-9a-f]+$", re.IGNORECASE)

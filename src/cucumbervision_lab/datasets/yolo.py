@@ -54,7 +54,6 @@ __all__ = [
 PICTURES = "pictures.json"
 
 _KEYPOINTS = 5
-
 _FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
 

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.perception.merge import each_once, merge_instances
+from cucumbervision.perception.instances import each_once, merge_instances
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit

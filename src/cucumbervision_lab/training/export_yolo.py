@@ -20,7 +20,7 @@ import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
 from cucumbervision.perception.runtime import import_onnxruntime
-from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY
+from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY
 from cucumbervision_lab.training.half_storage import halve_storage
 from cucumbervision_lab.training.torchvision_ops import ensure_torchvision
 

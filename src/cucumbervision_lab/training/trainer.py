@@ -11,7 +11,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cucumbervision.perception.yolo_layout import BY_PLACE
+from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.training.assigner import assign_coarsely
 from cucumbervision_lab.training.half_precision import channels_last, narrow, widen
 from cucumbervision_lab.training.points import (

@@ -16,7 +16,7 @@ pytest.importorskip("onnx")
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.letterbox import fit
+from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.training.export_yolo import (

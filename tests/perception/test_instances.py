@@ -9,9 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.instances import (
+    Instance,
+    join_pieces,
+    merge_instances,
+    with_keypoints,
+)
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision.perception.merge import join_pieces, merge_instances
 
 HEIGHT, WIDTH = 160, 240
 Mask = NDArray[np.bool_]
@@ -188,3 +192,32 @@ def test_masks_keep_the_pictures_size() -> None:
         whole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool), 0.8)])  # fmt: skip
     assert one.detector_mask is not None
     assert one.detector_mask.shape == (HEIGHT, WIDTH)
+
+
+def fruit_at(x: float, keypoint: float | None = None, width: float = 10) -> Instance:
+    points = None if keypoint is None else np.full((5, 3), keypoint)
+    return Instance(np.array([x, 0, x + width, 40]), keypoints=points)
+
+
+def test_keypoints_go_to_the_best_one_to_one() -> None:
+    # Pose 7 overlaps both fruits; the sum is largest when each fruit gets its own.
+    fruits = [fruit_at(0), fruit_at(2)]
+    out = with_keypoints(fruits, [fruit_at(1.5, 7), fruit_at(0.5, 9)])
+    assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [9, 7]
+
+
+def test_keypoints_below_the_overlap_are_not_given() -> None:
+    # Shifted by 5 of 10: IoU 1/3.
+    (out,) = with_keypoints([fruit_at(0)], [fruit_at(5, 7)])
+    assert out.keypoints is None
+    assert with_keypoints([], [fruit_at(5, 7)]) == ()
+
+
+def test_hopeless_pairs_push_no_good_one_aside() -> None:
+    # Fruit A overlaps pose 1 by 9.5/10.5 = 0.90 and pose 2 by 4.8/10 = 0.48; fruit B overlaps
+    # pose 1 by 0.48. The two 0.48 sum to more than 0.90, but neither may be given.
+    fruits = [fruit_at(0), fruit_at(0.5, width=4.8)]
+    out = with_keypoints(fruits, [fruit_at(0.5, 1), fruit_at(5.2, 2, width=4.8)])
+    assert out[0].keypoints is not None
+    assert out[0].keypoints[0, 0] == 1
+    assert out[1].keypoints is None

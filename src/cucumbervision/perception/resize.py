@@ -18,7 +18,7 @@ import numpy as np
 if TYPE_CHECKING:
     from typing import Any
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
     from scipy.sparse import csr_array
 
 __all__ = [
@@ -404,7 +404,7 @@ def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.b
     return small
 
 
-def _span(flags: NDArray[np.bool_]) -> slice:
+def _span(flags: ArrayLike) -> slice:
     """Return the slice from the first to the last set flag; slice(0, 0) if there is none."""
     found = np.flatnonzero(flags)
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)

@@ -32,12 +32,23 @@ def synth(
             file_okay=False,
         ),
     ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(
+            help="A labelled set: its photos without fruit are pasted onto, nothing is drawn.",
+            exists=True,
+            file_okay=False,
+        ),
+    ] = None,
     depth: Annotated[
         bool, typer.Option("--depth/--no-depth", help="Draw what a D435 reads, and exact depth.")
     ] = True,
     scale_sd: Annotated[
         float, typer.Option(min=0, max=0.1, help="Depth-scale error of the cameras, as a share.")
     ] = 0.0,
+    hard: Annotated[
+        bool, typer.Option("--hard", help="Smaller, larger, more and more hidden fruit, to learn.")
+    ] = False,
     shares: Annotated[
         str, typer.Option(help="How often hanging, bench, crate.", metavar="A,B,C")
     ] = "0.6,0.22,0.18",
@@ -60,8 +71,10 @@ def synth(
         size=size,
         assets=assets,
         paste=paste,
+        onto=onto,
         depth=depth,
         scale_sd=scale_sd,
+        hard=hard,
         shares=shares,
         split=split,
     )

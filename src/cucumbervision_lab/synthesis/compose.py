@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
 
-__all__ = ["MOST_FRUIT", "Composition", "Setting", "compose"]
+__all__ = ["HARD", "MOST_FRUIT", "PLAIN", "Composition", "Difficulty", "Setting", "compose"]
 
 MOST_FRUIT = 12
 TRIES = 30
@@ -88,7 +88,45 @@ class Composition:
     up: tuple[float, float, float]
 
 
-def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str) -> Composition:
+@dataclass(frozen=True)
+class Difficulty:
+    """How much a scene asks of whoever is to find its fruit.
+
+    Parameters
+    ----------
+    nearer, farther : float
+        Factors on the least and the greatest distance.
+    stop : float
+        Chance that no more fruit follow on the plant or the bench; their number is geometric.
+    most : int
+        Fruit at most.
+    covered : float
+        How often a leaf is put before a fruit on the plant.
+    leaves : float
+        Factor on the loose leaves before them.
+    """
+
+    nearer: float = 1.0
+    farther: float = 1.0
+    stop: float = 0.28
+    most: int = MOST_FRUIT
+    covered: float = 0.45
+    leaves: float = 1.0
+
+
+PLAIN = Difficulty()
+"""What is tested by."""
+
+HARD = Difficulty(nearer=0.75, farther=1.9, stop=0.16, most=18, covered=0.65, leaves=1.5)
+"""Small and large in the picture, crowded, hidden: to learn from."""
+
+
+def compose(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    setting: Setting | str,
+    difficulty: Difficulty = PLAIN,
+) -> Composition:
     """Compose a scene.
 
     Parameters
@@ -99,11 +137,13 @@ def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str
         The camera.
     setting : Setting or str
         Where the fruit are.
+    difficulty : Difficulty
+        How hard they are to find.
 
     Returns
     -------
     Composition
-        With 0 to 12 cucumbers, none inside another, at 0.3 to 1.2 m.
+        With 0 to 12 cucumbers, none inside another, at 0.3 to 1.2 m, if `difficulty` is plain.
 
     Raises
     ------
@@ -122,18 +162,19 @@ def compose(rng: np.random.Generator, camera: Intrinsics, setting: Setting | str
     varieties = list(_SHARES)
     variety = varieties[int(rng.choice(len(varieties), p=list(_SHARES.values())))]
     low, high = _REACH_M[variety]
+    low, high = low * difficulty.nearer, high * difficulty.farther
     distance = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    count = _count(rng, setting)
+    count = _count(rng, setting, difficulty)
     if setting is Setting.HANGING:
-        return _on_the_plant(rng, camera, variety, distance, count)
+        return _on_the_plant(rng, camera, variety, distance, count, difficulty)
     return _laid(rng, camera, setting, variety, distance, count)
 
 
-def _count(rng: np.random.Generator, setting: Setting) -> int:
+def _count(rng: np.random.Generator, setting: Setting, difficulty: Difficulty) -> int:
     if setting is Setting.CRATE:
-        return int(rng.integers(4, MOST_FRUIT + 1))
+        return int(rng.integers(4, difficulty.most + 1))
     # One picture in twelve shows no fruit: what is not one has to be learnt too.
-    return 0 if rng.random() < 0.08 else int(min(1 + rng.geometric(0.28) - 1, MOST_FRUIT))
+    return 0 if rng.random() < 0.08 else int(min(rng.geometric(difficulty.stop), difficulty.most))
 
 
 def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
@@ -141,7 +182,12 @@ def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
 
 
 def _on_the_plant(
-    rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float, count: int
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    variety: Variety,
+    distance_m: float,
+    count: int,
+    difficulty: Difficulty,
 ) -> Composition:
     placed: list[Tube] = []
     for _ in range(count):
@@ -154,13 +200,13 @@ def _on_the_plant(
     stem_roles = ["string", "string", "stem", "stem"]
     leaf_roles = ["leaf"] * len(scene.leaves)
     for index in range(len(placed)):
-        if rng.random() < 0.45:
+        if rng.random() < difficulty.covered:
             share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
             covered = occlude(scene, camera, index, share, rng, ends_free=free)
             if _in_front(covered.leaves[-1]):
                 scene = covered
                 leaf_roles.append("leaf")
-    before = _loose_leaves(rng, camera, distance_m, close=not placed)
+    before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
     leaf_roles += ["leaf"] * len(before)
     ends = [_ends_of(rng, fruit) for fruit in placed]
     petals = tuple(leaf for one in ends for leaf in one[0])
@@ -209,12 +255,12 @@ def _behind(
 
 
 def _loose_leaves(
-    rng: np.random.Generator, camera: Intrinsics, distance_m: float, *, close: bool
+    rng: np.random.Generator, camera: Intrinsics, distance_m: float, factor: float, *, close: bool
 ) -> tuple[Leaf, ...]:
     leaves = []
     # Without fruit leaves come close: one that fills the picture is often taken for a fruit.
     many, nearest = (5.0, 0.3) if close else (2.2, 0.6)
-    for _ in range(int(rng.poisson(many))):
+    for _ in range(int(rng.poisson(factor * many))):
         length = rng.uniform(0.05, 0.11)
         z = distance_m * rng.uniform(nearest, 1.1)
         u, v = rng.uniform(0, camera.width), rng.uniform(0, camera.height)

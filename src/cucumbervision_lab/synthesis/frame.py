@@ -12,7 +12,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision_lab.synthesis.appearance import random_style
 from cucumbervision_lab.synthesis.color_camera import expose, random_exposure
-from cucumbervision_lab.synthesis.compose import Composition, Setting, compose
+from cucumbervision_lab.synthesis.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
@@ -58,6 +58,8 @@ class FrameOptions:
     scale_sd : float
         Standard deviation of each camera's own error of depth scale, as a share; 0 for
         calibrated cameras.
+    hard : bool
+        Whether fruit are smaller, larger, more crowded and more hidden than those tested by.
     """
 
     width: int = 1280
@@ -65,6 +67,7 @@ class FrameOptions:
     shares: tuple[float, float, float] = (0.6, 0.22, 0.18)
     depth: bool = True
     scale_sd: float = 0.0
+    hard: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +121,14 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
     Returns
     -------
     Frame
-        With 0 to 12 cucumbers.
+        With 0 to 12 cucumbers, 0 to 18 if they are to be hard to find.
     """
     # Colour and depth draw from streams of their own: a frame with depth looks as one without.
     streams = np.random.default_rng([seed, index]).spawn(3)
     rng, painter, sensor = streams
     camera = _camera(rng, options)
     setting = list(Setting)[int(rng.choice(3, p=options.shares))]
-    staged = compose(rng, camera, setting)
+    staged = compose(rng, camera, setting, HARD if options.hard else PLAIN)
     view = render(staged.scene, camera)
     truth = truth_of(staged.scene, camera, view)
     style = _style(painter, staged, assets)

@@ -25,6 +25,7 @@ from cucumbervision_lab.datasets.coco import (
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture
 from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
+from cucumbervision_lab.synthesis.montage import fruitless, montage
 from cucumbervision_lab.synthesis.paste import cutouts_of, paste
 
 if TYPE_CHECKING:
@@ -48,14 +49,16 @@ def parse_options(
     split: str,
     assets: Path | None = None,
     paste: Path | None = None,
+    onto: Path | None = None,
     depth: bool = True,
     scale_sd: float = 0.0,
+    hard: bool = False,
 ) -> SynthOptions:
     """Parse the command line's words into options.
 
     Parameters
     ----------
-    frames, seed, depth, scale_sd : int, int, bool, float
+    frames, seed, depth, scale_sd, hard : int, int, bool, float, bool
         As `SynthOptions` and `FrameOptions`.
     size : str
         '1280x720': width x height in pixels.
@@ -67,6 +70,8 @@ def parse_options(
         Folder of textures, backgrounds and lights.
     paste : Path, optional
         Folder of a set with masks whose fruit are pasted in.
+    onto : Path, optional
+        Folder of a set whose pictures without fruit are pasted onto, in place of drawn frames.
 
     Raises
     ------
@@ -95,13 +100,20 @@ def parse_options(
         )
     if paste is not None and depth:
         raise DataSetError("pasted fruit have no depth", source="--paste", remedy="add --no-depth")
+    if onto is not None and (paste is None or split != "train"):
+        raise DataSetError(
+            "photos are pasted onto to train on only",
+            source="--onto",
+            remedy="add --paste SET --split train",
+        )
     return SynthOptions(
         frames=frames,
         seed=seed,
-        frame=FrameOptions(width, height, _shares(shares), depth, scale_sd),
+        frame=FrameOptions(width, height, _shares(shares), depth, scale_sd, hard),
         assets=str(assets.resolve()) if assets else "",
         split=split,
         paste=str(paste.resolve()) if paste else "",
+        onto=str(onto.resolve()) if onto else "",
     )
 
 
@@ -158,6 +170,9 @@ class SynthOptions:
     paste : str
         Folder of a set with masks whose fruit are pasted into the training frames, which then
         have no depth; empty for none.
+    onto : str
+        Folder of a labelled set: its pictures without fruit are pasted onto, and nothing is drawn;
+        empty for none. The frames' size holds, their settings do not.
     """
 
     frames: int = 1500
@@ -167,6 +182,7 @@ class SynthOptions:
     quality: int = 92
     split: str = ""
     paste: str = ""
+    onto: str = ""
 
 
 def generate(
@@ -219,6 +235,7 @@ def generate(
 def _claim(options: SynthOptions, out: Path) -> None:
     """Note the options in the folder, or see that they are the same as those noted there."""
     folders = {"assets": Path(options.assets).name, "paste": Path(options.paste).name}
+    folders |= {"onto": Path(options.onto).name}
     wanted = asdict(options) | {"frames": None} | folders
     wanted = json.loads(json.dumps(wanted))
     file = out / MANIFEST
@@ -283,7 +300,49 @@ def _cutouts(folder: str) -> tuple[Cutout, ...]:
     return cutouts_of(read_coco(Path(folder)))
 
 
+@lru_cache(maxsize=1)
+def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...]:
+    """Give the photos to paste onto, by their source: a few of a canopy weigh as much as many."""
+    data = read_coco(Path(folder))
+    wide = [p for p in data.in_split("train") if fruitless(p)]
+    if not wide:
+        raise DataSetError(
+            "has no large pictures without fruit in train",
+            source=folder,
+            remedy="add some: canopies, leaves, benches",
+        )
+    sources = sorted({picture.source for picture in wide})
+    return tuple(tuple((p, data.path(p)) for p in wide if p.source == one) for one in sources)
+
+
+def _paste_onto(options: SynthOptions, out: Path, index: int) -> int:
+    """Paste fruit onto a photo in place of drawing a frame."""
+    from cucumbervision.capture.files import read_color
+
+    rng = np.random.default_rng([options.seed, index, 2])
+    grounds = _grounds(options.onto)
+    of_one_source = grounds[int(rng.integers(len(grounds)))]
+    ground, path = of_one_source[int(rng.integers(len(of_one_source)))]
+    size = options.frame.width, options.frame.height
+    color, labels = montage(read_color(path), size, _cutouts(options.paste), rng)
+    name = f"{index:06d}"
+    picture = LabelledPicture(
+        f"images/{name}.jpg",
+        *size,
+        labels,
+        scene=ground.scene,
+        split="train",
+        source=ground.source,
+        licence=ground.licence,
+    )
+    _write_jpeg(out / picture.file, color, options.quality)
+    write_fragment(picture, _fragment(out, index))
+    return index
+
+
 def _draw(options: SynthOptions, out: Path, index: int) -> int:
+    if options.onto:
+        return _paste_onto(options, out, index)
     frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
     name = f"{index:06d}"
     split = options.split or SPLIT_OF[index % len(SPLIT_OF)]

@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet
 
-__all__ = ["Cutout", "cutouts_of", "paste"]
+__all__ = ["Cutout", "Placed", "cutouts_of", "label_of", "less", "paste", "place_cutout"]
 
 MARGIN_PX = 4
 LEAST_SIDE_PX = 40
+LEAST_PX = 60
+SOLID = 0.78
 LENGTH_SHARE = (0.10, 0.55)  # of the frame's longer side
 LEAST_SEEN = 0.12
 
@@ -83,7 +85,16 @@ def _usable(label: Label, width: int, height: int) -> bool:
         return False
     x1, y1, x2, y2 = label.box
     inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
-    return bool(inside and max(x2 - x1, y2 - y1) >= LEAST_SIDE_PX)
+    return bool(inside and max(x2 - x1, y2 - y1) >= LEAST_SIDE_PX and _solidity(label) >= SOLID)
+
+
+def _solidity(label: Label) -> float:
+    """Give the share of its hull that a mask fills; one with a hand in it fills little."""
+    mask = label.mask
+    if mask is None:
+        return 0.0
+    hull = cv2.convexHull(np.argwhere(mask).astype(np.int32))
+    return float(np.count_nonzero(mask) / max(cv2.contourArea(hull), 1.0))
 
 
 def _cut(color: NDArray[np.uint8], label: Label) -> Cutout:
@@ -96,7 +107,9 @@ def _cut(color: NDArray[np.uint8], label: Label) -> Cutout:
     points = label.keypoints
     if points is not None:
         points = points - np.array([left, top, 0.0])
-    return Cutout(color[part].copy(), mask[part].copy(), points)
+    # The outermost pixels show what lay behind the fruit too.
+    body = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    return Cutout(color[part].copy(), body[part].copy(), points)
 
 
 def paste(
@@ -134,33 +147,86 @@ def paste(
     picture, depth = color.copy(), np.where(depth_m > 0, depth_m, np.inf)
     kept = list(labels)
     for _ in range(count if cutouts else 0):
-        drawn = _turned(cutouts[int(rng.integers(len(cutouts)))], picture.shape[:2], rng)
-        if drawn is None:
+        fruit = place_cutout(
+            cutouts[int(rng.integers(len(cutouts)))],
+            picture.shape[:2],
+            rng,
+            length_px=rng.uniform(*LENGTH_SHARE) * max(picture.shape[:2]),
+            turn_deg=rng.uniform(0, 360),
+        )
+        if fruit is None:
             continue
-        fruit, alpha, points = drawn
-        amodal = alpha > 0.5
+        amodal = fruit.amodal
         near, far = np.percentile(depth[amodal], [10, 60])
         stand = float(np.clip(rng.uniform(near, max(far, near)) - 0.03, 0.2, 3.0))
         seen = amodal & (depth > stand)
         if seen.sum() < LEAST_SEEN * amodal.sum():
             continue
-        blend = (alpha * (depth > stand))[..., None]
-        picture = (picture * (1 - blend) + fruit * blend).astype(np.uint8)
+        blend = (fruit.alpha * (depth > stand))[..., None]
+        picture = (picture * (1 - blend) + fruit.color * blend).astype(np.uint8)
         depth = np.where(seen, stand, depth)
-        kept = [x for x in (_less(label, seen) for label in kept) if x is not None]
-        kept.append(_label(seen, amodal, points))
+        kept = [x for x in (less(label, seen) for label in kept) if x is not None]
+        kept.append(label_of(seen, amodal, fruit.keypoints))
     return picture, tuple(kept)
 
 
-def _turned(
-    cutout: Cutout, shape: tuple[int, int], rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64] | None] | None:
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A cut-out as it comes to lie in a picture.
+
+    Parameters
+    ----------
+    color : ndarray of float32, shape (H, W, 3)
+        RGB, 0 to 255; black outside of it.
+    alpha : ndarray of float32, shape (H, W)
+        How much of it covers a pixel, 0 to 1.
+    keypoints : ndarray of float64, shape (5, 3), optional
+        In pixels of the picture.
+    """
+
+    color: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    keypoints: NDArray[np.float64] | None
+
+    @property
+    def amodal(self) -> NDArray[np.bool_]:
+        """Where it would be seen if nothing hid it."""
+        return self.alpha > 0.5
+
+
+def place_cutout(
+    cutout: Cutout,
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    length_px: float,
+    turn_deg: float,
+) -> Placed | None:
+    """Lay a cut-out into a picture, somewhere, in a light that differs a little.
+
+    Parameters
+    ----------
+    cutout : Cutout
+        The fruit.
+    shape : tuple of int
+        Height and width of the picture.
+    rng : numpy.random.Generator
+        The source of chance.
+    length_px : float
+        Of the longer side of its box before it is turned; it is never blown up by more than 1.3.
+    turn_deg : float
+        By which it is turned.
+
+    Returns
+    -------
+    Placed or None
+        None where too little of it is inside the picture.
+    """
     height, width = shape
     h, w = cutout.mask.shape
-    reach = rng.uniform(*LENGTH_SHARE) * max(shape) / max(h, w)
     # Blowing a small photo up would paste a blur.
-    scale = min(reach, 1.3)
-    turn = np.deg2rad(rng.uniform(0, 360))
+    scale = min(length_px / max(h, w), 1.3)
+    turn = np.deg2rad(turn_deg)
     flip = rng.choice([-1.0, 1.0])
     linear = scale * np.array(
         [[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]
@@ -176,15 +242,24 @@ def _turned(
     fruit = cv2.warpAffine(toned, matrix, (width, height), flags=cv2.INTER_LINEAR)
     soft = cv2.GaussianBlur(cutout.mask.astype(np.float32), (0, 0), max(0.6, 0.4 / scale))
     alpha = cv2.warpAffine(soft, matrix, (width, height), flags=cv2.INTER_LINEAR)
-    if (alpha > 0.5).sum() < 60:
+    if (alpha > 0.5).sum() < LEAST_PX:
         return None
     points = cutout.keypoints
     if points is not None:
         points = np.column_stack([points[:, :2] @ linear.T + shift, points[:, 2]])
-    return fruit.astype(np.float32), alpha.astype(np.float32), points
+    return Placed(fruit.astype(np.float32), alpha.astype(np.float32), points)
 
 
-def _less(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
+def less(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
+    """Give what is left of a label where something new hides part of it, or None.
+
+    Parameters
+    ----------
+    label : Label
+        With a mask.
+    hidden : ndarray of bool, shape (H, W)
+        What is hidden now.
+    """
     mask = label.mask
     if mask is None or not (mask & hidden).any():
         return label
@@ -219,9 +294,18 @@ def _hidden_points(
     return found
 
 
-def _label(
+def label_of(
     seen: NDArray[np.bool_], amodal: NDArray[np.bool_], points: NDArray[np.float64] | None
 ) -> Label:
+    """Label a pasted fruit.
+
+    Parameters
+    ----------
+    seen, amodal : ndarray of bool, shape (H, W)
+        What of it is seen, at least one pixel, and what would be if nothing hid it.
+    points : ndarray of float64, shape (5, 3), optional
+        Its keypoints.
+    """
     height, width = seen.shape
     if points is not None:
         u, v = points[:, 0], points[:, 1]

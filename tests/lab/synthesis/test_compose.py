@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.synthesis.compose import MOST_FRUIT, Setting, compose
+from cucumbervision_lab.synthesis.compose import HARD, MOST_FRUIT, Difficulty, Setting, compose
 from cucumbervision_lab.synthesis.scene import Kind, render, truth_of
 
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
@@ -74,3 +74,18 @@ def test_hanging_fruit_hang_down_and_lying_ones_lie_level() -> None:
 def test_an_unknown_setting_is_refused() -> None:
     with pytest.raises(ValueError, match="shelf"):
         compose(np.random.default_rng(1), CAMERA, "shelf")
+
+
+def test_hard_scenes_show_more_fruit_at_more_distances() -> None:
+    def counts_and_depths(*difficulty: Difficulty) -> tuple[list[int], list[float]]:
+        counts, depths = [], []
+        for seed in range(40):
+            staged = compose(np.random.default_rng(seed), CAMERA, Setting.BENCH, *difficulty)
+            counts.append(sum(staged.cucumber))
+            depths += [float(body.centres_m[:, 2].mean()) for body in staged.scene.fruit]
+        return counts, depths
+
+    plain, plain_m = counts_and_depths()
+    hard, hard_m = counts_and_depths(HARD)
+    assert np.mean(hard) > 1.3 * np.mean(plain)
+    assert max(hard_m) > 1.25 * max(plain_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -21,17 +22,21 @@ Init = Annotated[
     str | None,
     typer.Option("--init", help="Weights to begin with (.pt), or an Ultralytics .yaml."),
 ]
-Stages = Annotated[
-    str | None, typer.Option("--stages", help="Sizes and epochs, as in 320x8,448x6,640x2.")
+Plan = Annotated[
+    str | None, typer.Option("--plan", help="Sizes and pictures, as in 448x80000,640x20000.")
 ]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on with RUN; a longer --stages prolongs it.")
+PerEpoch = Annotated[
+    int, typer.Option("--per-epoch", min=1, help="Pictures between two checkpoints.")
 ]
-Batch = Annotated[int, typer.Option("--batch", min=2, help="Pictures at a time.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with RUN; a longer --plan prolongs.")]
+Batch = Annotated[
+    int, typer.Option("--batch", min=0, help="Pictures at a time; 0: 8, on a card 64.")
+]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu, or a CUDA card's number.")]
 Precision = Annotated[str, typer.Option("--precision", help="auto, f32 or bf16 (on the CPU).")]
-Freeze = Annotated[int, typer.Option("--freeze", min=0, help="Layers left as they are.")]
-Patience = Annotated[int, typer.Option("--patience", min=1, help="Epochs without gain.")]
+Freeze = Annotated[
+    int, typer.Option("--freeze", min=-1, help="Layers left as they are; -1: 6, on a card none.")
+]
 Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
 Cache = Annotated[
     str, typer.Option("--cache", help="Decoded pictures: ram, disk (beside them) or none.")
@@ -39,13 +44,15 @@ Cache = Annotated[
 Threads = Annotated[int, typer.Option("--threads", min=0, help="0: as many as cores.")]
 Workers = Annotated[int, typer.Option("--workers", min=0, help="Processes that load.")]
 Minutes = Annotated[
-    float | None,
-    typer.Option("--epochs-limit-minutes", min=0, help="End after the epoch that passes this."),
+    float | None, typer.Option("--minutes", min=0, help="End after the epoch that passes this.")
 ]
 Check = Annotated[
     bool, typer.Option("--check/--no-check", help="Refuse a data set with faults or leaks.")
 ]
-Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="Of the first stage.")]
+Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="At the beginning.")]
+OneToMany = Annotated[
+    float, typer.Option("--one-to-many", min=0.1, max=1, help="That head's share, at first.")
+]
 
 
 @app.command()
@@ -53,19 +60,20 @@ def seg(
     out: Out,
     data: Data = None,
     init: Init = None,
-    stages: Stages = None,
+    plan: Plan = None,
+    per_epoch: PerEpoch = 500,
     resume: Resume = False,
-    batch: Batch = 8,
+    batch: Batch = 0,
     device: Device = "auto",
     precision: Precision = "auto",
     freeze: Freeze = 0,
-    patience: Patience = 20,
     seed: Seed = 0,
-    cache: Cache = "ram",
+    cache: Cache = "none",
     threads: Threads = 0,
     workers: Workers = 0,
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
+    one_to_many: OneToMany = 0.8,
     check: Check = True,
 ) -> None:
     """Train boxes and masks."""
@@ -77,19 +85,20 @@ def pose(
     out: Out,
     data: Data = None,
     init: Init = None,
-    stages: Stages = None,
+    plan: Plan = None,
+    per_epoch: PerEpoch = 500,
     resume: Resume = False,
-    batch: Batch = 8,
+    batch: Batch = 0,
     device: Device = "auto",
     precision: Precision = "auto",
     freeze: Freeze = 0,
-    patience: Patience = 20,
     seed: Seed = 0,
-    cache: Cache = "ram",
+    cache: Cache = "none",
     threads: Threads = 0,
     workers: Workers = 0,
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
+    one_to_many: OneToMany = 0.8,
     check: Check = True,
 ) -> None:
     """Train boxes and the five keypoints."""
@@ -101,7 +110,8 @@ def _train(
     out: Path,
     data: Path | None,
     init: str | None,
-    stages: str | None,
+    plan: str | None,
+    per_epoch: int,
     resume: bool,
     **options: object,
 ) -> None:
@@ -109,17 +119,71 @@ def _train(
     from cucumbervision_lab.training.train import TrainOptions, train
 
     with TrainConsole() as console:
-        best = train(
+        network = train(
             task,
             data,
             out,
             init=init,
-            stages=stages,
+            plan=plan,
+            per_epoch=per_epoch,
             resume=resume,
             options=TrainOptions(**options),  # type: ignore[arg-type]
             watcher=console,
         )
-    console.close(best)
+    console.close(network)
+
+
+@app.command()
+def recipe(
+    data: Annotated[Path, typer.Option("--data", help="The folder of pictures.", metavar="DIR")],
+    out: Out,
+    recipe_file: Annotated[
+        Path | None, typer.Option("--recipe", help="A TOML file; else the package's own.")
+    ] = None,
+    weights: Annotated[
+        Path, typer.Option("--weights", help="Folder of the weights to go on from.")
+    ] = Path("checkpoints"),
+    test: Annotated[
+        Path | None, typer.Option("--test", help="A drawn set to judge the curve by, too.")
+    ] = None,
+    only: Annotated[str, typer.Option("--only", help="seg or pose; else both.")] = "",
+    batch: Batch = 0,
+    device: Device = "auto",
+    precision: Precision = "auto",
+    threads: Threads = 0,
+    workers: Workers = 0,
+    minutes: Minutes = None,
+) -> None:
+    """Train both networks by one recipe: the pictures, the mixture, the plans and the curve.
+
+    The same command goes on after any interruption.
+    """
+    from cucumbervision_lab.cli.train_console import TrainConsole
+    from cucumbervision_lab.training.recipe import read_recipe
+    from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe
+    from cucumbervision_lab.training.train import TrainOptions
+
+    read = read_recipe(recipe_file or PACKAGED)
+    options = TrainOptions(
+        batch=batch,
+        device=device,
+        precision=precision,
+        threads=threads,
+        workers=workers,
+        minutes=minutes,
+    )
+    with TrainConsole() as console:
+        found = run_recipe(
+            read,
+            Kitchen(data, weights, out, test),
+            tasks=(only,) if only else tuple(read.schedules),
+            options=options,
+            watcher=console,
+            workers=os.cpu_count() or 1,
+            say=console.say,
+        )
+    for network in found.values():
+        console.close(network)
 
 
 @app.command()

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from cucumbervision_lab.training.stages import Stage
     from cucumbervision_lab.training.train import EpochReport
 
 __all__ = ["TrainConsole", "epoch_line"]
@@ -54,19 +53,23 @@ class TrainConsole:
     ) -> None:
         self._bar.stop()
 
-    def batch(self, fraction: float, stage: Stage) -> None:
+    def batch(self, fraction: float, size_px: int) -> None:
         """Move the bar."""
-        self._bar.update(self._task, completed=fraction, description=f"epoch at {stage.size_px} px")
+        self._bar.update(self._task, completed=fraction, description=f"epoch at {size_px} px")
 
     def epoch(self, report: EpochReport) -> None:
         """Write the epoch's line."""
         self._bar.reset(self._task)
         self._console.print(epoch_line(report), soft_wrap=True)
 
-    def close(self, best: Path) -> None:
+    def say(self, line: str) -> None:
+        """Write a line of its own."""
+        self._console.print(line, soft_wrap=True, markup=False)
+
+    def close(self, network: Path) -> None:
         """Say where the weights are."""
-        where = str(best) if best.is_file() else "none yet: no stage is finished; go on by --resume"
-        Console(highlight=False).print(f"best weights: {where}", soft_wrap=True)
+        where = str(network) if network.is_file() else "none yet: no epoch is through"
+        Console(highlight=False).print(f"weights: {where}", soft_wrap=True)
 
 
 def epoch_line(report: EpochReport) -> str:
@@ -75,13 +78,12 @@ def epoch_line(report: EpochReport) -> str:
     Examples
     --------
     >>> from cucumbervision_lab.training.train import EpochReport
-    >>> epoch_line(EpochReport(1, 2, 320, 3, 8, 41.2, {"metrics/mAP50-95(B)": 0.5123}))
-    'stage 1/2  320 px  epoch 3/8  41 s  box mAP 0.512'
+    >>> epoch_line(EpochReport(1500, 20000, 448, 41.2, {"metrics/mAP50-95(B)": 0.5123}))
+    '1500 of 20000 pictures  448 px  41 s  box mAP 0.512'
     """
     parts = [
-        f"stage {report.stage}/{report.stages}",
+        f"{report.pictures} of {report.of} pictures",
         f"{report.size_px} px",
-        f"epoch {report.epoch}/{report.epochs}",
         f"{report.seconds:.0f} s",
     ]
     losses = sum(v for k, v in report.metrics.items() if k.startswith("train/"))

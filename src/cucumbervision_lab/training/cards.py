@@ -154,7 +154,7 @@ def card_markdown(card: ModelCard) -> str:
     if card.began_with:
         lines.append(f"- began with: `{card.began_with}`")
     if card.plan:
-        lines.append(f"- stages (pixels x epochs): {card.plan}")
+        lines.append(f"- plan (pixels x pictures): {card.plan}")
     lines += [f"- {name} {version}" for name, version in card.versions.items()]
     if card.metrics:
         lines += ["", "## Figures", "", "On the validation pictures, by:", ""]

@@ -15,9 +15,10 @@ from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.training.cards import MAKERS, ModelCard, write_card
 from cucumbervision_lab.training.export_yolo import export_model, import_ultralytics
 from cucumbervision_lab.training.learn_from import DATA_CARD, TASKS
-from cucumbervision_lab.training.stages import DONE, RunState
+from cucumbervision_lab.training.plan import RunState
+from cucumbervision_lab.training.train import NETWORK
 
-__all__ = ["best_metrics", "export_trained"]
+__all__ = ["export_trained", "last_metrics"]
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
 _SIZE_PX = 640
@@ -31,7 +32,7 @@ def export_trained(
     evaluation: Path | None = None,
     credits: Sequence[str] = (),
 ) -> ModelCard:
-    """Export a run's best weights, or a checkpoint, and write the card beside them.
+    """Export a run's newest weights, or a checkpoint, and write the card beside them.
 
     The file takes any size that is a multiple of 32, holds the one-to-one head, which needs no
     suppression, and stores its weights in half precision; what it computes is float32.
@@ -57,7 +58,7 @@ def export_trained(
     Raises
     ------
     TrainingError
-        If the run has no finished stage, the name or the evaluation's file cannot be used, or
+        If no epoch of the run is through, the name or the evaluation's file cannot be used, or
         the network is not one of ours.
     ModelError
         If the checkpoint cannot be loaded.
@@ -69,10 +70,10 @@ def export_trained(
             f"{name!r} cannot name a network", remedy="use small letters, digits, '-' and '.'"
         )
     judged = _read_json(evaluation) if evaluation else {}
-    checkpoint = source / "best.pt" if source.is_dir() else source
+    checkpoint = source / NETWORK if source.is_dir() else source
     if not checkpoint.is_file():
         raise TrainingError(
-            "there are no finished weights", source=source, remedy="train on with --resume"
+            "there are no weights yet", source=source, remedy="train on with --resume"
         )
     model = _load(checkpoint)
     path = export_model(model, out / f"{name}.onnx", size_px=_SIZE_PX, dynamic=True, half=True)
@@ -116,49 +117,43 @@ def _load(checkpoint: Path) -> Any:
 def _known_of_run(run: Path) -> dict[str, Any]:
     """Collect what a run's folder tells for the card, without any path of this machine."""
     state = RunState.load(run)
-    done = [k for k, stage in enumerate(state.stages) if stage.status == DONE]
-    plan = ",".join(f"{s.size_px}x{s.epochs}" for s in state.stages[: len(done)])
-    init = Path(state.init).name
-    data = run / DATA_CARD
+    init, data = Path(state.init).name, run / DATA_CARD
     return {
         "began_with": init,
-        "plan": plan,
+        "plan": f"{state.pictures} of {state.plan.text} pictures in {state.seconds / 3600:.1f} h",
         "command": f"cucumbervision train {state.task} DATA --out RUN --init {init} "
-        f"--stages {plan} --seed {state.seed}",
-        "metrics": best_metrics(run / "metrics.csv", len(done)),
+        f"--plan {state.plan.text} --seed {state.seed}",
+        "metrics": last_metrics(run / "metrics.csv"),
         "data": data.read_text(encoding="utf-8") if data.is_file() else "",
     }
 
 
-def best_metrics(table: Path, stage: int) -> dict[str, float]:
-    """Give Ultralytics' metrics of a stage's best epoch.
+def last_metrics(table: Path) -> dict[str, float]:
+    """Give Ultralytics' metrics of a run's last validation.
 
     Parameters
     ----------
     table : Path
         A run's `metrics.csv`.
-    stage : int
-        Its number, from 1.
 
     Returns
     -------
     dict of str to float
-        'mAP50(B)' and the like (B boxes, M masks, P points) by the highest fitness; an epoch
-        repeated after a kill counts by its last row. Empty without any.
+        'mAP50(B)' and the like (B boxes, M masks, P points), the pictures seen and their size.
+        Empty without any.
     """
     if not table.is_file():
         return {}
     with table.open(newline="", encoding="utf-8") as file:
-        rows = {row["epoch"]: row for row in csv.DictReader(file) if row["stage"] == str(stage)}
+        rows = [row for row in csv.DictReader(file) if row.get("fitness")]
     if not rows:
         return {}
-    best = max(rows.values(), key=lambda row: float(row["fitness"]))
     found = {
         key.removeprefix("metrics/"): float(value)
-        for key, value in best.items()
+        for key, value in rows[-1].items()
         if key.startswith("metrics/")
     }
-    return {"size_px": float(best["size_px"]), "epoch": float(best["epoch"]), **found}
+    return {"size_px": float(rows[-1]["size_px"]), "pictures": float(rows[-1]["pictures"]), **found}
 
 
 def _read_json(path: Path) -> dict[str, Any]:

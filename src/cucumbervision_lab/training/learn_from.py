@@ -113,6 +113,8 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
         **{split: values[split] for split in ("train", "val", "test") if values.get(split)},
         "names": {0: "cucumber"},
     }
+    if values.get("weights"):
+        own["weights"] = list(values["weights"])
     if task == "pose":
         own |= {
             "kpt_shape": [_KEYPOINTS, values["kpt_shape"][1]],

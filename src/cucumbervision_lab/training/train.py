@@ -1,12 +1,11 @@
-"""Train YOLO26 for cucumbers in stages, so that it can be killed, resumed and prolonged."""
+"""Train YOLO26 for cucumbers by one plan, which can be killed, resumed, moved and prolonged."""
 
 from __future__ import annotations
 
-import csv
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -14,40 +13,47 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.export_yolo import import_ultralytics
 from cucumbervision_lab.training.half_precision import choose_precision
 from cucumbervision_lab.training.learn_from import TASKS, prepare_data
+from cucumbervision_lab.training.plan import RunState, extend, parse_plan
 from cucumbervision_lab.training.points import knows_points
 from cucumbervision_lab.training.settings import (
     LEARNING,
     TrainOptions,
     choose_device,
-    stage_settings,
+    trainer_settings,
 )
-from cucumbervision_lab.training.stages import (
-    DONE,
-    RUNNING,
-    RunState,
-    Stage,
-    merge_plans,
-    parse_stages,
-)
-from cucumbervision_lab.training.trainer import make_trainer, strip
+from cucumbervision_lab.training.tables import read_rows, write_rows
+from cucumbervision_lab.training.trainer import Course, make_trainer, place_in, strip
 
-__all__ = ["DEFAULT_STAGES", "EpochReport", "TrainOptions", "TrainWatcher", "train"]
+__all__ = ["DEFAULT_PLAN", "NETWORK", "EpochReport", "TrainOptions", "TrainWatcher", "train"]
 
 _SOUND_BATCH = 4
 
-DEFAULT_STAGES = "320x8,448x6,640x2"
+DEFAULT_PLAN = "448x16000,640x4000"
 """The plan where none is given."""
+
+NETWORK = "network.pt"
+"""In a run's folder: the newest weights and their place in the plan, without the optimiser."""
 
 
 @dataclass(frozen=True)
 class EpochReport:
-    """What one epoch came to: stage and epoch from 1, sizes, time and Ultralytics' metrics."""
+    """What one epoch came to.
 
-    stage: int
-    stages: int
+    Parameters
+    ----------
+    pictures, of : int
+        Seen so far, and in the whole plan.
+    size_px : int
+        Of the pictures.
+    seconds : float
+        That the epoch took.
+    metrics : mapping of str to float
+        Ultralytics' losses, and its metrics where the epoch was validated.
+    """
+
+    pictures: int
+    of: int
     size_px: int
-    epoch: int
-    epochs: int
     seconds: float
     metrics: Mapping[str, float]
 
@@ -55,15 +61,15 @@ class EpochReport:
 class TrainWatcher(Protocol):
     """Who is shown how a training goes on."""
 
-    def batch(self, fraction: float, stage: Stage) -> None:
-        """Show that this share of an epoch of `stage` is through."""
+    def batch(self, fraction: float, size_px: int) -> None:
+        """Show that this share of an epoch is through."""
 
     def epoch(self, report: EpochReport) -> None:
-        """Show what an epoch came to."""
+        """Show what an epoch came to; `NETWORK` holds its weights by then."""
 
 
 class _Silent:
-    def batch(self, fraction: float, stage: Stage) -> None:
+    def batch(self, fraction: float, size_px: int) -> None:
         """Show nothing."""
 
     def epoch(self, report: EpochReport) -> None:
@@ -76,27 +82,30 @@ def train(
     out: Path,
     *,
     init: str | None = None,
-    stages: str | None = None,
+    plan: str | None = None,
+    per_epoch: int = 500,
     resume: bool = False,
     options: TrainOptions | None = None,
     watcher: TrainWatcher | None = None,
 ) -> Path:
-    """Train a network for one task, stage by stage.
+    """Train a network for one task by one plan.
 
     Parameters
     ----------
     task : str
         'seg' or 'pose'.
     data : Path, optional
-        A data set's folder or data.yaml; not needed to resume.
+        A data set's folder or data.yaml; to resume, only where it lies elsewhere now.
     out : Path
-        The run's folder: `state.json`, `metrics.csv`, a folder a stage, and `best.pt`, the best
-        of the last finished stage.
+        The run's folder: `state.json`, `metrics.csv`, `weights/last.pt` and `network.pt`.
     init : str, optional
         Weights to begin with (.pt, also of the other task: what fits is taken), or an
-        Ultralytics .yaml for random ones.
-    stages : str, optional
-        The plan, as `parse_stages` reads it. To prolong a run, give the longer plan.
+        Ultralytics .yaml for random ones. A `network.pt` of an unfinished run for the same task
+        goes on where that run was.
+    plan : str, optional
+        As `parse_plan` reads it. To prolong a run, give the longer plan.
+    per_epoch : int
+        Pictures between two checkpoints.
     resume : bool
         Go on with the run in `out`.
     options : TrainOptions, optional
@@ -107,7 +116,7 @@ def train(
     Returns
     -------
     Path
-        `out / "best.pt"`; it exists once a stage is finished.
+        `out / NETWORK`; it exists once an epoch is through.
 
     Raises
     ------
@@ -124,25 +133,28 @@ def train(
     out = out.resolve()
     import_ultralytics()
     if resume:
-        state = _resumed(task, out, stages)
-        options = replace(options, **state.learning)
+        state = _resumed(task, out, plan)
+        if data is not None:
+            written = prepare_data(data, task, out, check=options.check)
+            state = replace(state, data=str(written))
     else:
-        begun = _begun(task, data, out, init, stages, check=options.check)
-        learning = {name: getattr(options, name) for name in LEARNING}
-        state = replace(begun, seed=options.seed, learning=learning)
+        state = _begun(task, data, out, init, plan, per_epoch, options)
+    options = replace(options, **state.learning)
     state.save(out)
-    clock = _Clock(options.minutes)
-    for index, stage in enumerate(state.stages):
-        if stage.status == DONE:
-            continue
-        state = _run_stage(state, index, out, options, watcher, clock)
-        if state.stages[index].status != DONE or clock.is_over():
-            break
-    return out / "best.pt"
+    end = None if options.minutes is None else time.monotonic() + 60 * options.minutes
+    while not state.is_done and (end is None or time.monotonic() < end):
+        state = _run_part(state, out, options, watcher, end)
+    return out / NETWORK
 
 
 def _begun(
-    task: str, data: Path | None, out: Path, init: str | None, stages: str | None, *, check: bool
+    task: str,
+    data: Path | None,
+    out: Path,
+    init: str | None,
+    plan: str | None,
+    per_epoch: int,
+    options: TrainOptions,
 ) -> RunState:
     if RunState.exists(out):
         raise TrainingError(
@@ -150,8 +162,9 @@ def _begun(
         )
     if data is None:
         raise TrainingError("no data set is given", remedy="name its folder or its data.yaml")
-    plan = parse_stages(stages or DEFAULT_STAGES)
+    wanted = parse_plan(plan or DEFAULT_PLAN, per_epoch)
     weights = str(init or f"yolo26n-{task}.pt")
+    place = None
     if weights.endswith(".pt"):
         path = Path(weights).resolve()
         if not path.is_file():
@@ -160,135 +173,110 @@ def _begun(
                 source=weights,
                 remedy=f"download them from Ultralytics, or begin with --init yolo26n-{task}.yaml",
             )
-        weights = str(path)
-    written = prepare_data(data, task, out, check=check)
-    return RunState(task=task, data=str(written), init=weights, stages=plan)
+        weights, place = str(path), place_in(path)
+    written = str(prepare_data(data, task, out, check=options.check))
+    if place is not None and place["task"] == task and not RunState.of(place).is_done:
+        state = replace(RunState.of(place), data=written, init=weights)
+        if plan is None:
+            return state
+        return replace(state, plan=extend(state.plan, state.epochs, wanted))
+    learning = {name: getattr(options, name) for name in LEARNING}
+    return RunState(task, written, weights, wanted, seed=options.seed, learning=learning)
 
 
-def _resumed(task: str, out: Path, stages: str | None) -> RunState:
+def _resumed(task: str, out: Path, plan: str | None) -> RunState:
     state = RunState.load(out)
     if state.task != task:
         raise TrainingError(
             f"it is a training for {state.task}, not {task}", source=out, remedy="name its task"
         )
-    if stages is None:
+    last = _last(out)
+    if last.is_file():
+        # One killed between its checkpoint and its state has come an epoch further than it says.
+        state = replace(state, epochs=_epochs_done(last))
+    if plan is None:
         return state
-    return replace(state, stages=merge_plans(state.stages, parse_stages(stages)))
+    return replace(state, plan=extend(state.plan, state.epochs, parse_plan(plan)))
 
 
-class _Clock:
-    """Knows when the time given is over."""
-
-    def __init__(self, minutes: float | None) -> None:
-        self._end = None if minutes is None else time.monotonic() + 60 * minutes
-
-    def is_over(self) -> bool:
-        return self._end is not None and time.monotonic() > self._end
+def _last(out: Path) -> Path:
+    return out / "weights" / "last.pt"
 
 
-def _run_stage(
-    state: RunState,
-    index: int,
-    out: Path,
-    options: TrainOptions,
-    watcher: TrainWatcher,
-    clock: _Clock,
+def _run_part(
+    state: RunState, out: Path, options: TrainOptions, watcher: TrainWatcher, end: float | None
 ) -> RunState:
-    """Train one stage, from its last checkpoint if there is one."""
-    stage, folder = state.stages[index], state.folder(out, index)
-    last = folder / "weights" / "last.pt"
-    link = _StageLink(state, index, out, watcher, clock)
-    if not (last.is_file() and _epochs_done(last) >= stage.epochs):
-        state = state.at(index, status=RUNNING)
-        link.state = state
-        state.save(out)
-        device = choose_device(options.device)
-        trainer = make_trainer(
-            TASKS[state.task],
-            stage_settings(state, index, out, options, device, last if last.is_file() else None),
-            link,
-            threads=options.threads or os.cpu_count() or 1,
-            workers=options.workers,
-            bfloat16=device == "cpu" and choose_precision(options.precision, device) == "bf16",
-            span=_span(state.stages, index),
+    """Train to the end of the plan's part, or until the time is over."""
+    last = _last(out)
+    device = choose_device(options.device)
+    model = str(last) if last.is_file() else state.init
+    link = _Link(state, out, watcher, end)
+    trainer = make_trainer(
+        TASKS[state.task],
+        trainer_settings(state, model, out, options, device),
+        link,
+        Course(
+            plan=state.plan,
+            epochs=state.epochs,
+            seed=state.seed,
+            one_to_many=options.one_to_many,
+            validate_every=options.validate_every,
             # Two or three pictures tell too little of a layer's mean and spread.
-            still_norms=options.batch < _SOUND_BATCH and state.init.endswith(".pt"),
+            still_norms=options.batch_on(device) < _SOUND_BATCH and state.init.endswith(".pt"),
             strict=state.task == "pose" and knows_points(state.init),
             by_place=state.task == "pose" and options.by_place,
-        )
-        trainer.train()
-        state = link.state
-        ended = trainer.epoch + 1 >= stage.epochs or trainer.stopper.possible_stop
-        if clock.is_over() and not ended:
-            return state
-    best = folder / "weights" / "best.pt"
-    strip(best, out / "best.pt")
-    state = state.at(index, status=DONE, fitness=_fitness(best))
-    state.save(out)
-    return state
+        ),
+        threads=options.threads or os.cpu_count() or 1,
+        workers=options.workers,
+        bfloat16=device == "cpu" and choose_precision(options.precision, device) == "bf16",
+    )
+    trainer.train()
+    return link.state
 
 
-class _StageLink:
-    """Turns what the trainer tells into reports, the CSV file and the state."""
+class _Link:
+    """Turns what the trainer tells into reports, the CSV file, the state and `NETWORK`."""
 
     def __init__(
-        self, state: RunState, index: int, out: Path, watcher: TrainWatcher, clock: _Clock
+        self, state: RunState, out: Path, watcher: TrainWatcher, end: float | None
     ) -> None:
         self.state = state
-        self._index, self._out, self._watcher, self._clock = index, out, watcher, clock
+        self._out, self._watcher, self._end = out, watcher, end
 
     def batch(self, done: int, total: int) -> None:
-        self._watcher.batch(done / total, self.state.stages[self._index])
+        plan = self.state.plan
+        self._watcher.batch(done / total, plan.size_at(self.state.epochs))
 
     def epoch(self, number: int, metrics: Mapping[str, float], seconds: float) -> bool:
-        stages = self.state.stages
-        stage = stages[self._index]
+        plan = self.state.plan
         report = EpochReport(
-            stage=self._index + 1,
-            stages=len(stages),
-            size_px=stage.size_px,
-            epoch=number,
-            epochs=stage.epochs,
+            pictures=number * plan.per_epoch,
+            of=plan.epochs * plan.per_epoch,
+            size_px=plan.size_at(number - 1),
             seconds=seconds,
             metrics=metrics,
         )
-        _append(self._out / "metrics.csv", report)
-        self.state = replace(self.state, seconds=self.state.seconds + seconds)
+        self.state = replace(self.state, epochs=number, seconds=self.state.seconds + seconds)
         self.state.save(self._out)
+        strip(_last(self._out), self._out / NETWORK, asdict(self.state))
+        _append(self._out / "metrics.csv", report, self.state.seconds)
         self._watcher.epoch(report)
-        return self._clock.is_over()
+        return self._end is not None and time.monotonic() > self._end
 
 
-def _append(path: Path, report: EpochReport) -> None:
+def _append(path: Path, report: EpochReport, seconds: float) -> None:
+    """Add an epoch's row."""
     row = {
-        "stage": report.stage,
+        "pictures": report.pictures,
         "size_px": report.size_px,
-        "epoch": report.epoch,
         "seconds": round(report.seconds, 1),
+        "hours": round(seconds / 3600, 3),
         **{key: f"{value:.5g}" for key, value in report.metrics.items()},
     }
-    new = not path.exists()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, row)
-        if new:
-            writer.writeheader()
-        writer.writerow(row)
+    write_rows(path, [*read_rows(path), row])
 
 
 def _epochs_done(checkpoint: Path) -> int:
     import torch
 
     return int(torch.load(checkpoint, map_location="cpu", weights_only=False)["epoch"]) + 1
-
-
-def _fitness(checkpoint: Path) -> float:
-    import torch
-
-    return float(torch.load(checkpoint, map_location="cpu", weights_only=False)["best_fitness"])
-
-
-def _span(stages: tuple[Stage, ...], index: int) -> tuple[float, float]:
-    """Where in all epochs of the plan a stage begins and ends."""
-    total = sum(stage.epochs for stage in stages)
-    before = sum(stage.epochs for stage in stages[:index])
-    return before / total, (before + stages[index].epochs) / total

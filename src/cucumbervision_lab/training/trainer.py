@@ -1,19 +1,23 @@
-"""Ultralytics' trainer with what is ours: progress, safe files, bfloat16, stages that go on.
+"""Ultralytics' trainer with what is ours: one plan, a mixture of sources, safe files, bfloat16.
 
 Nothing of Ultralytics is forked: one subclass of its trainer, and its callbacks.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cucumbervision.errors import TrainingError
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.training.assigner import assign_coarsely
 from cucumbervision_lab.training.half_precision import channels_last, narrow, widen
+from cucumbervision_lab.training.mixture import MixtureSampler, sources_of
 from cucumbervision_lab.training.points import (
     learn_to_assign,
     learn_to_see,
@@ -21,14 +25,18 @@ from cucumbervision_lab.training.points import (
     set_tolerance,
     tolerance_at,
 )
+from cucumbervision_lab.training.settings import one_to_many_at, rate_at
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Watcher", "make_trainer", "strip"]
+    from cucumbervision_lab.training.plan import Plan
+
+__all__ = ["Course", "Watcher", "make_trainer", "place_in", "strip"]
 
 _OUTSIDE = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
-_O2M_FIRST, _O2M_LAST = 0.8, 0.1  # Ultralytics' E2ELoss: share of the one-to-many head
+_WARM_STEPS = 100  # without the optimiser's memory
+_AVERAGED_STEPS = 500  # by the weights' moving average; Ultralytics' is 10,000
 
 
 class Watcher(Protocol):
@@ -41,20 +49,51 @@ class Watcher(Protocol):
         """Tell what an epoch, counted from 1, came to. True ends the training after it."""
 
 
+@dataclass(frozen=True)
+class Course:
+    """Where in a plan a trainer begins, and how it learns.
+
+    Parameters
+    ----------
+    plan : Plan
+        The whole plan.
+    epochs : int
+        How many of its epochs are through.
+    seed : int
+        Of the order of pictures.
+    one_to_many : float
+        The one-to-many head's share of the loss at the plan's beginning.
+    validate_every : int
+        Epochs between two validations.
+    still_norms : bool
+        Keep the statistics of batch norm as they are; for very small batches.
+    strict : bool
+        Judge points by the final tolerance from the beginning.
+    by_place : bool
+        Learn points in the order in which they lie in the picture.
+    """
+
+    plan: Plan
+    epochs: int = 0
+    seed: int = 0
+    one_to_many: float = 0.8
+    validate_every: int = 1
+    still_norms: bool = False
+    strict: bool = False
+    by_place: bool = False
+
+
 def make_trainer(
     task: str,
     overrides: dict[str, Any],
     watcher: Watcher,
+    course: Course,
     *,
     threads: int,
     workers: int,
     bfloat16: bool,
-    span: tuple[float, float],
-    still_norms: bool = False,
-    strict: bool = False,
-    by_place: bool = False,
 ) -> Any:
-    """Build the trainer of one stage.
+    """Build the trainer of what is left of a plan's part.
 
     Parameters
     ----------
@@ -64,24 +103,17 @@ def make_trainer(
         Ultralytics' own settings.
     watcher : Watcher
         Is told of every batch and epoch.
+    course : Course
+        Where in the plan it begins.
     threads, workers : int
         Threads of torch, and processes that load pictures.
     bfloat16 : bool
         Run the network's layers in bfloat16 on the CPU.
-    span : tuple of float
-        Where in the whole plan the stage begins and ends, 0 to 1: the one-to-many head's share
-        of the loss falls over the plan, not anew in every stage.
-    still_norms : bool
-        Keep the statistics of batch norm as they are; for very small batches.
-    strict : bool
-        Judge points by the final tolerance from the beginning.
-    by_place : bool
-        Learn points in the order in which they lie in the picture.
 
     Returns
     -------
     ultralytics.engine.trainer.BaseTrainer
-        Ready for `train()`.
+        Ready for `train()`; it stops at the end of the plan's part.
     """
     from ultralytics.models.yolo.pose import PoseTrainer
     from ultralytics.models.yolo.segment import SegmentationTrainer
@@ -95,20 +127,19 @@ def make_trainer(
         """Named without 'Trainer', so that Ultralytics ties no outside services to it."""
 
     trainer = Training(overrides=overrides)
-    trainer.still_norms = still_norms
-    trainer.by_place = by_place
-    if by_place:
+    trainer.course = course
+    if course.by_place:
         trainer.add_callback("on_train_start", _say_by_place)
     # Ultralytics allows the CPU one thread less than it has, and no loading beside it.
     trainer.args.workers = workers
     _listen(trainer, watcher, threads)
-    trainer.add_callback("on_train_start", lambda t: _share_of_heads(t, span))
+    trainer.add_callback("on_train_start", _average_sooner)
+    trainer.add_callback("on_train_epoch_start", _share_of_heads)
+    trainer.add_callback("on_train_batch_start", _warm_up)
     if task == "pose":
         trainer.add_callback("on_train_start", lambda t: learn_to_assign(t.model))
         trainer.add_callback("on_train_start", lambda t: learn_to_see(t.model))
-        trainer.add_callback(
-            "on_train_epoch_start", lambda t: _be_stricter(t, (1, 1) if strict else span)
-        )
+        trainer.add_callback("on_train_epoch_start", _be_stricter)
     if overrides["device"] == "cpu":
         trainer.add_callback("on_train_start", lambda t: channels_last(t.model))
         if task == "segment":
@@ -120,18 +151,37 @@ def make_trainer(
 
 
 class _Ours:
-    """What the trainer does otherwise: its files are replaced whole, never half written."""
+    """What the trainer does otherwise: the plan is one, and files are never half written."""
 
+    args: Any
+    data: dict[str, Any]
+    device: Any
+    ema: Any
     model: Any
-    still_norms: bool
-    by_place: bool
+    optimizer: Any
+    course: Course
     wdir: Path
     last: Path
     best: Path
+    cold_steps: int = _WARM_STEPS
+
+    def _setup_scheduler(self) -> None:
+        """Let the learning rate fall over the plan."""
+        import torch
+
+        self.lf = lambda epoch: rate_at(self.course.plan.through(epoch))
+        self.scheduler = torch.optim.lr_scheduler.LambdaLR(self.optimizer, self.lf)
+
+    def resume_training(self, ckpt: dict[str, Any] | None) -> None:
+        """Go on where the plan stands, with the optimiser's memory if the checkpoint has it."""
+        self.start_epoch = self.course.epochs
+        if self.course.epochs and ckpt and ckpt.get("optimizer"):
+            self._load_checkpoint_state(ckpt)  # type: ignore[attr-defined]
+            self.cold_steps = 0
 
     def _model_train(self) -> None:
         super()._model_train()  # type: ignore[misc]
-        if self.still_norms:
+        if self.course.still_norms:
             import torch
 
             for module in self.model.modules():
@@ -141,31 +191,58 @@ class _Ours:
     def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
         """Bring a batch to the device, points in the order to be learnt."""
         ready: dict[str, Any] = super().preprocess_batch(batch)  # type: ignore[misc]
-        return _ordered(ready) if self.by_place else ready
+        return _ordered(ready) if self.course.by_place else ready
 
     def get_validator(self) -> Any:
         """Judge points in the order that was learnt."""
         validator = super().get_validator()  # type: ignore[misc]
-        if self.by_place:
+        if self.course.by_place:
             prepare = validator.preprocess
             validator.preprocess = lambda batch: _ordered(prepare(batch))
         return validator
 
-    def get_dataloader(self, *args: Any, **kwargs: Any) -> Any:
-        """Load the pictures without Ultralytics' own bar on the standard output."""
+    def get_dataloader(
+        self, dataset_path: Any, batch_size: int = 16, rank: int = 0, mode: str = "train"
+    ) -> Any:
+        """Load the pictures, mixed by the sources' weights, without Ultralytics' own bar."""
         with redirect_stdout(StringIO()):
-            return super().get_dataloader(*args, **kwargs)  # type: ignore[misc]
+            if mode != "train":
+                return super().get_dataloader(dataset_path, batch_size, rank, mode)  # type: ignore[misc]
+            return self._mixed_loader(dataset_path, batch_size)
+
+    def _mixed_loader(self, folders: Any, batch: int) -> Any:
+        from ultralytics.data.build import InfiniteDataLoader, seed_worker
+
+        dataset = self.build_dataset(folders, "train", batch)  # type: ignore[attr-defined]
+        parts = folders if isinstance(folders, list) else [folders]
+        sources = sources_of(dataset.im_files, [str(part) for part in parts])
+        workers = self.args.workers
+        return InfiniteDataLoader(
+            dataset=dataset,
+            batch_size=batch,
+            sampler=MixtureSampler(
+                sources,
+                self.data.get("weights") or [float(len(source)) for source in sources],
+                self.course.plan.per_epoch,
+                epoch=self.course.epochs,
+                seed=self.course.seed,
+            ),
+            num_workers=workers,
+            prefetch_factor=4 if workers else None,
+            pin_memory=self.device.type == "cuda",
+            collate_fn=dataset.collate_fn,
+            worker_init_fn=seed_worker,
+        )
 
     def save_model(self) -> bool:
-        """Write `last.pt` and `best.pt`."""
+        """Write `last.pt`."""
         last, best = self.last, self.best
         self.last, self.best = self.wdir / "last.part", self.wdir / "best.part"
         try:
             saved = bool(super().save_model())  # type: ignore[misc]
-            # The best first: a kill between the two repeats an epoch and loses nothing.
-            for part, path in ((self.best, best), (self.last, last)):
-                if part.exists():
-                    part.replace(path)
+            self.last.replace(last)
+            # Validation sees few pictures: of a plan that is one, the end is the best.
+            self.best.unlink(missing_ok=True)
         finally:
             self.last, self.best = last, best
         return saved
@@ -204,9 +281,12 @@ def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
         watcher.batch(done, len(t.train_loader))
 
     def epoch_end(t: Any) -> None:
-        rows = {**t.label_loss_items(t.tloss), **t.metrics, "fitness": t.fitness}
+        rows = dict(t.label_loss_items(t.tloss))
+        if t.args.val:
+            rows |= {**t.metrics, "fitness": t.fitness}
         numbers = {key: float(value) for key, value in rows.items()}
-        if watcher.epoch(t.epoch + 1, numbers, time.monotonic() - began):
+        over = watcher.epoch(t.epoch + 1, numbers, time.monotonic() - began)
+        if over or t.epoch + 1 >= t.course.plan.end_of_part(t.epoch):
             t.stop = True
 
     trainer.add_callback("on_train_start", start)
@@ -215,32 +295,46 @@ def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
     trainer.add_callback("on_fit_epoch_end", epoch_end)
 
 
-def _share_of_heads(trainer: Any, span: tuple[float, float]) -> None:
-    """Let the one-to-many head's share of the loss fall over the plan's part that is this stage."""
-    model = trainer.model
+def _average_sooner(trainer: Any) -> None:
+    """Average the weights over hundreds of steps."""
+    trainer.ema.decay = lambda step: (1 - 1 / _AVERAGED_STEPS) * (1 - math.exp(-step / 200))
+
+
+def _share_of_heads(trainer: Any) -> None:
+    """Let the one-to-many head's share of the loss fall over the plan; say when to validate."""
+    course, model = trainer.course, trainer.model
+    last = course.plan.end_of_part(trainer.epoch)
+    trainer.args.val = (trainer.epoch + 1) % course.validate_every == 0 or trainer.epoch + 1 == last
     if getattr(model, "criterion", None) is None:
         model.criterion = model.init_criterion()
     loss = model.criterion
-    if not hasattr(loss, "o2m_copy"):
+    if hasattr(loss, "o2m"):
+        loss.o2m = one_to_many_at(course.plan.through(trainer.epoch), course.one_to_many)
+        loss.o2o = loss.total - loss.o2m
+
+
+def _warm_up(trainer: Any) -> None:
+    """Let the learning rate rise over the first steps of an optimiser without a memory."""
+    if not trainer.cold_steps:
         return
-    fall = _O2M_FIRST - _O2M_LAST
-    loss.o2m_copy = _O2M_FIRST - span[0] * fall
-    loss.final_o2m = _O2M_FIRST - span[1] * fall
-    loss.o2m = loss.decay(loss.updates)
-    loss.o2o = loss.total - loss.o2m
+    trainer.cold_steps -= 1
+    share = trainer.lf(trainer.epoch) * (1 - trainer.cold_steps / _WARM_STEPS)
+    for group in trainer.optimizer.param_groups:
+        group["lr"] = group["initial_lr"] * share
 
 
-def _be_stricter(trainer: Any, span: tuple[float, float]) -> None:
+def _be_stricter(trainer: Any) -> None:
     """Let the points' tolerance fall over the plan."""
-    begin, end = span
-    progress = begin + (end - begin) * trainer.epoch / max(trainer.epochs, 1)
+    course = trainer.course
+    progress = 1.0 if course.strict else course.plan.through(trainer.epoch)
     set_tolerance(trainer.model, tolerance_at(progress))
 
 
-def strip(checkpoint: Path, out: Path) -> None:
+def strip(checkpoint: Path, out: Path, place: dict[str, Any]) -> None:
     """Write a checkpoint without its optimiser, in half precision; replaces `out` whole.
 
-    Of paths on this machine only the names stay, and nothing of the folder's repository.
+    `place` says where in which plan it stands, so that another machine can go on from it. Of paths
+    on this machine only the names stay, and nothing of the folder's repository.
     """
     import torch
     from ultralytics.utils.torch_utils import strip_optimizer
@@ -257,6 +351,7 @@ def strip(checkpoint: Path, out: Path) -> None:
         if isinstance(value, dict):
             setattr(network, holder, _named(value))
     network.pt_path = None
+    kept["place"] = _named(place)
     torch.save(kept, part)
     part.replace(out)
 
@@ -267,3 +362,27 @@ def _named(values: dict[str, Any]) -> dict[str, Any]:
         key: Path(value).name if isinstance(value, str) and "/" in value else value
         for key, value in values.items()
     }
+
+
+def place_in(checkpoint: Path) -> dict[str, Any] | None:
+    """Give the place in a plan that `strip` wrote into a checkpoint, or None.
+
+    Raises
+    ------
+    TrainingError
+        If the file is no checkpoint.
+    """
+    import torch
+
+    try:
+        # A checkpoint that the user named, as every other one that is trained on.
+        kept = torch.load(checkpoint, map_location="cpu", weights_only=False)
+    # Unpickling a broken checkpoint can raise anything.
+    except Exception as error:
+        raise TrainingError(
+            f"these weights cannot be loaded ({error})",
+            source=checkpoint,
+            remedy="give a YOLO26 checkpoint (.pt)",
+        ) from error
+    found = kept.get("place") if isinstance(kept, dict) else None
+    return found if isinstance(found, dict) else None

@@ -23,16 +23,16 @@ needs_extra = pytest.mark.skipif(
 
 def test_help_names_both_tasks_and_export_alone() -> None:
     text = CliRunner().invoke(app, ["--help"]).output
-    for word in ("seg", "pose", "ends", "export"):
+    for word in ("seg", "pose", "recipe", "ends", "export"):
         assert word in text
     assert "ship" not in text
 
 
 def test_an_epoch_is_a_line() -> None:
     metrics = {"train/box_loss": 1.25, "train/cls_loss": 0.5, "metrics/mAP50-95(P)": 0.81}
-    report = EpochReport(2, 3, 448, 5, 6, 61.4, metrics)
+    report = EpochReport(2500, 9000, 448, 61.4, metrics)
     assert epoch_line(report) == (
-        "stage 2/3  448 px  epoch 5/6  61 s  loss 1.750  points mAP 0.810"
+        "2500 of 9000 pictures  448 px  61 s  loss 1.750  points mAP 0.810"
     )
 
 
@@ -75,7 +75,7 @@ def test_export_names_what_is_missing(tmp_path: Path) -> None:
     words = ["export", str(tmp_path), "--out", str(tmp_path / "out"), "--name", "a"]
     result = CliRunner().invoke(app, words)
     assert isinstance(result.exception, TrainingError)
-    assert "no finished weights" in str(result.exception)
+    assert "there are no weights yet" in str(result.exception)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="the extra is there")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-import json
 import os
 import signal
 import subprocess
@@ -20,17 +19,20 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
-from cucumbervision_lab.training.export_trained import best_metrics, export_trained
+from cucumbervision_lab.training.export_trained import export_trained, last_metrics
 from cucumbervision_lab.training.export_yolo import import_ultralytics
 from cucumbervision_lab.training.learn_from import prepare_data
-from cucumbervision_lab.training.settings import stage_settings
-from cucumbervision_lab.training.stages import RunState, Stage, parse_stages
-from cucumbervision_lab.training.train import EpochReport, TrainOptions, train
-from cucumbervision_lab.training.trainer import make_trainer
+from cucumbervision_lab.training.plan import RunState, parse_plan
+from cucumbervision_lab.training.settings import rate_at, trainer_settings
+from cucumbervision_lab.training.tables import read_rows
+from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainOptions, train
+from cucumbervision_lab.training.trainer import Course, make_trainer, place_in
 
 pytestmark = pytest.mark.train
 
-QUICK = TrainOptions(batch=4, device="cpu", precision="f32", cache="none", threads=1)
+QUICK = TrainOptions(
+    batch=4, device="cpu", precision="f32", cache="none", threads=1, validate_every=1
+)
 
 
 class Notes:
@@ -40,7 +42,7 @@ class Notes:
         self.epochs: list[EpochReport] = []
         self.fractions: list[float] = []
 
-    def batch(self, fraction: float, stage: Stage) -> None:
+    def batch(self, fraction: float, size_px: int) -> None:
         self.fractions.append(fraction)
 
     def epoch(self, report: EpochReport) -> None:
@@ -57,71 +59,68 @@ class Deaf:
 
 @pytest.fixture(scope="module")
 def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Train two stages in two calls: the first ends a plan of one stage, the second prolongs it."""
+    """Train a plan of two sizes in two calls: the second prolongs what the first ended."""
     run = tmp_path_factory.mktemp("run") / "seg"
     notes = Notes()
-    train("seg", seg_set, run, init="yolo26n-seg.yaml", stages="64x2", options=QUICK, watcher=notes)
-    assert [(r.stage, r.size_px, r.epoch, r.epochs) for r in notes.epochs] == [
-        (1, 64, 1, 2),
-        (1, 64, 2, 2),
-    ]
-    # Six pictures, four at a time.
+    train(
+        "seg",
+        seg_set,
+        run,
+        init="yolo26n-seg.yaml",
+        plan="64x16",
+        per_epoch=8,
+        options=QUICK,
+        watcher=notes,
+    )
+    assert [(r.pictures, r.of, r.size_px) for r in notes.epochs] == [(8, 16, 64), (16, 16, 64)]
+    # Eight pictures, four at a time.
     assert notes.fractions == [0.5, 1.0, 0.5, 1.0]
     other = TrainOptions(**{**vars(QUICK), "batch": 2, "learning_rate": 0.1})
-    train("seg", None, run, resume=True, stages="64x2,96x1", options=other)
+    train("seg", None, run, resume=True, plan="64x16,96x8", options=other)
     return run
 
 
-def rows(run: Path) -> list[tuple[int, ...]]:
-    with (run / "metrics.csv").open() as file:
-        return [
-            tuple(int(row[key]) for key in ("stage", "size_px", "epoch"))
-            for row in csv.DictReader(file)
-        ]
+def rows(run: Path) -> list[tuple[int, int]]:
+    return [(int(row["pictures"]), int(row["size_px"])) for row in read_rows(run / "metrics.csv")]
 
 
-def test_stages_follow_each_other(seg_run: Path) -> None:
-    assert rows(seg_run) == [(1, 64, 1), (1, 64, 2), (2, 96, 1)]
+def test_parts_of_a_plan_follow_each_other(seg_run: Path) -> None:
+    assert rows(seg_run) == [(8, 64), (16, 64), (24, 96)]
     state = RunState.load(seg_run)
-    assert [stage.status for stage in state.stages] == ["done", "done"]
-    assert (seg_run / "stage1-64px/weights/last.pt").is_file()
-    assert (seg_run / "best.pt").stat().st_size < 7e6  # stripped of its optimiser
+    assert (state.pictures, state.is_done, state.plan.text) == (24, True, "64x16,96x8")
+    assert (seg_run / "weights/last.pt").is_file()
+    assert (seg_run / NETWORK).stat().st_size < 7e6  # stripped of its optimiser
     assert list(seg_run.rglob("*.part")) == []
-    second = json.loads((seg_run / "state.json").read_text())["stages"][1]
-    assert second["fitness"] == pytest.approx(best_fitness(seg_run, 2))
-
-
-def best_fitness(run: Path, stage: int) -> float:
-    with (run / "metrics.csv").open() as file:
-        found = [float(r["fitness"]) for r in csv.DictReader(file) if r["stage"] == str(stage)]
-    return max(found)
+    place = place_in(seg_run / NETWORK)
+    assert place is not None
+    assert (place["epochs"], place["init"]) == (3, "yolo26n-seg.yaml")
+    assert Path(place["data"]).name == place["data"]  # no path of this machine
 
 
 def test_a_run_keeps_how_it_learns(seg_run: Path) -> None:
     assert RunState.load(seg_run).learning == {
-        "batch": 4,
-        "freeze": 0,
-        "patience": 20,
         "learning_rate": 0.001,
+        "one_to_many": 0.8,
         "by_place": True,
         "overrides": None,
     }
-    used = (seg_run / "stage2-96px" / "args.yaml").read_text().splitlines()
-    # The second stage came by --resume with other options.
-    for line in ("batch: 4", "imgsz: 96", "lr0: 0.0005", "optimizer: AdamW", "nms: false"):
+    used = (seg_run / "args.yaml").read_text().splitlines()
+    # The second call came with another learning rate, and with another batch.
+    for line in ("batch: 2", "imgsz: 96", "lr0: 0.001", "optimizer: AdamW", "nms: false"):
         assert line in used
 
 
 def test_a_finished_plan_has_nothing_to_do(seg_run: Path) -> None:
     before = (seg_run / "metrics.csv").read_bytes()
-    assert train("seg", None, seg_run, resume=True, options=QUICK) == seg_run / "best.pt"
+    assert train("seg", None, seg_run, resume=True, options=QUICK) == seg_run / NETWORK
     assert (seg_run / "metrics.csv").read_bytes() == before
 
 
 def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     words = ["train", "seg", str(seg_set), "--out", str(run), "--init", "yolo26n-seg.yaml"]
-    words += ["--stages", "64x40,96x1", "--batch", "4", "--threads", "1", "--precision", "f32"]
+    words += ["--plan", "64x320,96x8", "--per-epoch", "8", "--batch", "4", "--threads", "1"]
+    words += ["--precision", "f32"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", "from cucumbervision.cli.app import main; main()", *words]
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
@@ -134,16 +133,40 @@ def test_killed_training_goes_on_where_it_was(seg_set: Path, tmp_path: Path) -> 
                 time.sleep(0.05)
         finally:
             process.send_signal(signal.SIGKILL)
-    done = len(rows(run))
-    assert RunState.load(run).stages[0].status == "running"
-    short = TrainOptions(**{**vars(QUICK), "minutes": 0.0})
+    done = rows(run)[-1][0]
+    short = TrainOptions(**{**vars(QUICK), "minutes": 0.0001})
     notes = Notes()
     train("seg", None, run, resume=True, options=short, watcher=notes)
     # The row follows the checkpoint: a kill between the two leaves an epoch without its row.
-    assert [r.epoch for r in notes.epochs] in ([done + 1], [done + 2])
-    assert notes.epochs[0].epochs == 40
-    assert RunState.load(run).stages[0].status == "running"
-    assert not (run / "best.pt").exists()
+    assert [r.pictures for r in notes.epochs] in ([done + 8], [done + 16])
+    assert notes.epochs[0].of == 328
+    assert not RunState.load(run).is_done
+
+
+def test_another_machine_goes_on_in_the_same_plan(seg_set: Path, tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    short = TrainOptions(**{**vars(QUICK), "minutes": 0.0001})
+    network = train(
+        "seg", seg_set, here, init="yolo26n-seg.yaml", plan="64x24", per_epoch=8, options=short
+    )
+    assert RunState.load(here).pictures == 8
+    seen: list[tuple[float, float, float]] = []
+
+    class Looks(Notes):
+        def epoch(self, report: EpochReport) -> None:
+            super().epoch(report)
+            seen.append((report.pictures, rate(there), report.of))
+
+    def rate(run: Path) -> float:
+        with (run / "results.csv").open() as file:
+            return float(list(csv.DictReader(file, skipinitialspace=True))[-1]["lr/pg0"])
+
+    train("seg", seg_set, there, init=str(network), options=QUICK, watcher=Looks())
+    # It went on at the second epoch of three; the rate has fallen as if nothing had been between,
+    # but for the first steps of an optimiser that remembers nothing: 2 of 100 there, then 4.
+    assert [(pictures, of) for pictures, _, of in seen] == [(16, 24), (24, 24)]
+    expected = [0.001 * rate_at(1 / 3) * 0.02, 0.001 * rate_at(2 / 3) * 0.04]
+    assert [one for _, one, _ in seen] == pytest.approx(expected, rel=1e-3)
 
 
 def backbone(network: object) -> dict[str, object]:
@@ -157,13 +180,12 @@ def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_p
     from ultralytics.nn.tasks import load_checkpoint
 
     data = prepare_data(pose_set, "pose", tmp_path)
-    init = str(seg_run / "best.pt")
-    state = RunState("pose", str(data), init, parse_stages("64x1"))
-    settings = stage_settings(state, 0, tmp_path, QUICK, "cpu", None)
+    init = str(seg_run / NETWORK)
+    state = RunState("pose", str(data), init, parse_plan("64x8", 8))
+    settings = trainer_settings(state, init, tmp_path, QUICK, "cpu")
     assert (settings["model"], settings["pretrained"]) == ("yolo26n-pose.yaml", init)
-    trainer = make_trainer(
-        "pose", settings, Deaf(), threads=1, workers=0, bfloat16=False, span=(0, 1)
-    )
+    course = Course(state.plan)
+    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=False)
     trainer.setup_model()
     ours, theirs = backbone(trainer.model), backbone(load_checkpoint(init)[0].float())
     assert ours.keys() == theirs.keys()
@@ -178,18 +200,17 @@ def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_p
 def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: Path) -> None:
     import_ultralytics()
     data = prepare_data(pose_set, "pose", tmp_path)
-    state = RunState("pose", str(data), "yolo26n-pose.yaml", parse_stages("64x1,64x1"))
-    options = TrainOptions(**{**vars(QUICK), "precision": "bf16"})
-    settings = stage_settings(state, 0, tmp_path, options, "cpu", None)
-    trainer = make_trainer(
-        "pose", settings, Deaf(), threads=1, workers=0, bfloat16=True, span=(0.0, 0.5)
-    )
+    plan = parse_plan("64x8,96x8", 8)
+    state = RunState("pose", str(data), "yolo26n-pose.yaml", plan)
+    settings = trainer_settings(state, state.init, tmp_path, QUICK, "cpu")
+    course = Course(plan, by_place=True)
+    trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=True)
     seen = {}
 
     def look(t: object) -> None:
         loss = t.model.criterion  # type: ignore[attr-defined]
         seen["loss"] = loss.one2one.keypoint_loss.sigmas.tolist()
-        seen["share"] = [loss.o2m_copy, loss.final_o2m, loss.o2m]
+        seen["share"] = [loss.o2m, loss.o2o]
         seen["narrowed"] = ["predict" in vars(t.model)]  # type: ignore[attr-defined]
 
     trainer.add_callback("on_train_batch_end", look)
@@ -197,8 +218,7 @@ def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: 
     # Kindly at the plan's beginning, strictly in validation.
     assert seen["loss"] == pytest.approx([0.2] * 5)
     assert trainer.validator.sigma.tolist() == pytest.approx([0.05] * 5)
-    # Half of the plan: the one-to-many head's share falls from 0.8 half way to 0.1.
-    assert seen["share"] == pytest.approx([0.8, 0.45, 0.8])
+    assert seen["share"] == pytest.approx([0.8, 0.2])
     assert seen["narrowed"] == [True]
     assert "predict" not in vars(trainer.model)
     assert trainer.validator.end2end
@@ -210,12 +230,14 @@ def test_small_batches_leave_the_norms(seg_run: Path, seg_set: Path, tmp_path: P
     import torch
     from ultralytics.nn.tasks import load_checkpoint
 
-    init = seg_run / "best.pt"
+    init = seg_run / NETWORK
     options = TrainOptions(**{**vars(QUICK), "batch": 3})
-    train("seg", seg_set, tmp_path / "run", init=str(init), stages="64x1", options=options)
+    train(
+        "seg", seg_set, tmp_path / "run", init=str(init), plan="64x8", per_epoch=8, options=options
+    )
     before, after = (
         load_checkpoint(str(path))[0].float().state_dict()
-        for path in (init, tmp_path / "run/best.pt")
+        for path in (init, tmp_path / "run" / NETWORK)
     )
     means = [key for key in before if key.endswith("running_mean")]
     assert len(means) > 100
@@ -233,7 +255,8 @@ def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:
             seg_set,
             tmp_path / precision,
             init="yolo26n-seg.yaml",
-            stages="64x3",
+            plan="64x24",
+            per_epoch=8,
             options=options,
             watcher=notes,
         )
@@ -257,8 +280,8 @@ def test_what_cannot_be_trained_is_named(seg_set: Path, seg_run: Path, tmp_path:
         train("detect", seg_set, tmp_path / "new")
     bad = tmp_path / "bad.pt"
     bad.write_bytes(b"none")
-    with pytest.raises(TrainingError, match=r"bad\.pt: Ultralytics cannot load these weights"):
-        train("seg", seg_set, tmp_path / "new", init=str(bad), stages="64x1")
+    with pytest.raises(TrainingError, match=r"bad\.pt: these weights cannot be loaded"):
+        train("seg", seg_set, tmp_path / "new", init=str(bad), plan="64x8")
 
 
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
@@ -274,7 +297,7 @@ def test_exported_file_computes_as_the_network(
     out = tmp_path_factory.mktemp("out")
     card = export_trained(seg_run, out, "tiny-seg")
     network = open_network(out / card.file, runtime, full_precision=True)
-    model = ultralytics.YOLO(str(seg_run / "best.pt")).model.float().eval()
+    model = ultralytics.YOLO(str(seg_run / NETWORK)).model.float().eval()
     model.end2end = True
     head = model.model[-1]
     head.postprocess = lambda rows: rows  # all anchors, as corners
@@ -296,12 +319,12 @@ def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
     judged = tmp_path / "judged.json"
     judged.write_text('{"command": "evaluate", "recall": 0.9}')
     card = export_trained(seg_run, tmp_path, "tiny-seg", evaluation=judged, credits=["Photos: A"])
-    assert card.plan == "64x2,96x1"
+    assert card.plan == "24 of 64x16,96x8 pictures in 0.0 h"
     assert card.began_with == "yolo26n-seg.yaml"
     assert card.metrics["size_px"] == 96
-    assert card.metrics["mAP50(M)"] == best_metrics(seg_run / "metrics.csv", 2)["mAP50(M)"]
+    assert card.metrics["mAP50(M)"] == last_metrics(seg_run / "metrics.csv")["mAP50(M)"]
     page = (tmp_path / "tiny-seg.md").read_text()
-    for word in ("AGPL-3.0", "Photos: A", card.sha256, "--stages 64x2,96x1", '"recall": 0.9'):
+    for word in ("AGPL-3.0", "Photos: A", card.sha256, "--plan 64x16,96x8", '"recall": 0.9'):
         assert word in page
     assert "| train | 6 |" in page
     assert str(seg_run) not in page
@@ -311,7 +334,7 @@ def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_exported_is_named(seg_run: Path, tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="cannot name a network"):
         export_trained(seg_run, tmp_path, "Tiny Seg")
-    with pytest.raises(TrainingError, match="no finished weights"):
+    with pytest.raises(TrainingError, match="there are no weights yet"):
         export_trained(tmp_path, tmp_path, "tiny")
     (tmp_path / "bad.pt").write_bytes(b"none")
     with pytest.raises((TrainingError, ModelError), match=r"bad\.pt: Ultralytics cannot load it"):

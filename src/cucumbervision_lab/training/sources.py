@@ -1,0 +1,271 @@
+"""Build a recipe's sources: every one a labelled set in a folder of its own, built once."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import TrainingError
+from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco_read import read_coco
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.mask_axis import DIRECTIONS, keypoints_of_mask
+from cucumbervision_lab.datasets.merge import merge_datasets
+from cucumbervision_lab.datasets.pseudo import add_pseudo_masks
+from cucumbervision_lab.datasets.sheets import write_sheets
+from cucumbervision_lab.datasets.windows import write_windows
+from cucumbervision_lab.detection.photo_audit import audited
+from cucumbervision_lab.synthesis.generate import generate, parse_options
+
+if TYPE_CHECKING:
+    from cucumbervision_lab.training.recipe import Recipe, Source
+
+__all__ = ["build_sources", "with_axis_points"]
+
+_ASSETS = ("backgrounds", "textures", "hdri*")
+_MOST_HIDDEN = 0.05
+
+
+def build_sources(
+    recipe: Recipe, data: Path, out: Path, workers: int = 1, say: Callable[[str], None] = print
+) -> dict[str, Path]:
+    """Build what is missing of a recipe's sources.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What to build.
+    data : Path
+        The folder of pictures that the recipe's folders lie in; assets for drawn frames are found
+        below its `backgrounds`, `textures` and `hdri*`.
+    out : Path
+        Gets a folder a source. One that is complete stays as it is.
+    workers : int
+        Processes that draw.
+    say : callable
+        Told what is being built.
+
+    Returns
+    -------
+    dict of str to Path
+        The sets, by source.
+
+    Raises
+    ------
+    TrainingError, DataSetError, CaptureError
+        If a folder lacks what a source needs.
+    """
+    built: dict[str, Path] = {}
+    for source in recipe.sources:
+        folder = out / source.name
+        done = folder / "built.json"
+        wanted = repr(source)
+        if not (done.is_file() and done.read_text(encoding="utf-8") == wanted):
+            say(f"building {source.name}")
+            _build(source, built, data, folder, workers)
+            done.write_text(wanted, encoding="utf-8")
+        built[source.name] = folder
+    return built
+
+
+def _build(
+    source: Source, built: dict[str, Path], data: Path, folder: Path, workers: int
+) -> DataSet:
+    if source.kind in ("photos", "set"):
+        return _photos(source, data, folder)
+    if source.kind == "drawn":
+        return _drawn(source, built, data, folder, workers)
+    if source.kind == "montage":
+        return _montage(source, built, folder, workers)
+    (of,) = (read_coco(built[name]) for name in source.of)
+    if source.kind == "windows":
+        return _windows(source, of, folder)
+    return _sheets(source, of, folder)
+
+
+def _photos(source: Source, data: Path, folder: Path) -> DataSet:
+    """Gather real pictures, without those of test scenes, and draw masks where there are boxes."""
+    from cucumbervision.perception.sam import Segmenter
+
+    place = data / source.folder
+    if source.kind == "photos":
+        found = audited(place)
+        pictures = [p for p in found.pictures if p.extras["fully_labelled"]]
+    else:
+        found = read_coco(place)
+        pictures = list(found.pictures)
+    kept = [p for p in pictures if p.split in ("train", "val")]
+    few = _few_of_each(kept, source.most)
+    if not few:
+        raise TrainingError("has no pictures to train on", source=place, remedy="name another")
+    plain = tuple(replace(p, extras={}) for p in few)
+    known = _known_labels(folder)
+    plain = tuple(replace(p, labels=known.get(_identity(p), p.labels)) for p in plain)
+    boxed = replace(found, pictures=plain, refused=())
+    drawn = add_pseudo_masks(boxed, Segmenter("mobile-sam"))
+    return write_coco(with_axis_points(drawn.dataset), folder)
+
+
+def _known_labels(folder: Path) -> dict[tuple[object, ...], tuple[Label, ...]]:
+    """Give the labels whose masks were drawn when the folder was built before."""
+    if not (folder / "annotations.json").is_file():
+        return {}
+    return {_identity(p): p.labels for p in read_coco(folder).pictures if p.labels}
+
+
+def _identity(picture: LabelledPicture) -> tuple[object, ...]:
+    boxes = tuple(tuple(np.round(label.box, 1).tolist()) for label in picture.labels)
+    return picture.source, picture.width, picture.height, boxes
+
+
+def _few_of_each(pictures: Sequence[LabelledPicture], most: int) -> list[LabelledPicture]:
+    """Keep so many pictures of a scene at most, evenly spread: near-duplicates teach little."""
+    scenes: dict[str, list[LabelledPicture]] = defaultdict(list)
+    for picture in pictures:
+        scenes[picture.scene or picture.file].append(picture)
+    kept: list[LabelledPicture] = []
+    for own in scenes.values():
+        places = np.unique(np.linspace(0, len(own) - 1, min(most, len(own))).round().astype(int))
+        kept += [own[k] for k in places]
+    return kept
+
+
+def with_axis_points(dataset: DataSet) -> DataSet:
+    """Give keypoints along the axis of its mask to every whole fruit that has none.
+
+    Where nobody said which end is the stem's, the order is by chance of where the fruit lies:
+    good for a network that learns points by place, not for `train ends`.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        With masks.
+
+    Returns
+    -------
+    DataSet
+        Fruit that are hidden, cut off, round or bent too much have no points as before.
+    """
+    pictures = tuple(
+        replace(p, labels=tuple(_with_points(label) for label in p.labels))
+        for p in dataset.pictures
+    )
+    return replace(dataset, pictures=pictures)
+
+
+def _with_points(label: Label) -> Label:
+    mask = label.mask
+    hidden = (label.hidden_share or 0.0) > _MOST_HIDDEN
+    if mask is None or label.keypoints is not None or label.ignore or label.cut_off or hidden:
+        return label
+    told = label.extras.get("stem")
+    for stem in [told] if told in DIRECTIONS else ["right", "up"]:
+        points = keypoints_of_mask(mask, stem)
+        if points is not None:
+            return replace(label, keypoints=points)
+    return label
+
+
+def _drawn(
+    source: Source, built: dict[str, Path], data: Path, folder: Path, workers: int
+) -> DataSet:
+    assets = _assets(data, folder.parent / "assets")
+    width, height = source.size
+
+    def frames(out: Path, count: int, seed: int, split: str) -> DataSet:
+        options = parse_options(
+            frames=count,
+            seed=seed,
+            size=f"{width}x{height}",
+            shares=source.shares,
+            split=split,
+            assets=assets,
+            paste=built[source.paste[0]] if source.paste and split == "train" else None,
+            depth=False,
+            hard=source.hard and split == "train",
+        )
+        return generate(options, out, workers)
+
+    made = frames(folder.parent / f"{source.name}-train", source.count, source.seed, "train")
+    sets = [made]
+    if source.validate:
+        sets.append(
+            frames(folder.parent / f"{source.name}-val", source.validate, source.seed + 1, "val")
+        )
+    return merge_datasets(sets, folder)
+
+
+def _assets(data: Path, folder: Path) -> Path | None:
+    """Gather what frames are painted with, without the photos of test scenes."""
+    files = [
+        path
+        for pattern in _ASSETS
+        for top in data.glob(pattern)
+        for path in sorted(top.rglob("*"))
+        if path.is_file()
+    ]
+    if not files:
+        return None
+    held_back = audited(data, "test")
+    hidden = {held_back.path(picture).resolve() for picture in held_back.pictures}
+    for path in files:
+        link = folder / path.relative_to(data)
+        if path.resolve() not in hidden and not link.exists():
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.symlink_to(path.resolve())
+    return folder
+
+
+def _montage(source: Source, built: dict[str, Path], folder: Path, workers: int) -> DataSet:
+    width, height = source.size
+    options = parse_options(
+        frames=source.count,
+        seed=source.seed,
+        size=f"{width}x{height}",
+        shares=source.shares,
+        split="train",
+        paste=built[source.paste[0]],
+        onto=built[source.of[0]],
+        depth=False,
+    )
+    return generate(options, folder, workers)
+
+
+def _windows(source: Source, of: DataSet, folder: Path) -> DataSet:
+    held_back = _first(of, "val", source.validate)
+    some = replace(of, pictures=(*of.in_split("train"), *held_back))
+    sets = [
+        write_windows(
+            some,
+            folder.parent / f"{source.name}-{side}",
+            side,
+            splits=("train", "val"),
+            seed=source.seed,
+        )
+        for side in source.size
+    ]
+    return merge_datasets(sets, folder)
+
+
+def _sheets(source: Source, of: DataSet, folder: Path) -> DataSet:
+    (side,) = source.size
+    sets = [
+        write_sheets(
+            of, folder.parent / f"{source.name}-{split}", count, side, split=split, seed=source.seed
+        )
+        for split, count in (("train", source.count), ("val", source.validate))
+        if count and of.in_split(split)
+    ]
+    return merge_datasets(sets, folder)
+
+
+def _first(dataset: DataSet, split: str, count: int) -> tuple[LabelledPicture, ...]:
+    """Give so many pictures of a split, evenly spread."""
+    own = dataset.in_split(split)
+    places = np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)
+    return tuple(own[k] for k in np.unique(places))

@@ -1,0 +1,88 @@
+"""Plans counted in pictures, and the order in which pictures are seen."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import TrainingError
+from cucumbervision_lab.training.mixture import MixtureSampler, pictures_of_epoch, sources_of
+from cucumbervision_lab.training.plan import RunState, extend, parse_plan
+from cucumbervision_lab.training.settings import one_to_many_at, rate_at
+
+
+def test_plan_is_read_as_written() -> None:
+    plan = parse_plan("448x1000, 640 × 400", 300)
+    # Whole epochs: 1000 pictures are four of 300.
+    assert (plan.epochs, plan.text) == (6, "448x1000,640x400")
+    assert [plan.size_at(k) for k in range(6)] == [448] * 4 + [640] * 2
+    assert [plan.end_of_part(k) for k in (0, 3, 4, 5)] == [4, 4, 6, 6]
+    assert [plan.through(k) for k in (0, 3, 6, 9)] == [0.0, 0.5, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("text", ["", "448", "x1000", "450x1000", "448x0", "448-1000"])
+def test_other_words_are_no_plan(text: str) -> None:
+    with pytest.raises(TrainingError, match="no part of a plan"):
+        parse_plan(text)
+
+
+def test_plan_may_be_prolonged_not_rewritten() -> None:
+    known = parse_plan("64x300,96x300", 100)
+    longer = extend(known, 4, parse_plan("64x300,96x600"))
+    assert (longer.epochs, longer.per_epoch) == (9, 100)
+    for other in ("64x400", "96x300,96x300", "64x300"):
+        with pytest.raises(TrainingError, match="400 pictures of the plan"):
+            extend(known, 4, parse_plan(other))
+
+
+def test_state_comes_back_as_saved(tmp_path: Path) -> None:
+    plan = parse_plan("64x300,96x300", 100)
+    state = RunState("seg", "data.yaml", "a.pt", plan, 2, 7, 1.5, {"learning_rate": 0.1})
+    state.save(tmp_path)
+    assert RunState.load(tmp_path) == state
+    assert state.pictures == 200
+    (tmp_path / "state.json").write_text(json.dumps({"task": "seg"}))
+    with pytest.raises(TrainingError, match="cannot be read"):
+        RunState.load(tmp_path)
+    with pytest.raises(TrainingError, match="no training to go on with"):
+        RunState.load(tmp_path / "none")
+
+
+def test_what_falls_over_the_plan() -> None:
+    assert [rate_at(t) for t in (0.0, 1.0)] == pytest.approx([1.0, 0.05])
+    assert [one_to_many_at(t, 0.3) for t in (0.0, 0.5, 1.0)] == pytest.approx([0.3, 0.2, 0.1])
+    # A network that already gives it less keeps that.
+    assert one_to_many_at(1.0, 0.05) == pytest.approx(0.05)
+
+
+def test_sources_come_as_often_as_their_weights_say() -> None:
+    sources = [np.arange(0, 40), np.arange(40, 45), np.arange(0, 0)]
+    seen = Counter[int]()
+    for epoch in range(20):
+        row = pictures_of_epoch(sources, [0.6, 0.2, 0.2], 48, epoch, seed=3)
+        assert len(row) == 48
+        seen.update(row.tolist())
+    # The empty one's weight goes to the others, 3 to 1: 720 and 240 of 960.
+    assert sum(seen[k] for k in range(40)) == 720
+    # And all pictures of a source equally often.
+    assert {seen[k] for k in range(40)} == {18}
+    assert {seen[k] for k in range(40, 45)} == {48}
+
+
+def test_order_is_the_same_whenever_one_begins() -> None:
+    sources = [np.arange(7), np.arange(7, 12)]
+    through = MixtureSampler(sources, [1, 1], 6)
+    rows = [list(through) for _ in range(4)]
+    later = MixtureSampler(sources, [1, 1], 6, epoch=2)
+    assert [list(later), list(later)] == rows[2:]
+    assert len(later) == 6
+    assert rows[0] != rows[1]
+
+
+def test_files_belong_to_the_folder_they_lie_in() -> None:
+    files = ["/a/x/1.jpg", "/a/xy/2.jpg", "/a/x/deep/3.jpg"]
+    assert [one.tolist() for one in sources_of(files, ["/a/x", "/a/xy"])] == [[0, 2], [1]]

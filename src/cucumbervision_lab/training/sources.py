@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.coco_read import read_coco
+from cucumbervision_lab.datasets.coco import read_coco, write_coco
+from cucumbervision_lab.datasets.derive import (
+    add_pseudo_masks,
+    merge_datasets,
+    write_windows,
+)
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.mask_axis import DIRECTIONS, keypoints_of_mask
-from cucumbervision_lab.datasets.merge import merge_datasets
-from cucumbervision_lab.datasets.pseudo import add_pseudo_masks
 from cucumbervision_lab.datasets.sheets import write_sheets
-from cucumbervision_lab.datasets.windows import write_windows
 from cucumbervision_lab.detection.photo_audit import audited
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 

@@ -1,4 +1,4 @@
-"""The curve: pictures at half the size, and a table and a drawing that grow."""
+"""The curve of a training: a table and a drawing that grow."""
 
 from __future__ import annotations
 
@@ -9,29 +9,18 @@ import numpy as np
 import pytest
 
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
-from cucumbervision_lab.training.curve import Curve, draw_curve, halved
+from cucumbervision_lab.training.curve import Curve, draw_curve
 from cucumbervision_lab.training.tables import read_rows, write_rows
-
-
-def test_half_a_photo_lies_in_the_middle_with_its_boxes() -> None:
-    color = np.full((100, 200, 3), 250, np.uint8)
-    color[20:40, 60:140] = (10, 200, 10)
-    truth = Frame("a.jpg", "s", 200, 100, (TrueFruit(np.array([59.5, 19.5, 139.5, 39.5])),))
-    small, sheet = halved(truth, color)
-    np.testing.assert_allclose(small.true[0].box, [79.5, 34.5, 119.5, 44.5])
-    assert (sheet[35:45, 80:120] == (10, 200, 10)).all()
-    assert (sheet[:25] == 114).all()
-    assert (sheet[26:30, 52:148] == 250).all()
 
 
 def test_rows_keep_all_columns_and_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     table = tmp_path / "curve.csv"
-    write_rows(table, [{"pictures": 400, "recall": 0.5}])
-    write_rows(table, [*read_rows(table), {"pictures": 800, "recall": 0.6, "map": 0.4}])
+    write_rows(table, [{"pictures": 400, "drawn_map50": 0.5}])
+    write_rows(table, [*read_rows(table), {"pictures": 800, "drawn_map50": 0.6, "map": 0.4}])
     assert read_rows(table) == [
-        {"pictures": "400", "recall": "0.5", "map": ""},
-        {"pictures": "800", "recall": "0.6", "map": "0.4"},
+        {"pictures": "400", "drawn_map50": "0.5", "map": ""},
+        {"pictures": "800", "drawn_map50": "0.6", "map": "0.4"},
     ]
     assert not list(tmp_path.glob("*.part"))
     draw_curve(table, tmp_path / "curve.png")
@@ -61,13 +50,13 @@ def test_a_network_is_judged_as_it_would_be_shipped(
     cv2.imwrite(str(tmp_path / "a.png"), np.full((64, 96, 3), 90, np.uint8))
     truth = Frame("a.png", "s", 96, 64, (TrueFruit(np.array([9.5, 9.5, 50.5, 20.5])),))
     curve = Curve("seg", tmp_path, tmp_path / "drawn", tmp_path)
-    photo = Photo(truth, tmp_path / "a.png", "board")
+    photo = Photo(truth, tmp_path / "a.png", "board", "first audit")
     monkeypatch.setattr(Curve, "_audited", [photo])
     ultralytics = import_ultralytics()
     ultralytics.YOLO("yolo26n-seg.yaml").save(tmp_path / "new.pt")
     for pictures in (800, 400, 800):
         point = curve.judge(tmp_path / "new.pt", pictures)
     # A network with random weights is never sure.
-    assert point["photos_recall"] == 0.0
+    assert point["photos all: recall"] == point["half first audit: recall"] == 0.0
     assert 0.0 <= point["drawn_map50_95"] <= point["drawn_map50"] < 0.2
     assert [row["pictures"] for row in read_rows(tmp_path / "curve.csv")] == ["400", "800"]

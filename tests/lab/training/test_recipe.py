@@ -9,10 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cucumbervision_lab.datasets.coco_read import read_coco
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.recipe import Recipe, Schedule, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe, write_mixture

@@ -20,9 +20,9 @@ from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.sheet import render_sheet
-from cucumbervision.exports.tables import COLUMNS, Cell, ExportColumn, RoundTables, Table
+from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
 from cucumbervision.exports.writers import ExportFormat, write_exports
-from cucumbervision.pipeline.fields import defused
+from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
@@ -192,14 +192,14 @@ def test_a_round_that_is_not_there_is_named(store: Store) -> None:
 
 
 def test_a_cell_of_another_type_is_refused() -> None:
-    column = ExportColumn("length_cm", "cm", "number", "length")
+    column = Column("length_cm", "cm", "number", "length")
     with pytest.raises(ValueError, match=r"t\.length_cm holds 3, which is not number"):
         Table("t", (column,), ((3,),))
     with pytest.raises(ValueError, match="has 2 cells"):
         Table("t", (column,), ((3.0, 4.0),))
 
 
-def _read(text: str, column: ExportColumn) -> Cell:
+def _read(text: str, column: Column) -> Cell:
     if text == "":
         return None
     if column.type == "text":

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-    from cucumbervision.exports.tables import Cell, Charts, RoundTables
+    from cucumbervision.exports.tables import Charts, RoundTables
+    from cucumbervision.pipeline.fields import Cell
 
 __all__ = ["Bar", "bars", "render_sheet", "stacks", "write_sheet"]
 

@@ -1,69 +1,79 @@
-"""The typed tables between a round and every file that is written of it."""
+"""The typed tables between a round and every file that is written of it, and all their columns.
+
+`docs/exports.md` lists the same columns.
+"""
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, cast
 
 from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.fields import Cell, Column
+from cucumbervision.pipeline.fields import field as fruit_field
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
+    from pathlib import Path
 
-    from cucumbervision.agronomy.forecast import Forecast
+    from cucumbervision.pipeline.fields import CellType
 
-__all__ = [
-    "COLUMNS",
-    "Cell",
-    "Charts",
-    "ExportColumn",
-    "RoundTables",
-    "Table",
-    "class_days",
-    "length_bins",
-]
-
-Cell: TypeAlias = str | int | float | bool | None
+__all__ = ["COLUMNS", "Charts", "ExportColumn", "RoundTables", "Table", "utc"]
 
 _NUMBER: dict[str, type] = {"text": str, "whole": int, "number": float, "yes/no": bool}
 
 
 @dataclass(frozen=True)
-class ExportColumn:
-    """One column.
+class ExportColumn(Column):
+    """A column of a round's tables, and where a line has its value.
 
     Parameters
     ----------
-    name : str
-        As in CSV, Parquet and JSON; ends with the unit where there is one.
-    unit : str
-        The unit; empty where there is none.
-    type : str
-        'text', 'whole', 'number' or 'yes/no'; every cell may also be empty.
-    says : str
-        What it is.
+    name, unit, type, says
+        As in `Column`.
+    path : str
+        Attributes and keys of the line, joined by dots; a part that is None leaves the cell empty.
+        The value is in SI units, a time in seconds since 1970.
+    digits : int, optional
+        Digits that are written; those of the unit if not given.
+
+    Examples
+    --------
+    >>> column = ExportColumn("chord_cm", "cm", "number", "straight", "record.chord_m")
+    >>> column.of({"record": {"chord_m": 0.31234567}}), column.of({"record": None})
+    (31.235, None)
     """
 
-    name: str
-    unit: str
-    type: str
-    says: str
+    path: str
+    digits: int | None = None
 
-    @property
-    def title(self) -> str:
-        """The head that people read, with the unit.
+    def of(self, line: Any) -> Cell:
+        """Return a line's cell."""
+        value = line
+        for part in self.path.split("."):
+            if value is None:
+                return None
+            value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+        if value is None or value == "" or value != value:  # not a number
+            return None
+        if self.type == "number":
+            return float(self.cell(value, self.digits))
+        if self.name.endswith("_utc") and not isinstance(value, str):
+            return utc(value)
+        return cast("Cell", _NUMBER[self.type](value))
 
-        Examples
-        --------
-        >>> ExportColumn("chord_cm", "cm", "number", "straight from end to end").title
-        'chord [cm]'
-        """
-        plain = self.name.removesuffix(f"_{self.unit}") if self.unit else self.name
-        words = plain.replace("_", " ")
-        return f"{words} [{self.unit}]" if self.unit else words
+
+def utc(seconds: float) -> str:
+    """Return a time as people and programs read it.
+
+    Examples
+    --------
+    >>> utc(86400.5)
+    '1970-01-02T00:00:00Z'
+    """
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 @dataclass(frozen=True)
@@ -74,7 +84,7 @@ class Table:
     ----------
     name : str
         Of its file or sheet.
-    columns : tuple of ExportColumn
+    columns : tuple of Column
         Its columns.
     rows : tuple of tuple
         A cell for each column.
@@ -86,7 +96,7 @@ class Table:
 
     Examples
     --------
-    >>> column = ExportColumn("stops", "", "whole", "number of stops")
+    >>> column = Column("stops", "", "whole", "number of stops")
     >>> Table("summary", (column,), (("3",),))
     Traceback (most recent call last):
     ...
@@ -94,7 +104,7 @@ class Table:
     """
 
     name: str
-    columns: tuple[ExportColumn, ...]
+    columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
 
     def __post_init__(self) -> None:
@@ -108,24 +118,34 @@ class Table:
                     )
 
     def records(self) -> list[dict[str, Cell]]:
-        """Give the rows as mappings by column."""
+        """Return the rows as mappings by column."""
         names = [column.name for column in self.columns]
         return [dict(zip(names, row, strict=True)) for row in self.rows]
 
     @classmethod
-    def of(
-        cls, name: str, columns: tuple[ExportColumn, ...], records: list[dict[str, Any]]
-    ) -> Table:
-        """Make a table of mappings; numbers become what their columns are."""
-        rows = tuple(tuple(_cell(record[c.name], c.type) for c in columns) for record in records)
-        return cls(name, columns, rows)
+    def of(cls, name: str, lines: Iterable[Any]) -> Table:
+        """Fill one of the tables of `COLUMNS`."""
+        columns = COLUMNS[name]
+        return cls(name, columns, tuple(tuple(c.of(line) for c in columns) for line in lines))
 
 
-def _cell(value: Any, kind: str) -> Cell:
-    if value is None or value == "" or value != value:  # not a number
-        return None
-    made: Cell = _NUMBER[kind](value)
-    return made
+@dataclass(frozen=True)
+class Charts:
+    """What is drawn, the same in every file.
+
+    Parameters
+    ----------
+    bins : tuple of (from_cm, to_cm, fruit)
+        Histogram of the lengths on the plant.
+    classes : tuple of str
+        Classes of the forecast.
+    days : tuple of (day, expected fruit in each class)
+        The house's forecast.
+    """
+
+    bins: tuple[tuple[int, int, int], ...] = ()
+    classes: tuple[str, ...] = ()
+    days: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -154,11 +174,11 @@ class RoundTables:
     provenance: Mapping[str, Any]
     tables: Mapping[str, Table]
     charts: Charts
-    pictures: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Mapping[str, Path] = field(default_factory=dict)
     note: str = ""
 
     def __getitem__(self, name: str) -> Table:
-        """Give a table by its name."""
+        """Return a table by its name."""
         return self.tables[name]
 
     @property
@@ -168,14 +188,36 @@ class RoundTables:
 
 
 def _columns(*lines: str) -> tuple[ExportColumn, ...]:
-    """Read lines of 'name | unit | type | what it says'."""
-    return tuple(ExportColumn(*(part.strip() for part in line.split("|"))) for line in lines)
+    """Read lines of 'name | unit | type, or type and digits | what it is | path, if another'."""
+    found = []
+    for line in lines:
+        name, unit, kind, says, *path = (part.strip() for part in line.split("|"))
+        kind, _, digits = kind.partition(" ")
+        found.append(
+            ExportColumn(
+                name,
+                unit,
+                cast("CellType", kind),
+                says,
+                path[0] if path else name,
+                int(digits) if digits else None,
+            )
+        )
+    return tuple(found)
+
+
+def _measured(*names: str) -> tuple[ExportColumn, ...]:
+    """Return columns of `measurements.csv`, filled from the store's record of a fruit."""
+    return tuple(
+        ExportColumn(f.name, f.unit, f.type, f.says, f"view.record.{f.si_name}", f.digits)
+        for f in map(fruit_field, names)
+    )
 
 
 _WITH = _columns(
-    "config_sha256||text|hash of the options that it was measured with",
-    "models_sha256||text|hashes of the networks",
-    "calibration_sha256||text|hash of the site's calibration; empty without one",
+    "config_sha256||text|hash of the options that it was measured with|hashes.config",
+    "models_sha256||text|hashes of the networks|hashes.model",
+    "calibration_sha256||text|hash of the site's calibration; empty without one|hashes.calibration",
 )
 
 _SUMMARY = _columns(
@@ -191,77 +233,68 @@ _SUMMARY = _columns(
     "fruit||whole|fruit, each once; rejected ones left out",
     "measured||whole|of them with a length",
     "picked||whole|of them picked",
-    "expected_fruit||number|fruit there are: invented ones taken off, unseen ones added",
-    "expected_fruit_sd||number|standard deviation of that",
+    "expected_fruit||number 2|fruit there are: invented ones taken off, unseen ones added",
+    "expected_fruit_sd||number 2|standard deviation of that",
     "failures||whole|captures that could not be read or measured",
     "mean_length_cm|cm|number|mean of the fruit on the plant",
     "sd_length_cm|cm|number|spread of it",
     "shortest_cm|cm|number|shortest fruit on the plant",
     "longest_cm|cm|number|longest fruit on the plant",
-    "ready_today||number|fruit expected to be ready today",
+    "ready_today||number 2|fruit expected to be ready today",
     "simulated||yes/no|whether drawn captures are among them",
 )
 
 _ROWS = _columns(
     "row||text|the row",
     "stops||whole|stops with a position",
-    "detections||whole|fruit seen, each as often as it was seen",
+    "detections||whole|fruit seen, each as often as it was seen|views",
     "fruit||whole|fruit that these are merged into",
-    "expected_fruit||number|fruit there are: invented ones taken off, unseen ones added",
-    "expected_fruit_sd||number|standard deviation of that",
+    "expected_fruit||number 2|fruit there are: invented ones taken off, unseen ones added|expected",
+    "expected_fruit_sd||number 2|standard deviation of that|expected_sd",
     "unplaced||whole|detections without a position or depth",
 )
 
 _FRUIT = (
     *_columns(
         "number||whole|number in this list, by row and position",
-        "key||text|key of the view that stands",
-        "row||text|row of the house",
-        "side||text|side of the row",
-        "along_m|m|number|where along the row",
-        "along_sd_m|m|number|standard deviation of that",
-        "length_cm|cm|number|length of the best view",
-        "length_kind||text|what it is the length of",
-        "interval_low_cm|cm|number|lower end of the 90 % interval",
-        "interval_high_cm|cm|number|upper end of the 90 % interval",
-        "interval_of||text|which length the interval is about",
-        "combined_cm|cm|number|length that all whole views give together",
-        "combined_sd_cm|cm|number|standard deviation of that",
-        "grade||text|likeliest class",
-        "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing",
-        "grade_probability||number|probability of that class",
-        "grade_rule||text|the rule that decided",
-        "ready_today||number|probability to be in a class that is picked today",
-        "weight_class||text|class by weight",
-        "shape||text|class by crookedness",
-        "mass_g|g|number|volume times the profile's density",
-        "thread_cm|cm|number|thread over the outer side, end to end",
-        "centreline_cm|cm|number|central axis, stem to blossom end",
-        "chord_cm|cm|number|straight from end to end",
+        "key||text|key of the view that stands|view.key",
+        "row||text|row of the house|view.row",
+        "side||text|side of the row|view.side",
+        "along_m|m|number 4|where along the row|view.along_m",
+        "along_sd_m|m|number 4|standard deviation of that|view.along_sd_m",
     ),
-    *_columns(*(f"{m.value.lower()}_cm|cm|number|length by {m.value}" for m in Method)),
+    *_measured("length_cm", "length_kind", "interval_low_cm", "interval_high_cm", "interval_of"),
     *_columns(
-        "inner_arc_mm|mm|number|largest distance from the chord to the inner edge",
-        "diameter_max_mm|mm|number|largest diameter",
-        "diameter_mean_mm|mm|number|mean diameter along the axis",
-        "volume_ml|ml|number|volume of the fitted tube",
-        "method||text|method that the selector took",
-        "reason||text|why that method, or why none",
-        "fallback||text|methods tried before",
-        "flags||text|what else to know of the measurement",
-        "views||whole|how often it was seen",
-        "score||number|detector's confidence, 0 to 1",
-        "distance_cm|cm|number|median depth of the fruit",
-        "tilt_deg|deg|number|angle of the chord out of the picture plane",
-        "hidden_share||number|share of the tube that something nearer hides",
-        "fill||number|share of the mask with a depth reading",
-        "verdict||text|accepted or rejected, where somebody said so",
-        "corrected||yes/no|whether somebody corrected its mask",
-        "picked_utc||text|when it was picked",
-        "capture||text|capture of the best view",
-        "stop_key||text|its stop",
-        "taken_utc||text|when it was seen",
-        "simulated||yes/no|whether the capture was drawn, not taken",
+        "combined_cm|cm|number|length that all whole views give together|combined_m",
+        "combined_sd_cm|cm|number|standard deviation of that|combined_sd_m",
+        "grade||text|likeliest class|grade.name",
+        "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing|grade.verdict",
+        "grade_probability||number 4|probability of that class|grade_probability",
+        "grade_rule||text|the rule that decided|grade_rule",
+        "ready_today||number 4|probability to be in a class that is picked today|ready",
+        "weight_class||text|class by weight|grade.weight_class",
+        "shape||text|class by crookedness|grade.shape",
+        "mass_g|g|number|volume times the profile's density|mass_kg",
+    ),
+    *_measured("thread_cm", "centreline_cm", "chord_cm"),
+    *_columns(
+        *(
+            f"{one.lower()}_cm|cm|number|{fruit_field(f'{one.lower()}_cm').says}|methods.{one}"
+            for one in Method
+        )
+    ),
+    *_measured("inner_arc_mm", "diameter_max_mm", "diameter_mean_mm", "volume_ml"),
+    *_measured("method", "reason", "fallback", "flags"),
+    *_columns("views||whole|how often it was seen|view.views"),
+    *_measured("score", "distance_cm", "tilt_deg", "hidden_share", "fill"),
+    *_columns(
+        "verdict||text|accepted or rejected, where somebody said so|view.verdict",
+        "corrected||yes/no|whether somebody corrected its mask|view.corrected",
+        "picked_utc||text|when it was picked|view.picked_s",
+        "capture||text|capture of the best view|view.capture",
+        "stop_key||text|its stop|view.stop_key",
+        "taken_utc||text|when it was seen|view.taken_s",
+        "simulated||yes/no|whether the capture was drawn, not taken|view.simulated",
         "picture||text|small picture of the capture, beside the tables",
     ),
     *_WITH,
@@ -270,19 +303,19 @@ _FRUIT = (
 _STOPS = (
     *_columns(
         "number||whole|number of the stop, by time",
-        "key||text|its key in the store",
-        "row||text|row of the house",
-        "side||text|side of the row",
-        "step||whole|number that the operator gave",
-        "position_m|m|number|position along the row as given",
-        "position_sd_m|m|number|standard deviation of that",
-        "fitted_m|m|number|position after merging",
-        "fitted_sd_m|m|number|standard deviation of that",
-        "taken_utc||text|when",
-        "captures||whole|captures",
-        "detections||whole|fruit seen",
-        "failures||whole|captures that could not be read or measured",
-        "note||text|what the operator wrote",
+        "key||text|its key in the store|stop.key",
+        "row||text|row of the house|stop.row",
+        "side||text|side of the row|stop.side",
+        "step||whole|number that the operator gave|stop.step",
+        "position_m|m|number|position along the row as given|stop.position_m",
+        "position_sd_m|m|number|standard deviation of that|stop.position_sd_m",
+        "fitted_m|m|number|position after merging|stop.fitted_m",
+        "fitted_sd_m|m|number|standard deviation of that|stop.fitted_sd_m",
+        "taken_utc||text|when|stop.taken_s",
+        "captures||whole|captures|stop.captures",
+        "detections||whole|fruit seen|stop.fruit",
+        "failures||whole|captures that could not be read or measured|stop.failures",
+        "note||text|what the operator wrote|stop.note",
         "picture||text|small picture of its first capture, beside the tables",
     ),
     *_WITH,
@@ -295,10 +328,10 @@ _FORECAST = _columns(
     "date_utc||text|the date",
     "class||text|class, or out of grade on either side",
     "picked_class||yes/no|whether the class is picked",
-    "expected||number|fruit in the class if nothing is picked meanwhile",
+    "expected||number 3|fruit in the class if nothing is picked meanwhile",
     "low||number|lower end of its 80 % interval",
     "high||number|upper end of its 80 % interval",
-    "newly_ready||number|fruit that become ready that day, in that class",
+    "newly_ready||number 3|fruit that become ready that day, in that class",
     "newly_ready_low||number|lower end of its 80 % interval",
     "newly_ready_high||number|upper end of its 80 % interval",
     "complete||yes/no|whether fruit too small to be seen today add nothing",
@@ -307,26 +340,26 @@ _FORECAST = _columns(
 _PICKS = _columns(
     "order||whole|order of the walk",
     "number||whole|number of the fruit in the list of fruit",
-    "row||text|row of the house",
-    "side||text|side of the row",
-    "along_m|m|number|where along the row",
-    "length_cm|cm|number|length believed",
-    "class||text|likeliest class today",
-    "ready||number|probability to be in a class that is picked",
-    "key||text|key of the fruit",
+    "row||text|row of the house|pick.fruit.row",
+    "side||text|side of the row|pick.fruit.side",
+    "along_m|m|number 4|where along the row|pick.fruit.position_m",
+    "length_cm|cm|number|length believed|pick.fruit.length_m",
+    "class||text|likeliest class today|pick.name",
+    "ready||number 4|probability to be in a class that is picked|pick.ready",
+    "key||text|key of the fruit|pick.fruit.fruit_id",
 )
 
 _WORK = _columns(
-    "day||whole|days from the round",
+    "day||whole|days from the round|work.day",
     "date_utc||text|the date",
-    "fruit||number|fruit to pick",
-    "fruit_low||number|lower end of its interval",
-    "fruit_high||number|upper end of its interval",
-    "hours|h|number|hours of work for one person",
-    "hours_low|h|number|lower end of its interval",
-    "hours_high|h|number|upper end of its interval",
+    "fruit||number 2|fruit to pick|work.fruit.expected",
+    "fruit_low||number|lower end of its interval|work.fruit.low",
+    "fruit_high||number|upper end of its interval|work.fruit.high",
+    "hours|h|number 3|hours of work for one person|work.hours.expected",
+    "hours_low|h|number 3|lower end of its interval|work.hours.low",
+    "hours_high|h|number 3|upper end of its interval|work.hours.high",
     "crates||number|crates of all classes",
-    "complete||yes/no|whether fruit too small to be seen today add nothing",
+    "complete||yes/no|whether fruit too small to be seen today add nothing|work.complete",
 )
 
 _PROVENANCE = _columns(
@@ -346,47 +379,3 @@ COLUMNS: dict[str, tuple[ExportColumn, ...]] = {
     "work": _WORK,
     "provenance": _PROVENANCE,
 }
-
-_BIN_CM = 2
-
-
-@dataclass(frozen=True)
-class Charts:
-    """What is drawn.
-
-    Parameters
-    ----------
-    bins : tuple of (from_cm, to_cm, fruit)
-        Histogram of the lengths on the plant.
-    classes : tuple of str
-        Classes of the forecast.
-    days : tuple of (day, expected fruit in each class)
-        The house's forecast.
-    """
-
-    bins: tuple[tuple[int, int, int], ...] = ()
-    classes: tuple[str, ...] = ()
-    days: tuple[tuple[int, tuple[float, ...]], ...] = ()
-
-
-def length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...]:
-    """Count lengths in bins of 2 cm, from inclusive to exclusive, without gaps.
-
-    Examples
-    --------
-    >>> length_bins([21.0, 22.0, 27.9])
-    ((20, 22, 1), (22, 24, 1), (24, 26, 0), (26, 28, 1))
-    """
-    counts = Counter(math.floor(length / _BIN_CM) for length in lengths_cm)
-    if not counts:
-        return ()
-    ends = range(min(counts), max(counts) + 1)
-    return tuple((_BIN_CM * k, _BIN_CM * (k + 1), counts[k]) for k in ends)
-
-
-def class_days(forecast: Forecast) -> tuple[tuple[int, tuple[float, ...]], ...]:
-    """Give the house's expected fruit by day and class."""
-    return tuple(
-        (day, tuple(round(float(number), 2) for number in counts))
-        for day, counts in zip(forecast.days.tolist(), forecast.house.expected, strict=True)
-    )

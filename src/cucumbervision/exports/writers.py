@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-    from cucumbervision.exports.tables import Cell, ExportColumn, RoundTables, Table
+    from cucumbervision.exports.tables import RoundTables, Table
+    from cucumbervision.pipeline.fields import Cell, Column
 
 __all__ = [
     "SHEETS",
@@ -212,7 +213,7 @@ class _Writer:
         self.link = book.add_format({"font_color": "blue", "underline": 1})
         self._numbers: dict[str, Any] = {}
 
-    def number(self, column: ExportColumn) -> Any:
+    def number(self, column: Column) -> Any:
         """Give the format of a column's numbers; None for texts."""
         if column.type in {"text", "yes/no"}:
             return None
@@ -266,7 +267,7 @@ class _Writer:
             for at, (column, cell) in enumerate(zip(table.columns, row, strict=True)):
                 self.write(sheet, line, at, cell, column)
 
-    def write(self, sheet: Any, line: int, at: int, cell: Cell, column: ExportColumn) -> None:
+    def write(self, sheet: Any, line: int, at: int, cell: Cell, column: Column) -> None:
         """Write one cell as what it is."""
         if cell is None:
             return

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,6 +54,27 @@ RIGHT = [(480, 100), (500, 200), (490, 300), (460, 380)]
 @pytest.fixture(scope="module")
 def segmenter() -> Segmenter:
     return Segmenter("mobile-sam", runtime="onnxruntime", full_precision=True)
+
+
+def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
+    segmenter: Segmenter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoder, runs = segmenter._encoder, []
+
+    def run(feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        runs.append(feeds)
+        return encoder.run(feeds)
+
+    monkeypatch.setattr(segmenter, "_encoder", SimpleNamespace(inputs=encoder.inputs, run=run))
+    picture = drawn(480, 640, LEFT)
+    fruit = [Instance(box_of_mask(tube(480, 640, LEFT)))]
+    (first,) = segmenter.segment(picture, fruit)
+    (again,) = segmenter.segment(picture.copy(), fruit)
+    assert len(runs) == 1
+    assert iou(first.mask, again.mask) == 1
+    picture[:] = drawn(480, 640, RIGHT)
+    segmenter.mask_at(picture, 490, 250)
+    assert len(runs) == 2
 
 
 @pytest.mark.parametrize("size", [(640, 480), (720, 1280)])

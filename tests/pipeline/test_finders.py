@@ -64,7 +64,7 @@ def test_auto_without_any_detector_still_takes_a_data_sets_masks(
 
 
 def test_models_that_are_not_there_stop_the_run(bare_registry: Registry) -> None:
-    with pytest.raises(ModelError, match=r"--instances models: this version comes without"):
+    with pytest.raises(ModelError, match="this version comes without a cucumber detector"):
         make_finder(MeasureOptions(instances="models"), bare_registry)
 
 

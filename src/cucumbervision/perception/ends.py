@@ -14,6 +14,7 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -131,8 +132,6 @@ class EndTeller:
     """
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
-        from cucumbervision.perception.runtime import open_network
-
         chosen = "onnxruntime" if runtime == "auto" else runtime
         self._network = open_network(path, chosen, full_precision=True)
         shape = self._network.inputs[0].shape

@@ -1,12 +1,13 @@
 """The SAM family behind one interface: a mask for every prompted fruit of a picture.
 
-The encoder runs once a picture; the decoder takes the prompts of all its fruit together. Sources:
-SAM (Kirillov et al. 2023, "Segment Anything") and MobileSAM (Zhang et al. 2023, "Faster Segment
-Anything").
+The encoder runs once a picture, even where its fruit are asked for in several calls; the decoder
+takes the prompts of all of them together. Sources: SAM (Kirillov et al. 2023, "Segment Anything")
+and MobileSAM (Zhang et al. 2023, "Faster Segment Anything").
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_ious
+from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.resize import (
     mask_from_logits,
     mask_to_sam,
@@ -24,6 +26,7 @@ from cucumbervision.perception.resize import (
     prepare_picture,
     rows_needed,
 )
+from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,15 +98,11 @@ class Segmenter:
         prompt: str = "box+point",
         full_precision: bool = False,
     ) -> None:
-        from cucumbervision.perception.runtime import open_network
-
         if prompt not in PROMPTS:
             raise ModelError(
                 f"no prompt is called {prompt!r}", remedy=f"choose one of {', '.join(PROMPTS)}"
             )
         if isinstance(model, str):
-            from cucumbervision.perception.registry import load_registry
-
             files = load_registry().resolve(model)
             encoder, decoder = files["encoder"], files["decoder"]
         else:
@@ -115,6 +114,8 @@ class Segmenter:
         self._decoder = open_network(
             decoder, "onnxruntime" if runtime == "auto" else runtime, full_precision=True
         )
+
+        self._encoded: tuple[object, NDArray[np.float32] | None] = (None, None)
 
     @property
     def runtime(self) -> str:
@@ -183,11 +184,7 @@ class Segmenter:
         if not len(boxes):
             return []
         height, width = color_rgb.shape[:2]
-        picture = prepare_picture(color_rgb)
-        if self._encoder.inputs[0].shape[2] is None:
-            # Padding is 44 % of the square under a picture of 16:9.
-            picture = picture[:, :, : rows_needed(height, width)]
-        embedding = self._encoder.run({"image": picture})["embedding"]
+        embedding = self._encode(color_rgb)
         found: list[_Answer] = []
         for start in range(0, len(boxes), _TOGETHER):
             points, labels = _prompts(boxes[start : start + _TOGETHER], prompt)
@@ -195,6 +192,21 @@ class Segmenter:
             answer = self._decoder.run({"embedding": embedding, "points": places, "labels": labels})
             found.extend(zip(answer["logits"], answer["ious"], strict=True))
         return found
+
+    def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the picture's embedding; that of the last picture is kept."""
+        # The content counts, since a camera may write the next picture into the same array.
+        digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
+        picture = (color_rgb.shape, digest)
+        known, embedding = self._encoded
+        if known != picture or embedding is None:
+            square = prepare_picture(color_rgb)
+            if self._encoder.inputs[0].shape[2] is None:
+                # Padding is 44 % of the square under a picture of 16:9.
+                square = square[:, :, : rows_needed(*color_rgb.shape[:2])]
+            embedding = self._encoder.run({"image": square})["embedding"]
+            self._encoded = picture, embedding
+        return embedding
 
 
 def mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:

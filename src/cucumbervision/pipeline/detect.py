@@ -21,9 +21,8 @@ from cucumbervision.capture.files import (
     write_jpeg,
 )
 from cucumbervision.capture.source import safe_name, unique_name
-from cucumbervision.errors import CaptureError, CucumberVisionError, ModelError
+from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.pipeline.coco_results import coco_categories, coco_results, results_text
-from cucumbervision.pipeline.finders import Detectors, Segmenters
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
 from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
 
@@ -305,22 +304,20 @@ class _Detection:
     def __init__(
         self, options: DetectOptions, registry: Registry | None, models: list[dict[str, Any]]
     ) -> None:
-        from cucumbervision.perception.registry import load_registry
+        from cucumbervision.perception.networks import NetworkLoader
 
-        registry = registry or load_registry()
-        if options.model is not None:
-            self._detectors = Detectors.from_file(options.model, options, models)
-        elif registry.default("segment") is None:
-            raise ModelError(
-                "this version comes without a cucumber detector",
-                remedy="name a YOLO ONNX export with --model FILE",
-            )
-        else:
-            self._detectors = Detectors.from_registry(registry, options, models)
+        self._networks = NetworkLoader(
+            registry,
+            runtime=options.runtime,
+            confidence=options.confidence,
+            prompt=options.prompt,
+            full_precision=options.full_precision,
+            models=models,
+        )
+        self._detectors = self._networks.detectors(options.model, options.pose)
         self._segmenter = options.segmenter
-        self._segmenters = Segmenters(registry, options, models)
         if options.segmenter != "none":
-            self._segmenters.check(options.segmenter)
+            self._networks.verify(options.segmenter)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -334,7 +331,7 @@ class _Detection:
         found = self._detectors.find(color_rgb)
         if not found or self._segmenter == "none":
             return found
-        return self._segmenters.get(self._segmenter).segment(color_rgb, found)
+        return self._networks.segmenter(self._segmenter).segment(color_rgb, found)
 
 
 class _Folder:

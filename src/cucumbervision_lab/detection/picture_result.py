@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.perception.instances import each_once, merge_instances
-from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.yolo import YoloDetector
 
 __all__ = [
     "FLOOR",
@@ -110,31 +111,10 @@ def open_networks(
     ModelError
         If a file cannot be loaded.
     """
-    from cucumbervision.perception.registry import file_sha256, load_registry
-    from cucumbervision.perception.sam import Segmenter
-    from cucumbervision.pipeline.finders import load_ends
-
-    models: list[dict[str, Any]] = []
-
-    def load(path: Path | None) -> YoloDetector | None:
-        if path is None:
-            return None
-        network = YoloDetector(path, runtime, floor, full_precision=True, most=MOST)
-        models.append(
-            {"file": path.name, "sha256": file_sha256(path), "task": network.task}
-            | {"runtime": network.runtime}
-        )
-        if network.by_place:
-            network.ends = load_ends(models)
-        return network
-
-    loaded = load(segment), load(pose)
-    sam = None
-    if segmenter is not None:
-        sam = Segmenter(segmenter, runtime, full_precision=True)
-        hashes = load_registry().hashes(segmenter)
-        models.append({"file": segmenter, "sha256": hashes, "runtime": sam.runtime})
-    return Networks(*loaded, sam, confidence, models)
+    loader = NetworkLoader(runtime=runtime, confidence=floor, full_precision=True, most=MOST)
+    detector, points = (None if path is None else loader.yolo(path) for path in (segment, pose))
+    sam = None if segmenter is None else loader.segmenter(segmenter)
+    return Networks(detector, points, sam, confidence, loader.models)
 
 
 def detect_picture(
@@ -187,7 +167,7 @@ def shipped(
 ) -> tuple[Instance, ...]:
     """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
-    As `pipeline.finders.Detectors.find`, which runs the networks for itself.
+    As `perception.networks.Detectors.find`, which runs the networks for itself.
 
     Parameters
     ----------

@@ -27,8 +27,8 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.cli.app import app
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.networks import Detectors
 from cucumbervision.perception.yolo import YoloDetector
-from cucumbervision.pipeline.finders import Detectors
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit

@@ -1,0 +1,228 @@
+"""The networks of a run: verified and loaded once, when first needed, and named in provenance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.ends import EndTeller
+from cucumbervision.perception.instances import each_once, merge_instances
+from cucumbervision.perception.registry import Registry, file_sha256, load_registry
+from cucumbervision.perception.sam import Segmenter
+from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+
+__all__ = ["Detectors", "NetworkLoader"]
+
+
+class Detectors:
+    """A detector, a pose network beside it, and what puts their finds together.
+
+    Parameters
+    ----------
+    detector : YoloDetector
+        Whose detections are the fruit; of whatever class, since a fruit of two classes is one.
+    pose : YoloDetector, optional
+        Whose keypoints they get.
+    """
+
+    def __init__(self, detector: YoloDetector, pose: YoloDetector | None = None) -> None:
+        self._detector, self._pose = detector, pose
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The detector's class names, in its order; empty where it names none."""
+        return tuple(name for _, name in sorted(self._detector.names.items()))
+
+    @property
+    def gives_keypoints(self) -> bool:
+        """Whether fruit may come with keypoints."""
+        return self._pose is not None or self._detector.task == "pose"
+
+    def find(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+        """Find the fruit of one picture, each once.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (H, W, 3)
+            The picture.
+
+        Returns
+        -------
+        tuple of Instance
+            Best first, with the detector's masks and the pose network's keypoints.
+        """
+        found = merge_instances(self._detector.detect(color_rgb))
+        if self._pose is None or not found:
+            return found
+        return each_once(found, self._pose.detect(color_rgb))
+
+
+class NetworkLoader:
+    """Loads networks by their name in a registry, or a user's own from a file.
+
+    Parameters
+    ----------
+    registry : Registry, optional
+        Where networks with a name lie; the package's own if not given.
+    runtime : str
+        What runs them, as in `open_network`.
+    confidence : float
+        Detections below it are left out.
+    prompt : str
+        What SAM is shown.
+    full_precision : bool
+        Compute in float32.
+    most : int, optional
+        Detections a picture at most.
+    models : list of dict, optional
+        Gets name, task, SHA-256 and runtime of each network that is loaded.
+
+    Examples
+    --------
+    >>> loader = NetworkLoader(runtime="onnxruntime")
+    >>> loader.segmenter("mobile-sam") is loader.segmenter("mobile-sam")
+    True
+    >>> [model["name"] for model in loader.models]
+    ['mobile-sam']
+    """
+
+    def __init__(
+        self,
+        registry: Registry | None = None,
+        *,
+        runtime: str = "auto",
+        confidence: float = DEFAULT_CONFIDENCE,
+        prompt: str = "box+point",
+        full_precision: bool = False,
+        most: int | None = None,
+        models: list[dict[str, Any]] | None = None,
+    ) -> None:
+        self.registry = registry or load_registry()
+        self.models: list[dict[str, Any]] = [] if models is None else models
+        self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
+        self._confidence, self._most = confidence, most
+        self._files: dict[str, dict[str, Path]] = {}
+        self._segmenters: dict[str, Segmenter] = {}
+
+    def verify(self, name: str) -> dict[str, Path]:
+        """Return the files of a network of the registry by role; each is read and hashed once.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If the network is not on this machine, or a file is missing or damaged.
+        """
+        if name not in self._files:
+            self._files[name] = self.registry.resolve(name)
+        return self._files[name]
+
+    def yolo(self, chosen: Path | str) -> YoloDetector:
+        """Load a YOLO network: a user's file (a path), or one of the registry (a name).
+
+        Where its points are ordered by place, the registry's network that tells a fruit's ends
+        apart comes with it.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If a file is missing, damaged, or no network of a known kind.
+        """
+        path = self.verify(chosen)["network"] if isinstance(chosen, str) else chosen
+        network = YoloDetector(
+            path,
+            self._runtime,
+            self._confidence,
+            full_precision=self._full_precision,
+            most=self._most,
+        )
+        if isinstance(chosen, str):
+            self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)
+        else:
+            self._note(path.name, network.task, file_sha256(path), network)
+        own = self.registry.default("ends") if network.by_place else None
+        if own is not None:
+            path = self.verify(own.name)["network"]
+            network.ends = EndTeller(path)
+            self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], network.ends)
+        return network
+
+    def pose(self, path: Path) -> YoloDetector:
+        """Load a user's own pose network.
+
+        Raises
+        ------
+        ModelError
+            If the file is missing, or no YOLO pose network.
+        """
+        pose = self.yolo(path)
+        if pose.task != "pose":
+            raise ModelError(
+                f"it is a {pose.task} network and gives no keypoints",
+                source=path,
+                remedy="name a YOLO pose ONNX export with --pose",
+            )
+        return pose
+
+    def detectors(
+        self, file: Path | None = None, pose: YoloDetector | Path | None = None
+    ) -> Detectors:
+        """Load a detector and the pose network beside it.
+
+        Parameters
+        ----------
+        file : Path, optional
+            A user's own detector; the registry's without it, and then its pose network too.
+        pose : YoloDetector or Path, optional
+            Stands in for the registry's pose network.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If the registry has no detector, or a file is missing, damaged or of no known kind.
+        """
+        own, own_pose = self.registry.default("segment"), self.registry.default("pose")
+        if file is None and own is None:
+            raise ModelError(
+                "this version comes without a cucumber detector",
+                remedy="name a YOLO ONNX export (measure --instances FILE, detect --model FILE)",
+            )
+        detector = self.yolo(own.name if file is None and own is not None else file or "")
+        if pose is None and file is None and own_pose is not None:
+            pose = self.yolo(own_pose.name)
+        elif pose is not None and not isinstance(pose, YoloDetector):
+            pose = self.pose(pose)
+        return Detectors(detector, pose)
+
+    def segmenter(self, name: str) -> Segmenter:
+        """Return a SAM of the registry, loaded once.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If it is not on this machine, or a file is missing or damaged.
+        """
+        if name not in self._segmenters:
+            files = self.verify(name)
+            segmenter = Segmenter(
+                (files["encoder"], files["decoder"]),
+                self._runtime,
+                self._prompt,
+                full_precision=self._full_precision,
+            )
+            known = self.registry.hashes(name)
+            hashes = {role: known[file.name] for role, file in files.items()}
+            self._note(name, self.registry.get(name).task, hashes, segmenter)
+            self._segmenters[name] = segmenter
+        return self._segmenters[name]
+
+    def _note(self, name: str, task: str, sha256: Any, network: Any) -> None:
+        entry = {"name": name, "task": task, "sha256": sha256, "runtime": network.runtime}
+        self.models.append(entry)

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.ends import STRIP_PX
+from cucumbervision.perception.networks import NetworkLoader
+from cucumbervision.perception.registry import Registry, file_sha256, load_registry
+
+onnx = pytest.importorskip("onnx")
+from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+
+PICTURE = np.full((64, 64, 3), 90, np.uint8)
+
+
+def save(graph: Any, path: Path, **props: str) -> Path:
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, props)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def pose_network(path: Path) -> Path:
+    """Finds one fruit whatever it sees, its points ordered by place."""
+    rows = np.zeros((1, 300, 21), np.float32)
+    line = np.column_stack([np.linspace(10, 54, 5), np.full(5, 32), np.ones(5)])
+    rows[0, 0] = [8, 24, 56, 40, 0.9, 0, *line.ravel()]
+    graph = helper.make_graph(
+        [
+            helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+            helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+            helper.make_node("Add", ["rows", "nothing"], ["output"]),
+        ],
+        "pose",
+        [helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, 64, 64))],
+        [helper.make_tensor_value_info("output", TensorProto.FLOAT, rows.shape)],
+        [numpy_helper.from_array(np.float32(0), "zero"), numpy_helper.from_array(rows, "rows")],
+    )
+    names = {"names": "{0: 'cucumber'}", "end2end": "True", "kpt_shape": "[5, 3]"}
+    return save(graph, path, task="pose", keypoint_order="place", **names)
+
+
+def ends_network(path: Path) -> Path:
+    """Says that the stem is to the left, whatever it sees."""
+    graph = helper.make_graph(
+        [
+            helper.make_node("ReduceMax", ["fruit"], ["most"], axes=[1, 2, 3], keepdims=0),
+            helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+            helper.make_node("Sub", ["nothing", "four"], ["stem_right"]),
+        ],
+        "ends",
+        [helper.make_tensor_value_info("fruit", TensorProto.FLOAT, ["n", 3, *STRIP_PX])],
+        [helper.make_tensor_value_info("stem_right", TensorProto.FLOAT, ["n"])],
+        [
+            numpy_helper.from_array(np.float32(0), "zero"),
+            numpy_helper.from_array(np.float32(4), "four"),
+        ],
+    )
+    return save(graph, path)
+
+
+def registry_of(folder: Path, **files: Path) -> Registry:
+    """A registry whose embedded networks are these, by task."""
+    text = "models = []" if not files else ""
+    for task, file in files.items():
+        text += (
+            f'[[models]]\nname = "tiny-{task}"\ntask = "{task}"\nlicence = "CC0-1.0"\n'
+            f'title = "t"\norigin = "o"\nembedded = true\nfiles = [{{ role = "network", '
+            f'file = "{file.name}", sha256 = "{file_sha256(file)}" }}]\n'
+        )
+    (folder / "models.toml").write_text(text)
+    return load_registry(folder / "models.toml")
+
+
+def test_the_ends_network_of_the_given_registry_goes_with_points_by_place(tmp_path: Path) -> None:
+    (tmp_path / "weights").mkdir()
+    pose = pose_network(tmp_path / "weights/pose.onnx")
+    ends = ends_network(tmp_path / "weights/ends.onnx")
+    loader = NetworkLoader(registry_of(tmp_path, pose=pose, ends=ends), runtime="onnxruntime")
+    (found,) = loader.yolo("tiny-pose").detect(PICTURE)
+    assert [(m["name"], m["task"], m["sha256"]) for m in loader.models] == [
+        ("tiny-pose", "pose", file_sha256(pose)),
+        ("tiny-ends", "ends", file_sha256(ends)),
+    ]
+    # The stem is to the left: the points run from the right.
+    assert found.keypoints is not None
+    assert found.keypoints[0, 0] > found.keypoints[4, 0]
+    assert found.end_confidence == pytest.approx(1 / (1 + np.exp(-4)), abs=1e-4)
+
+
+def test_without_an_ends_network_nobody_knows_the_ends(tmp_path: Path) -> None:
+    pose = pose_network(tmp_path / "own.onnx")
+    loader = NetworkLoader(registry_of(tmp_path), runtime="onnxruntime")
+    (found,) = loader.pose(pose).detect(PICTURE)
+    assert found.end_confidence == 0.5
+    assert [m["name"] for m in loader.models] == ["own.onnx"]
+
+
+def test_a_registry_without_detector(tmp_path: Path) -> None:
+    loader = NetworkLoader(registry_of(tmp_path))
+    with pytest.raises(ModelError, match="without a cucumber detector"):
+        loader.detectors()

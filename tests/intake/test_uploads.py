@@ -121,7 +121,7 @@ def test_what_it_is_goes_by_the_bytes_and_not_by_the_ending(
     )
     (ref,) = got.sources[0].open()
     assert ref.load().fill == 1.0
-    assert "of no kind that is taken" in faults(got)["evil.png"]
+    assert "of no kind that is accepted" in faults(got)["evil.png"]
     assert "empty" in faults(got)["empty.png"]
 
 
@@ -228,8 +228,28 @@ def test_bombs_are_refused_by_ratio_size_and_number(tmp_path: Path) -> None:
     assert "more than 200 times its size" in faults(send(tmp_path, tight, a__zip=bomb))["a.zip"]
     small = Limits(unpacked_bytes=4_000_000, ratio=2000)
     assert "unpacks to more" in faults(send(tmp_path, small, a__zip=bomb))["a.zip"]
-    one = Limits(members=1)
-    assert "more than 1 files" in faults(send(tmp_path, one, a__zip=bomb))["a.zip"]
+
+
+def test_exactly_as_many_members_as_allowed_are_taken(tmp_path: Path, depth_png: bytes) -> None:
+    two = {"color_1.jpg": b"MZ", "depth_1.png": depth_png}
+    packed = zip_of(*two.items(), ("__MACOSX/._x", b"0"), ("folder/", b""))
+    for members, message in ((2, "has no partner"), (1, "holds more than 1 files")):
+        got = send(tmp_path / str(members), Limits(members=members), a__zip=packed)
+        assert message in " ".join(faults(got).values())
+    # All zips of an upload share the number: the second zip's are one too many.
+    got = send(tmp_path / "3", Limits(members=3), a__zip=packed, b__zip=packed)
+    assert "has no partner" in faults(got)["a.zip: depth_1.png"]
+    assert "holds more than 3 files" in faults(got)["b.zip"]
+    got = send(tmp_path / "4", Limits(members=4), a__zip=packed, b__zip=packed)
+    assert all("has no partner" in text for text in faults(got).values())
+
+
+def test_exactly_sixteen_arrays_are_read(tmp_path: Path) -> None:
+    for number in (16, 17):
+        stream = io.BytesIO()
+        np.savez(stream, *(np.zeros(1) for _ in range(number)))
+        got = send(tmp_path / str(number), depth_1__npz=stream.getvalue())
+        assert ("more than 16 arrays" in faults(got)["depth_1.npz"]) is (number == 17)
 
 
 def test_a_zip_that_lies_about_its_sizes_is_stopped_while_unpacking(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a received file is, by its content, and whether it may stay."""
+"""What a received file is, by its content, and whether it is accepted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from cucumbervision.errors import DepthError, UploadError
 from cucumbervision.intake.archives import ZIP_FAULTS, check_directory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path, PurePosixPath
     from typing import NoReturn
 
@@ -34,14 +33,28 @@ __all__ = [
     "check_npy",
     "check_npz",
     "check_picture",
+    "file_kind",
     "parse_json",
     "picture_size",
-    "sniff",
 ]
 
 HEAD_BYTES = 512
-
 _TEXT_CONTROLS = frozenset(range(32)) - {9, 10, 12, 13}
+_SIDE = 65_500  # JPEG's largest; nothing that is a picture of fruit is wider
+# What reading a damaged head may raise.
+_HEAD_FAULTS = (
+    *(ValueError, TypeError, KeyError, SyntaxError, EOFError, OverflowError, RecursionError),
+    *(MemoryError, AttributeError, IndexError, tokenize.TokenError, struct.error),
+)
+_JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # markers without a length
+_JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_SEGMENTS = 10_000
+_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_SAMPLES = 256, 257, 258, 277
+_TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = 322, 323
+_TIFF_TYPES = {1: "B", 3: "H", 4: "I"}
+_ARRAY_KINDS = frozenset("biufUS")
+_ITEM_BYTES = 8
+_ARRAYS = 16
 
 
 class Kind(StrEnum):
@@ -61,7 +74,9 @@ class Kind(StrEnum):
     RAW = ".raw"
 
 
-PICTURES = frozenset({Kind.PNG, Kind.JPEG, Kind.TIFF, Kind.WEBP})
+COLORS = frozenset({Kind.PNG, Kind.JPEG, Kind.TIFF})
+DEPTHS = frozenset({Kind.PNG, Kind.TIFF, Kind.NPY, Kind.NPZ})
+PICTURES = COLORS | {Kind.WEBP}
 
 _MAGIC = (
     (b"\x89PNG\r\n\x1a\n", Kind.PNG),
@@ -76,311 +91,6 @@ _MAGIC = (
 )
 
 
-def sniff(head: bytes, name: str = "") -> Kind | None:
-    """Tell a file's kind from its first `HEAD_BYTES` bytes.
-
-    The name decides only where bytes cannot: an `.npz` is a zip, a text is JSON or a table, and
-    the 16-bit numbers of RealSense Viewer's `*_Depth.raw` have no head at all.
-
-    Parameters
-    ----------
-    head : bytes
-        The file's beginning.
-    name : str
-        What the sender calls it.
-
-    Returns
-    -------
-    Kind or None
-        None for what is not taken.
-
-    Examples
-    --------
-    >>> sniff(b"PK" + bytes((3, 4)) + b"rest of it", "depth.png")
-    <Kind.ZIP: '.zip'>
-    >>> sniff(b"MZ" + bytes(100), "depth.png") is None
-    True
-    """
-    lower = name.lower()
-    for magic, kind in _MAGIC:
-        if head.startswith(magic):
-            return Kind.NPZ if kind is Kind.ZIP and lower.endswith(".npz") else kind
-    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
-        return Kind.WEBP
-    if lower.endswith("_depth.raw"):
-        return Kind.RAW
-    return _text_kind(head, lower)
-
-
-def _text_kind(head: bytes, lower: str) -> Kind | None:
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not text or not _TEXT_CONTROLS.isdisjoint(text):
-        return None
-    if text[:1] in (b"{", b"["):
-        return Kind.JSON
-    return Kind.CSV if lower.endswith(".csv") else None
-
-
-_SIDE = 65_500  # what JPEG can say; nothing that is a picture of fruit is wider
-
-_JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # markers without a length
-
-_JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-
-_SEGMENTS = 10_000
-
-_TIFF_SIDES = {256: "width", 257: "height", 322: "tile width", 323: "tile height"}
-
-_TIFF_BITS, _TIFF_SAMPLES, _TIFF_TYPES = 258, 277, {1: "B", 3: "H", 4: "I"}
-
-
-def check_picture(path: Path, kind: Kind, most_pixels: int, *, source: str) -> tuple[int, int]:
-    """Refuse a picture that is too large, or whose head is broken, without decoding it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    kind : Kind
-        One of `sniff.PICTURES`.
-    most_pixels : int
-        Width times height at most.
-    source : str
-        The picture's name, for errors.
-
-    Returns
-    -------
-    (int, int)
-        Width and height.
-
-    Raises
-    ------
-    UploadError
-        If it is too large, or says no size.
-    """
-    try:
-        with path.open("rb") as stream:
-            width, height = picture_size(stream, kind)
-    except (struct.error, ValueError, IndexError, OverflowError):
-        raise UploadError(
-            "is damaged: its head tells no size", source=source, remedy="copy or export it again"
-        ) from None
-    if width * height > most_pixels:
-        raise UploadError(
-            f"has {width}x{height} pixels, more than {most_pixels / 1e6:g} million",
-            source=source,
-            remedy="send a smaller picture",
-        )
-    return width, height
-
-
-def picture_size(stream: BinaryIO, kind: Kind) -> tuple[int, int]:
-    r"""Read width and height from the head of a PNG, JPEG, TIFF or WebP.
-
-    Raises
-    ------
-    ValueError
-        If it says none, or one that cannot be; `struct.error` where it ends too early.
-
-    Notes
-    -----
-    PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. TIFF 6.0, section 2; only the first
-    picture is ever decoded, whose tiles must be within the limits too. WebP: RFC 9649, 2.
-
-    Examples
-    --------
-    >>> import io
-    >>> head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 640, 480) + bytes((8, 2))
-    >>> picture_size(io.BytesIO(head), Kind.PNG)
-    (640, 480)
-    """
-    readers: dict[Kind, Callable[[BinaryIO], tuple[int, int]]] = {
-        Kind.PNG: _png,
-        Kind.JPEG: _jpeg,
-        Kind.TIFF: _tiff,
-        Kind.WEBP: _webp,
-    }
-    width, height = readers[kind](stream)
-    if not (0 < width <= _SIDE and 0 < height <= _SIDE):
-        raise ValueError(f"a picture of {width}x{height}")
-    return width, height
-
-
-def _png(stream: BinaryIO) -> tuple[int, int]:
-    _, name, width, height, bits, color = struct.unpack(">I4sIIBB", stream.read(26)[8:])
-    if name != b"IHDR" or bits not in {1, 2, 4, 8, 16} or color not in {0, 2, 3, 4, 6}:
-        raise ValueError("no IHDR")
-    return width, height
-
-
-def _jpeg(stream: BinaryIO) -> tuple[int, int]:
-    stream.seek(2)
-    for _ in range(_SEGMENTS):
-        mark, code = stream.read(2)
-        while code == 0xFF:  # filling
-            code = stream.read(1)[0]
-        if mark != 0xFF or code in {0xD9, 0xDA}:
-            raise ValueError("no size before the pixels")
-        if code in _JPEG_ALONE:
-            continue
-        (length,) = struct.unpack(">H", stream.read(2))
-        if code in _JPEG_SIZES:
-            _, height, width = struct.unpack(">BHH", stream.read(5))
-            return width, height
-        stream.seek(length - 2, 1)
-    raise ValueError("too many segments")
-
-
-def _tiff(stream: BinaryIO) -> tuple[int, int]:
-    head = stream.read(8)
-    order = "<" if head[:2] == b"II" else ">"
-    stream.seek(struct.unpack(f"{order}I", head[4:])[0])
-    (count,) = struct.unpack(f"{order}H", stream.read(2))
-    sides = dict.fromkeys(_TIFF_SIDES, 1)
-    for _ in range(min(count, 200)):
-        tag, kind, values, data = struct.unpack(f"{order}HHI4s", stream.read(12))
-        if tag not in {*_TIFF_SIDES, _TIFF_BITS, _TIFF_SAMPLES} or values != 1:
-            continue
-        form = _TIFF_TYPES.get(kind, "?")
-        value = struct.unpack_from(f"{order}{form}", data)[0]
-        if tag in sides:
-            sides[tag] = int(value)
-        elif value > (64 if tag == _TIFF_BITS else 4):
-            raise ValueError("more bits or channels than a picture has")
-    width, height, tile_width, tile_height = sides.values()
-    if max(tile_width, tile_height) > max(4096, 2 * max(width, height)):
-        raise ValueError("tiles larger than the picture")
-    return width, height
-
-
-def _webp(stream: BinaryIO) -> tuple[int, int]:
-    head = stream.read(30)
-    if head[12:16] == b"VP8X":
-        return (
-            1 + int.from_bytes(head[24:27], "little"),
-            1 + int.from_bytes(head[27:30], "little"),
-        )
-    if head[12:16] == b"VP8L":
-        (bits,) = struct.unpack("<I", head[21:25])
-        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    if head[12:16] == b"VP8 ":
-        width, height = struct.unpack("<HH", head[26:30])
-        return width & 0x3FFF, height & 0x3FFF
-    raise ValueError("no picture in it")
-
-
-_KINDS = frozenset("biufUS")
-
-_ITEM_BYTES = 8
-
-_ARRAYS = 16
-
-_HEAD_FAULTS = (
-    *(ValueError, TypeError, KeyError, SyntaxError, EOFError, OverflowError, RecursionError),
-    *(MemoryError, AttributeError, IndexError, tokenize.TokenError),
-)
-
-
-def check_npy(path: Path, limits: Limits, *, source: str) -> None:
-    """Refuse an `.npy` that holds objects, is too large, or is cut short; its data is not read.
-
-    Raises
-    ------
-    DepthError
-        If it holds Python objects, or is damaged.
-    UploadError
-        If it has more elements than a picture may have.
-    """
-    with path.open("rb") as stream:
-        _check_array(stream, path.stat().st_size, limits, source)
-
-
-def check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:
-    """Refuse an `.npz` for the same reasons; its members are unpacked once, to nowhere.
-
-    Returns
-    -------
-    frozenset of str
-        The names of its arrays.
-
-    Raises
-    ------
-    DepthError
-        If it holds Python objects, or is damaged.
-    UploadError
-        If it holds anything but arrays, too many or too large ones.
-    """
-    check_directory(path, _ARRAYS, source)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            for member in members:
-                if not member.filename.endswith(".npy") or "/" in member.filename:
-                    raise UploadError(
-                        "holds something that is no array",
-                        source=source,
-                        remedy="save it with numpy.savez",
-                    )
-                with archive.open(member) as stream:
-                    _check_array(stream, member.file_size, limits, source)
-                    while stream.read(1 << 20):  # to its end, where its checksum is compared
-                        pass
-    except ZIP_FAULTS:
-        raise _damaged(source) from None
-    if len(members) > _ARRAYS:
-        raise _too_many(source)
-    return frozenset(member.filename.removesuffix(".npy") for member in members)
-
-
-def _check_array(stream: IO[bytes], size: int, limits: Limits, source: str) -> None:
-    try:
-        version = npy.read_magic(stream)
-        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
-        shape, _, dtype = read(stream, max_header_size=4000)
-        elements = math.prod(int(n) for n in shape)
-        right = all(n >= 0 for n in shape) and dtype.fields is None and dtype.subdtype is None
-    except _HEAD_FAULTS:
-        raise _damaged(source) from None
-    if dtype.hasobject:
-        raise DepthError(
-            "holds Python objects (pickle), which are never loaded",
-            source=source,
-            remedy="save the array as uint16 or float32 with numpy.save",
-        )
-    # A colour picture has three numbers a pixel.
-    if elements > 3 * limits.pixels or math.prod(shape[:2]) > limits.pixels:
-        raise UploadError(
-            f"an array has {elements:,} elements, more than a picture of "
-            f"{limits.pixels / 1e6:g} million pixels",
-            source=source,
-            remedy="send a smaller picture",
-        )
-    text_or_number = dtype.kind in _KINDS and (
-        dtype.itemsize <= _ITEM_BYTES or (dtype.kind in "US" and elements * dtype.itemsize < 10_000)
-    )
-    if not right or not text_or_number or size - stream.tell() != elements * dtype.itemsize:
-        raise _damaged(source)
-
-
-def _damaged(source: str) -> DepthError:
-    return DepthError(
-        "is truncated or no NumPy file of numbers",
-        source=source,
-        remedy="save the array as uint16 or float32 with numpy.save",
-    )
-
-
-def _too_many(source: str) -> UploadError:
-    return UploadError(
-        f"holds more than {_ARRAYS} arrays", source=source, remedy="send one capture in it"
-    )
-
-
-COLORS = frozenset({Kind.PNG, Kind.JPEG, Kind.TIFF})
-
-DEPTHS = frozenset({Kind.PNG, Kind.TIFF, Kind.NPY, Kind.NPZ})
-
-
 @dataclass(frozen=True, eq=False)
 class Item:
     """A received file that passed its checks.
@@ -388,7 +98,7 @@ class Item:
     Parameters
     ----------
     name : PurePosixPath
-        What its sender calls it, inside its zip or batch; never used on the disk.
+        The sender's name, inside its zip or batch; never used on the disk.
     title : str
         The same, fit to be shown.
     path : Path
@@ -412,28 +122,63 @@ class Item:
     document: Any = None
 
 
+def file_kind(head: bytes, name: str = "") -> Kind | None:
+    """Return a file's kind by its first `HEAD_BYTES` bytes; None for what is not accepted.
+
+    The name decides only where bytes cannot: an `.npz` is a zip, a text is JSON or a table, and
+    the 16-bit numbers of RealSense Viewer's `*_Depth.raw` have no head at all.
+
+    Parameters
+    ----------
+    head : bytes
+        The file's beginning.
+    name : str
+        The sender's name for it.
+
+    Examples
+    --------
+    >>> file_kind(b"PK" + bytes((3, 4)) + b"rest of it", "depth.png")
+    <Kind.ZIP: '.zip'>
+    >>> file_kind(b"MZ" + bytes(100), "depth.png") is None
+    True
+    """
+    lower = name.lower()
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            return Kind.NPZ if kind is Kind.ZIP and lower.endswith(".npz") else kind
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return Kind.WEBP
+    if lower.endswith("_depth.raw"):
+        return Kind.RAW
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not text or not _TEXT_CONTROLS.isdisjoint(text):
+        return None
+    if text[:1] in (b"{", b"["):
+        return Kind.JSON
+    return Kind.CSV if lower.endswith(".csv") else None
+
+
 def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> Item:
-    """Find out what a file is, and refuse it where it is too large, damaged or unknown.
+    """Return a file with its kind and what is known of it.
 
     Raises
     ------
     UploadError
-        Of no known kind, too large, or damaged.
+        If it is of no known kind, too large, or damaged.
     DepthError
-        For an array file that holds objects or is damaged.
+        If it is an array file that holds objects or is damaged.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
-        kind = sniff(stream.read(HEAD_BYTES), name.name)
+        kind = file_kind(stream.read(HEAD_BYTES), name.name)
     if kind is None:
         raise UploadError(
-            "the file is empty" if not size else "is of no kind that is taken",
+            "is of no kind that is accepted" if size else "the file is empty",
             source=title,
             remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
             "them",
         )
     if kind is Kind.WEBP:
-        check_picture(path, kind, limits.pixels, source=title)
         raise UploadError(
             "WebP pictures are not measured", source=title, remedy="save it as PNG or JPEG"
         )
@@ -455,6 +200,195 @@ def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> I
     return Item(name, title, path, kind)
 
 
+def check_picture(path: Path, kind: Kind, most_pixels: int, *, source: str) -> tuple[int, int]:
+    """Return a picture's width and height from its head, without decoding it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : Kind
+        One of `COLORS`.
+    most_pixels : int
+        Width times height at most.
+    source : str
+        The picture's name, for errors.
+
+    Raises
+    ------
+    UploadError
+        If it is too large, or its head is damaged.
+    """
+    try:
+        with path.open("rb") as stream:
+            width, height = picture_size(stream, kind)
+    except _HEAD_FAULTS:
+        raise UploadError(
+            "is damaged: its head holds no size", source=source, remedy="copy or export it again"
+        ) from None
+    if width * height > most_pixels:
+        raise UploadError(
+            f"has {width}x{height} pixels, more than {most_pixels / 1e6:g} million",
+            source=source,
+            remedy="send a smaller picture",
+        )
+    return width, height
+
+
+def picture_size(stream: BinaryIO, kind: Kind) -> tuple[int, int]:
+    r"""Return width and height from the head of a PNG, JPEG or TIFF.
+
+    Raises
+    ------
+    ValueError
+        If it holds none, or one that cannot be; `struct.error` where it ends too early.
+
+    Notes
+    -----
+    PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. TIFF 6.0, section 2; only the first
+    picture is ever decoded, whose tiles must be within the limits too.
+
+    Examples
+    --------
+    >>> import io
+    >>> head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 640, 480) + bytes((8, 2))
+    >>> picture_size(io.BytesIO(head), Kind.PNG)
+    (640, 480)
+    """
+    width, height = {Kind.PNG: _png, Kind.JPEG: _jpeg, Kind.TIFF: _tiff}[kind](stream)
+    if not (0 < width <= _SIDE and 0 < height <= _SIDE):
+        raise ValueError(f"a picture of {width}x{height}")
+    return width, height
+
+
+def _png(stream: BinaryIO) -> tuple[int, int]:
+    _, name, width, height, bits, color = struct.unpack(">I4sIIBB", stream.read(26)[8:])
+    if name != b"IHDR" or bits not in {1, 2, 4, 8, 16} or color not in {0, 2, 3, 4, 6}:
+        raise ValueError("no IHDR")
+    return width, height
+
+
+def _jpeg(stream: BinaryIO) -> tuple[int, int]:
+    stream.seek(2)
+    for _ in range(_JPEG_SEGMENTS):
+        mark, code = stream.read(2)
+        while code == 0xFF:  # filling
+            code = stream.read(1)[0]
+        if mark != 0xFF or code in {0xD9, 0xDA}:
+            raise ValueError("no size before the pixels")
+        if code in _JPEG_ALONE:
+            continue
+        (length,) = struct.unpack(">H", stream.read(2))
+        if code in _JPEG_SIZES:
+            _, height, width = struct.unpack(">BHH", stream.read(5))
+            return width, height
+        stream.seek(length - 2, 1)
+    raise ValueError("too many segments")
+
+
+def _tiff(stream: BinaryIO) -> tuple[int, int]:
+    head = stream.read(8)
+    order = "<" if head[:2] == b"II" else ">"
+    stream.seek(struct.unpack(f"{order}I", head[4:])[0])
+    (count,) = struct.unpack(f"{order}H", stream.read(2))
+    tags: dict[int, int] = {}
+    for _ in range(min(count, 200)):
+        tag, kind, values, data = struct.unpack(f"{order}HHI4s", stream.read(12))
+        if kind in _TIFF_TYPES and values == 1:
+            tags[tag] = struct.unpack_from(f"{order}{_TIFF_TYPES[kind]}", data)[0]
+    width, height = tags[_TIFF_WIDTH], tags[_TIFF_HEIGHT]
+    if tags.get(_TIFF_BITS, 1) > 64 or tags.get(_TIFF_SAMPLES, 1) > 4:
+        raise ValueError("more bits or channels than a picture has")
+    # A decoder makes room for whole tiles.
+    tile = max(tags.get(_TIFF_TILE_WIDTH, 1), tags.get(_TIFF_TILE_HEIGHT, 1))
+    if tile > max(4096, 2 * max(width, height)):
+        raise ValueError("tiles larger than the picture")
+    return width, height
+
+
+def check_npy(path: Path, limits: Limits, *, source: str) -> None:
+    """Check an `.npy` by its head; its data is not read.
+
+    Raises
+    ------
+    DepthError
+        If it holds Python objects, or is damaged.
+    UploadError
+        If it has more elements than a picture may have.
+    """
+    with path.open("rb") as stream:
+        _check_array(stream, path.stat().st_size, limits, source)
+
+
+def check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:
+    """Return the names of an `.npz` file's arrays; its members are unpacked once, to nowhere.
+
+    Raises
+    ------
+    DepthError
+        If it holds Python objects, or is damaged.
+    UploadError
+        If it holds anything but arrays, too many or too large ones.
+    """
+    check_directory(path, _ARRAYS, source)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if len(members) > _ARRAYS:
+                raise UploadError(
+                    f"holds more than {_ARRAYS} arrays",
+                    source=source,
+                    remedy="send one capture in it",
+                )
+            for member in members:
+                if not member.filename.endswith(".npy") or "/" in member.filename:
+                    raise UploadError(
+                        "holds something other than arrays",
+                        source=source,
+                        remedy="save it with numpy.savez",
+                    )
+                with archive.open(member) as stream:
+                    _check_array(stream, member.file_size, limits, source)
+                    while stream.read(1 << 20):  # to its end, where its checksum is compared
+                        pass
+    except ZIP_FAULTS:
+        raise _damaged_array(source) from None
+    return frozenset(member.filename.removesuffix(".npy") for member in members)
+
+
+def _check_array(stream: IO[bytes], size: int, limits: Limits, source: str) -> None:
+    try:
+        version = npy.read_magic(stream)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        shape, _, dtype = read(stream, max_header_size=4000)
+        elements = math.prod(int(n) for n in shape)
+        right = all(n >= 0 for n in shape) and dtype.fields is None and dtype.subdtype is None
+    except _HEAD_FAULTS:
+        raise _damaged_array(source) from None
+    if dtype.hasobject:
+        raise _damaged_array(source, "holds Python objects (pickle), which are never loaded")
+    # A colour picture has three numbers a pixel.
+    if elements > 3 * limits.pixels or math.prod(shape[:2]) > limits.pixels:
+        raise UploadError(
+            f"an array has {elements:,} elements, more than a picture of "
+            f"{limits.pixels / 1e6:g} million pixels",
+            source=source,
+            remedy="send a smaller picture",
+        )
+    text_or_number = dtype.kind in _ARRAY_KINDS and (
+        dtype.itemsize <= _ITEM_BYTES or (dtype.kind in "US" and elements * dtype.itemsize < 10_000)
+    )
+    if not right or not text_or_number or size - stream.tell() != elements * dtype.itemsize:
+        raise _damaged_array(source)
+
+
+def _damaged_array(
+    source: str, message: str = "is truncated or not a NumPy file of numbers"
+) -> DepthError:
+    remedy = "save the array as uint16 or float32 with numpy.save"
+    return DepthError(message, source=source, remedy=remedy)
+
+
 def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
     if size > limits.text_bytes:
         raise UploadError(
@@ -469,33 +403,33 @@ def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
         data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise UploadError(
-            "is no text in UTF-8", source=title, remedy="save the table as UTF-8"
+            "is not text in UTF-8", source=title, remedy="save the table as UTF-8"
         ) from None
     return None
 
 
 def parse_json(data: bytes, *, source: str) -> Any:
-    """Read JSON from a stranger: strictly, and without numbers that are none.
+    """Return a JSON document, read strictly: without NaN and Infinity.
 
     Raises
     ------
     UploadError
-        If it is none, is nested too deeply, or holds NaN or Infinity.
+        If it is not JSON, is nested too deeply, or holds NaN or Infinity.
 
     Examples
     --------
     >>> parse_json(b'{"stop": {"row": NaN}}', source="capture.json")
     Traceback (most recent call last):
     ...
-    cucumbervision.errors.UploadError: capture.json: is no JSON; correct or export it again
+    cucumbervision.errors.UploadError: capture.json: is not JSON; correct or export it again
     """
+
+    def refuse(name: str) -> NoReturn:
+        raise ValueError(f"{name} is not a number")
+
     try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
+        return json.loads(data.decode("utf-8-sig"), parse_constant=refuse)
     except (ValueError, RecursionError):
         raise UploadError(
-            "is no JSON", source=source, remedy="correct or export it again"
+            "is not JSON", source=source, remedy="correct or export it again"
         ) from None
-
-
-def _refuse(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number")

@@ -19,7 +19,6 @@ from cucumbervision.errors import CaptureError, CucumberVisionError, MissingExtr
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.intake.file_checks import Item
@@ -28,19 +27,21 @@ if TYPE_CHECKING:
 __all__ = [
     "AcceptedSource",
     "AcceptedUploads",
-    "Desk",
+    "Layout",
     "Refused",
     "Sorted",
+    "Staging",
+    "is_intrinsics",
     "shown_name",
-    "write_json",
 ]
 
 _LONGEST = 60
+_INTRINSICS = "intrinsics.json"
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A file that was not taken: what its sender calls it, and the named error."""
+    """A file that was not accepted: its sender's name for it, and the named error."""
 
     name: str
     error: CucumberVisionError
@@ -48,7 +49,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class AcceptedSource:
-    """Captures that came in, laid out for `capture.readers.open_source`.
+    """Captures of an upload, laid out for `capture.readers.open_source`.
 
     Parameters
     ----------
@@ -57,13 +58,13 @@ class AcceptedSource:
     kind : str
         'native', 'bop', 'viewer', 'pair' or 'recording'.
     title : str
-        The upload that it came in, as its sender calls it.
+        The upload that it came in, by its sender's name.
     files : tuple of str
-        What it was made of, as its sender calls it.
+        What it was made of, by the sender's names.
     names : mapping of str to str
-        What each of its captures was called by its sender, by its own name.
+        The sender's name of each capture, by our own.
     titles : mapping of Path to str
-        What each file was called.
+        The sender's name of each file.
     intrinsics : Path, optional
         Intrinsics that came with it.
     """
@@ -77,7 +78,7 @@ class AcceptedSource:
     intrinsics: Path | None = None
 
     def open(self, options: ReadOptions | None = None) -> CaptureSource:
-        """Open the captures; they and their errors go by the sender's names.
+        """Return the captures; they and their errors have the sender's names.
 
         Parameters
         ----------
@@ -99,7 +100,7 @@ class AcceptedSource:
         try:
             source = open_source(self.path, options)
         except CucumberVisionError as error:
-            raise self._retold(error, self.title) from None
+            raise self._renamed(error, self.title) from None
         return replace(source, refs=lambda: self._refs(source))
 
     def _refs(self, source: CaptureSource) -> Iterator[CaptureRef]:
@@ -115,12 +116,12 @@ class AcceptedSource:
             try:
                 return replace(ref.load(), name=name, source=shown)
             except CucumberVisionError as error:
-                raise self._retold(error, shown) from None
+                raise self._renamed(error, shown) from None
 
         return load
 
-    def _retold(self, error: CucumberVisionError, shown: str) -> CucumberVisionError:
-        """Give the error with the sender's name in place of our path."""
+    def _renamed(self, error: CucumberVisionError, shown: str) -> CucumberVisionError:
+        """Return the error with the sender's name in place of our path."""
         if isinstance(error, MissingExtraError):
             return error
         title = self.titles.get(Path(error.source), shown)
@@ -134,7 +135,7 @@ class AcceptedUploads:
     Parameters
     ----------
     folder : Path
-        Where all of it lies; not there if nothing was accepted.
+        Where all of it lies; does not exist if nothing was accepted.
     sources : tuple of AcceptedSource
         What can be measured.
     refused : tuple of Refused
@@ -150,7 +151,7 @@ class AcceptedUploads:
 
 
 def shown_name(text: str) -> str:
-    """Make a capture's name of what its sender calls it: fit for file names, not too long.
+    """Return a capture's name made of its sender's: fit for file names, not too long.
 
     Examples
     --------
@@ -162,24 +163,24 @@ def shown_name(text: str) -> str:
 
 @dataclass
 class Sorted:
-    """What comes out of the sorting, over all zips and batches of an upload."""
+    """What the sorting gives, over all zips and batches of an upload."""
 
     sources: list[AcceptedSource] = field(default_factory=list)
     refused: list[Refused] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
 
     def refuse(self, title: str, error: CucumberVisionError) -> None:
-        """Note a file that is not taken."""
+        """Note a file that is not accepted."""
         self.refused.append(Refused(title, error))
 
 
-class Desk:
-    """The files of one zip or batch that belong to nothing yet.
+class Staging:
+    """The files of one zip or batch that belong to no capture yet.
 
     Parameters
     ----------
     title : str
-        What the zip or batch is called.
+        Name of the zip or batch.
     items : iterable of Item
         Its files; of two with one name the first stays.
     folder : Path
@@ -207,47 +208,107 @@ class Desk:
         self.left: dict[PurePosixPath, Item] = {}
         for item in items:
             if item.name in self.left:
-                out.refuse(item.title, _twice(item.title))
+                twice = "was sent twice", "send it once, or rename it"
+                out.refuse(item.title, CaptureError(twice[0], source=item.title, remedy=twice[1]))
             else:
                 self.left[item.name] = item
 
-    def new_folder(self, kind: str) -> Path:
-        """Make the folder of a new source."""
-        folder = self.folder / f"{len(list(self.folder.iterdir())):02d}-{kind}"
-        folder.mkdir()
-        return folder
-
     def take(self, name: PurePosixPath) -> Item | None:
-        """Take a file from the table, so that nothing else uses it; None if it is not there."""
+        """Remove a file and return it, so that nothing else uses it; None if it is not there."""
         return self.left.pop(name, None)
 
     def inside(self, folder: PurePosixPath) -> list[Item]:
-        """Give what is left directly in a folder, by name."""
+        """Return what is left directly in a folder, by name."""
         return [self.left[name] for name in sorted(self.left) if name.parent == folder]
 
     def refuse(self, item: Item, error: CucumberVisionError) -> None:
-        """Take a file from the table and note why it is not taken."""
+        """Remove a file and note why it is not accepted."""
         self.left.pop(item.name, None)
         self.out.refuse(item.title, error)
 
     def ignore(self, names: Iterable[PurePosixPath]) -> None:
-        """Take files from the table that are not needed."""
+        """Remove files that are not needed."""
         for name in list(names):
             self.out.ignored.append(self.left.pop(name).title)
 
     def intrinsics_for(self, name: PurePosixPath) -> Item | None:
-        """Find the intrinsics file that is nearest to a file: in its folder, or above."""
+        """Return the intrinsics file that is nearest to a file: in its folder, or above."""
         found = [item for item in self.left.values() if is_intrinsics(item.document)]
         for folder in name.parents:
             here = sorted((i for i in found if i.name.parent == folder), key=lambda i: i.name)
-            named = [i for i in here if i.name.name.lower() == "intrinsics.json"]
+            named = [i for i in here if i.name.name.lower() == _INTRINSICS]
             if here:
                 return (named or here)[0]
         return None
 
 
+class Layout:
+    """A source on its way: files of the staging moved into a new folder, under names of our own.
+
+    Parameters
+    ----------
+    staging : Staging
+        Where its files come from.
+    kind : str
+        As in `AcceptedSource`.
+    """
+
+    def __init__(self, staging: Staging, kind: str) -> None:
+        self.staging, self.kind = staging, kind
+        self.folder = staging.folder / f"{len(list(staging.folder.iterdir())):02d}-{kind}"
+        self.folder.mkdir()
+        self.names: dict[str, str] = {}
+        self.titles: dict[Path, str] = {}
+        self.files: list[str] = []
+        self.intrinsics: Path | None = None
+
+    def move(self, item: Item, name: str) -> Path:
+        """Move a file to its place in the folder, and take it from the staging."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        item.path.rename(path)
+        self._note(item, path)
+        return path
+
+    def write(self, item: Item, name: str, document: Any) -> Path:
+        """Write a document read from a sender's file as a file of our own."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(document, indent=1), encoding="utf-8")
+        self._note(item, path)
+        return path
+
+    def write_intrinsics(self, item: Item | None) -> None:
+        """Write the intrinsics that came with the files; they stay for others in the staging."""
+        if item is not None:
+            self.intrinsics = self.write(item, _INTRINSICS, item.document)
+            self.staging.left[item.name] = item
+
+    def accept(self, path: Path | None = None, title: str = "") -> None:
+        """Note the source as accepted; `path` where it is not the whole folder.
+
+        Its title is the zip's or batch's unless another is given.
+        """
+        self.staging.out.sources.append(
+            AcceptedSource(
+                path or self.folder,
+                self.kind,
+                title or self.staging.title,
+                tuple(self.files),
+                self.names,
+                self.titles,
+                self.intrinsics,
+            )
+        )
+
+    def _note(self, item: Item, path: Path) -> None:
+        self.titles[path] = item.title
+        self.files.append(item.title)
+        self.staging.take(item.name)
+
+
 def is_intrinsics(document: Any) -> bool:
-    """Say whether a JSON document looks like an intrinsics file.
+    """Return whether a JSON document looks like an intrinsics file.
 
     Examples
     --------
@@ -255,13 +316,3 @@ def is_intrinsics(document: Any) -> bool:
     (True, False)
     """
     return isinstance(document, dict) and ("fx" in document or "matrix" in document)
-
-
-def write_json(path: Path, document: Any) -> Path:
-    """Write a document that was read from a stranger's file as a file of our own."""
-    path.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    return path
-
-
-def _twice(title: str) -> CaptureError:
-    return CaptureError("was sent twice", source=title, remedy="send it once, or rename it")

@@ -11,18 +11,10 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import Budget, clean_name, unpack, write_chunk
-from cucumbervision.intake.file_checks import HEAD_BYTES, Kind, check_item, sniff
-from cucumbervision.intake.layouts import (
-    sort_arrays,
-    sort_native,
-    sort_pairs,
-    sort_recordings,
-    sort_rest,
-    sort_scenes,
-    sort_snapshots,
-)
+from cucumbervision.intake.file_checks import HEAD_BYTES, Kind, check_item, file_kind
+from cucumbervision.intake.layouts import lay_out
 from cucumbervision.intake.limits import Limits
-from cucumbervision.intake.staging import AcceptedUploads, Desk, Sorted
+from cucumbervision.intake.staging import AcceptedUploads, Sorted, Staging
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -75,7 +67,7 @@ def accept_uploads(
     >>> with tempfile.TemporaryDirectory() as tmp:
     ...     got = accept_uploads([("../../x.png", io.BytesIO(b"MZ"))], Path(tmp) / "in")
     ...     print(got.refused[0].error)
-    x.png: is of no kind that is taken; send PNG, JPEG or TIFF pictures, ...
+    x.png: is of no kind that is accepted; send PNG, JPEG or TIFF pictures, ...
     """
     limits = limits or Limits()
     if len(files) > limits.files:
@@ -136,14 +128,8 @@ class _Intake:
 
     def sort(self, title: str, items: Sequence[Item], *, is_archive: bool) -> None:
         """Make sources of the files of one zip or batch."""
-        desk = Desk(title, items, self.batch, self.limits, self.out, is_archive=is_archive)
-        sort_recordings(desk, self._burst)
-        sort_native(desk)
-        sort_scenes(desk)
-        sort_snapshots(desk)
-        sort_arrays(desk)
-        sort_pairs(desk)
-        sort_rest(desk)
+        staging = Staging(title, items, self.batch, self.limits, self.out, is_archive=is_archive)
+        lay_out(staging, self._burst)
 
     def _copy(self, content: BinaryIO | Path, own: Path, title: str) -> None:
         if isinstance(content, Path):
@@ -214,12 +200,12 @@ class _Intake:
     @staticmethod
     def _is_zip(path: Path, name: str) -> bool:
         with path.open("rb") as stream:
-            return sniff(stream.read(HEAD_BYTES), name) is Kind.ZIP
+            return file_kind(stream.read(HEAD_BYTES), name) is Kind.ZIP
 
 
 def _is_unknown(path: Path, name: str) -> bool:
     with path.open("rb") as stream:
-        return sniff(stream.read(HEAD_BYTES), name) is None
+        return file_kind(stream.read(HEAD_BYTES), name) is None
 
 
 def _mode(path: Path, title: str) -> int:

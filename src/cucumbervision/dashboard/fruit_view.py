@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
+import pydeck
 import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
@@ -23,15 +25,14 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord, MethodRecord
 
 __all__ = [
-    "METHOD_COLORS",
+    "CLOUD_HEIGHT_PX",
     "as_data_url",
-    "cloud",
     "crop",
     "depth_picture",
-    "fruit_cloud",
     "fruit_layers",
     "mask_outline",
     "picture",
+    "point_cloud",
     "ruler_m",
     "scale_bar",
     "tube_rings",
@@ -46,18 +47,21 @@ METHOD_COLORS = {
     "M5": "#0072B2",
     "M6": "#FFFFFF",
 }
-
 MASK_COLOR, KEYPOINT_COLOR, BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
-
 QUALITY = 85
-
 RULER_PX = 7
-
 BAR_M = {"cm": 0.10, "in": 0.1016}
+
+POINTS = 3500
+RINGS, RING_POINTS = 16, 20
+MARGIN_PX = 12
+SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
+CLOUD_HEIGHT_PX = 420
+RING_COLOR, AXIS_COLOR = (86, 180, 233), (255, 255, 255)
 
 
 def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
-    """Give a picture as a JPEG in a data URL, at most so wide.
+    """Return a picture as a JPEG in a data URL, scaled down to a width where it is wider.
 
     Parameters
     ----------
@@ -71,10 +75,8 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
     """
     if picture.shape[1] > widest_px:
         height = round(picture.shape[0] * widest_px / picture.shape[1])
-        picture = cast(
-            "NDArray[np.uint8]",
-            cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA),
-        )
+        small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
+        picture = cast("NDArray[np.uint8]", small)
     _, data = cv2.imencode(
         ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     )
@@ -82,7 +84,7 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
 
 
 def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]:
-    """Colour depth: near is red, far blue, black no reading; and say the range in words.
+    """Return depth in colours (near red, far blue, no reading black), and the range in words.
 
     Returns
     -------
@@ -110,7 +112,7 @@ def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]
 
 
 def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, Any]]:
-    """Give what was found and measured of a fruit as layers of lines, in pixels.
+    """Return what was found and measured of a fruit as layers of lines, in pixels.
 
     Returns
     -------
@@ -118,39 +120,42 @@ def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, 
         'name', 'color', 'on' (shown at first) and 'shapes': each 'kind' ('area', 'line' or
         'dot') and 'points' (x and y after each other).
     """
+
+    def layer(name: str, color: str, on: bool, shapes: list[dict[str, Any]]) -> dict[str, Any]:
+        return {"name": name, "color": color, "on": on, "shapes": shapes}
+
     layers = []
     if record.mask is not None:
         mask = decode_rle(record.mask, camera.height, camera.width)
-        shapes = [{"kind": "area", "points": line} for line in mask_outline(mask)]
-        layers.append({"name": "Mask", "color": MASK_COLOR, "on": True, "shapes": shapes})
+        areas = [{"kind": "area", "points": line} for line in mask_outline(mask)]
+        layers.append(layer("Mask", MASK_COLOR, True, areas))
     box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
     x1, y1, x2, y2 = (round(edge, 1) for edge in box)
-    corners = [x1, y1, x2, y1, x2, y2, x1, y2, x1, y1]
-    outline = [{"kind": "line", "points": corners}]
-    layers.append({"name": "Box", "color": BOX_COLOR, "on": record.mask is None, "shapes": outline})
+    frame = {"kind": "line", "points": [x1, y1, x2, y1, x2, y2, x1, y2, x1, y1]}
+    layers.append(layer("Box", BOX_COLOR, record.mask is None, [frame]))
     if record.keypoints:
-        dots = [
-            {"kind": "dot", "points": [round(u, 1), round(v, 1)]}
-            for u, v, seen in record.keypoints
-            if seen > 0.25
-        ]
-        layers.append({"name": "Keypoints", "color": KEYPOINT_COLOR, "on": False, "shapes": dots})
+        seen = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
+        dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in seen]
+        layers.append(layer("Keypoints", KEYPOINT_COLOR, False, dots))
     for method in record.methods:
         if shapes := _path_shapes(method, camera):
             name = f"{method.method} axis" if method.diameter_m else method.method
-            layers.append(
-                {
-                    "name": name,
-                    "color": METHOD_COLORS[method.method],
-                    "on": method.method == record.method,
-                    "shapes": shapes,
-                }
-            )
+            chosen = method.method == record.method
+            layers.append(layer(name, METHOD_COLORS[method.method], chosen, shapes))
     return layers
 
 
+def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any]]:
+    path = np.array(method.path_m, np.float64).reshape(-1, 3)
+    if len(path) < 2 or (path[:, 2] <= 0).any():
+        return []
+    pixels = np.round(camera.project(path), 1)
+    line = {"kind": "line", "points": pixels.reshape(-1).tolist()}
+    return [line, *({"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1))]
+
+
 def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
-    """Give a mask's outlines as polygons: x and y after each other, pixels.
+    """Return a mask's outlines as polygons: x and y after each other, pixels.
 
     Examples
     --------
@@ -168,7 +173,7 @@ def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
 
 
 def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dict[str, Any] | None:
-    """Give a bar's length in pixels at a distance, and its label.
+    """Return a scale bar's length in pixels at a distance, and its label.
 
     Examples
     --------
@@ -186,7 +191,7 @@ def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dic
 
 
 def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, float]) -> float | None:
-    """Measure straight from one point of the picture to another, metres.
+    """Compute the straight distance between two points of the picture, metres.
 
     Each point's depth is the median of the readings in a window of 7x7; None where one has none.
 
@@ -212,12 +217,12 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
 def crop(
     thumbnail: NDArray[np.uint8], record: DetectionRecord, width_px: int, side_px: int = 96
 ) -> NDArray[np.uint8]:
-    """Cut a fruit out of its capture's thumbnail, as a square.
+    """Return a fruit cut out of its capture's thumbnail, as a square.
 
     Parameters
     ----------
     thumbnail : ndarray of uint8, shape (h, w, 3)
-        The small picture.
+        The capture's thumbnail.
     width_px : int
         Width of the capture itself.
     side_px : int
@@ -245,149 +250,13 @@ def crop(
     return cast("NDArray[np.uint8]", small)
 
 
-def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any]]:
-    path = np.array(method.path_m, np.float64).reshape(-1, 3)
-    if len(path) < 2 or (path[:, 2] <= 0).any():
-        return []
-    pixels = np.round(camera.project(path), 1)
-    line = {"kind": "line", "points": pixels.reshape(-1).tolist()}
-    tips = [{"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1)]
-    return [line, *tips]
-
-
-POINTS = 3500
-
-AROUND = 20  # points of a ring
-
-RINGS = 16
-
-MARGIN_PX = 12
-
-SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
-
-
-def fruit_cloud(capture: Capture, record: DetectionRecord) -> dict[str, Any] | None:
-    """Give a fruit's points and its tube in millimetres about the fruit's middle.
-
-    Parameters
-    ----------
-    capture : Capture
-        The frame.
-    record : DetectionRecord
-        The fruit, with mask and methods.
-
-    Returns
-    -------
-    dict or None
-        'points' (x, y, z after each other, whole millimetres), 'colors' ('#rrggbb' each),
-        'rings' and 'axis' (lines of such points); None where the fruit has no mask or no depth.
-    """
-    if record.mask is None:
-        return None
-    mask = decode_rle(record.mask, capture.height, capture.width)
-    inside = mask & valid_depth(capture.depth_m)
-    if not inside.any():
-        return None
-    middle_z = float(np.median(capture.depth_m[inside]))
-    points, colors = _points(capture, inside, np.inf, POINTS, middle_z)
-    near, near_colors = _points(capture, _around(mask) & ~mask, SLAB_M, POINTS // 3, middle_z)
-    middle = np.median(points, axis=0)
-    tube = next((m for m in record.methods if m.diameter_m), None)
-    rings: list[NDArray[np.float64]] = []
-    axis = np.zeros((0, 3))
-    if tube is not None:
-        axis = np.array(tube.path_m, np.float64)
-        rings = tube_rings(axis, np.array(tube.diameter_m, np.float64))
-    return {
-        "points": _mm(np.concatenate([points, near]) - middle),
-        "colors": [*_hex(colors), *_hex(near_colors // 2 + 90)],
-        "rings": [_mm(ring - middle) for ring in rings],
-        "axis": _mm(axis - middle) if len(axis) else [],
-    }
-
-
-def tube_rings(
-    axis_m: NDArray[np.float64], diameter_m: NDArray[np.float64], rings: int = RINGS
-) -> list[NDArray[np.float64]]:
-    """Give circles about an axis, as closed lines of points.
-
-    Parameters
-    ----------
-    axis_m : ndarray of float64, shape (K, 3)
-        The axis, metres.
-    diameter_m : ndarray of float64, shape (K,)
-        The diameter at each point.
-
-    Returns
-    -------
-    list of ndarray of float64, shape (AROUND + 1, 3)
-
-    Examples
-    --------
-    >>> axis = np.stack([np.linspace(0, 0.2, 9), np.zeros(9), np.full(9, 0.5)], axis=1)
-    >>> rings = tube_rings(axis, np.full(9, 0.04), rings=3)
-    >>> len(rings), rings[1].shape, round(float(np.linalg.norm(rings[1][0] - axis[4])), 6)
-    (3, (21, 3), 0.02)
-    """
-    chosen = np.unique(np.linspace(0, len(axis_m) - 1, rings).round().astype(int))
-    ahead = np.gradient(axis_m, axis=0)
-    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
-    turn = np.linspace(0, 2 * np.pi, AROUND + 1)[:, None]
-    found = []
-    for k in chosen.tolist():
-        # Any vector that is not along the axis serves to begin the circle.
-        start = np.eye(3)[np.argmin(np.abs(ahead[k]))]
-        one = np.cross(ahead[k], start)
-        one /= np.linalg.norm(one)
-        other = np.cross(ahead[k], one)
-        found.append(axis_m[k] + diameter_m[k] / 2 * (np.cos(turn) * one + np.sin(turn) * other))
-    return found
-
-
-def _around(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    box = np.zeros(mask.shape, bool)
-    box[mask_window(mask, MARGIN_PX) or np.s_[:0]] = True
-    return box
-
-
-def _points(
-    capture: Capture, where: NDArray[np.bool_], slab_m: float, most: int, middle_z: float
-) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    chosen = where & valid_depth(capture.depth_m)
-    if np.isfinite(slab_m):
-        chosen &= np.abs(capture.depth_m - middle_z) < slab_m
-    v, u = np.nonzero(chosen)
-    step = max(1, len(v) // most)
-    v, u = v[::step], u[::step]
-    z = capture.depth_m[v, u].astype(np.float64)
-    x, y = capture.intrinsics.rays(u.astype(np.float64), v.astype(np.float64))
-    return np.stack([x * z, y * z, z], axis=1), capture.color[v, u]
-
-
-def _mm(points_m: NDArray[np.float64]) -> list[float]:
-    values: list[float] = np.round(1000 * points_m, 1).reshape(-1).tolist()
-    return values
-
-
-def _hex(colors: NDArray[np.uint8]) -> list[str]:
-    return [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in colors.tolist()]
-
-
-_FILES = Path(__file__).with_name("static")
-
-
-def _component(name: str) -> Any:
-    def text(suffix: str) -> str:
-        return (_FILES / f"{name}.{suffix}").read_text(encoding="utf-8")
-
-    return st.components.v2.component(
-        f"cucumbervision_{name}", html=text("html"), css=text("css"), js=text("js")
-    )
-
-
 @st.cache_resource(show_spinner=False)
-def _components() -> dict[str, Any]:
-    return {name: _component(name) for name in ("picture", "cloud")}
+def _picture_component() -> Any:
+    folder = Path(__file__).with_name("static")
+    html, css, js = (
+        (folder / f"picture.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+    )
+    return st.components.v2.component("cucumbervision_picture", html=html, css=css, js=js)
 
 
 def picture(
@@ -401,26 +270,26 @@ def picture(
     ruler_text: str = "",
     title: str = "",
 ) -> Any:
-    """Show a picture.
+    """Draw a picture that takes clicks, which Streamlit's own does not.
 
     Parameters
     ----------
     key : str
-        Its own.
+        The element's own.
     images : dict of str to str
         Data URLs by name; more than one can be switched.
     size_px : tuple of int
         Width and height that points are given in.
     layers : list of dict
-        As `picture.fruit_layers` gives them; can be switched.
+        As `fruit_layers` gives them; each can be switched.
     bar : dict
-        As `picture.scale_bar` gives it.
+        As `scale_bar` gives it.
     tools : tuple of str
         Of 'ruler', 'point' and 'box'.
     ruler_text : str
         What is written on the ruler.
     title : str
-        What the picture shows, for those who cannot see it.
+        What the picture shows, for screen readers.
 
     Returns
     -------
@@ -438,19 +307,138 @@ def picture(
         "rulerText": ruler_text,
         "title": title,
     }
-    return _components()["picture"](
-        key=key,
-        data=data,
-        on_ruler_change=_nothing,
-        on_point_change=_nothing,
-        on_box_change=_nothing,
+    # The page reads the values itself; a callback makes the component send them.
+    callbacks = {f"on_{name}_change": lambda: None for name in ("ruler", "point", "box")}
+    return _picture_component()(key=key, data=data, **callbacks)
+
+
+def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None:
+    """Return a fruit's depth points and the fitted tube as a scene to be turned.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    record : DetectionRecord
+        The fruit, with mask and methods.
+
+    Returns
+    -------
+    pydeck.Deck or None
+        In millimetres about the fruit's middle, y up and z towards the camera: the fruit's points
+        in their colours, what is near it paler, rings and axis of the tube, and a bar of 5 cm.
+        None where the fruit has no mask or no depth.
+    """
+    if record.mask is None:
+        return None
+    mask = decode_rle(record.mask, capture.height, capture.width)
+    readings = valid_depth(capture.depth_m)
+    inside, window = mask & readings, mask_window(mask, MARGIN_PX)
+    if window is None or not inside.any():
+        return None
+    slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < SLAB_M
+    around = np.zeros_like(mask)
+    around[window] = (readings & slab & ~mask)[window]
+    points, colors = _sample(capture, inside, POINTS)
+    near, near_colors = _sample(capture, around, POINTS // 3)
+    middle = np.median(points, axis=0)
+
+    def scene_mm(at_m: NDArray[np.float64]) -> list[list[float]]:
+        found: list[list[float]] = np.round(1000 * (at_m - middle) * (1, -1, -1), 1).tolist()
+        return found
+
+    dots = zip(
+        [*scene_mm(points), *scene_mm(near)],
+        [*colors.tolist(), *(near_colors // 2 + 90).tolist()],
+        strict=True,
     )
+    lines: list[dict[str, Any]] = []
+    tube = next((m for m in record.methods if m.diameter_m), None)
+    if tube is not None:
+        axis = np.array(tube.path_m, np.float64)
+        rings = tube_rings(axis, np.array(tube.diameter_m, np.float64))
+        lines = [{"path": scene_mm(ring), "color": RING_COLOR, "width": 0.5} for ring in rings]
+        lines.append({"path": scene_mm(axis), "color": AXIS_COLOR, "width": 1.5})
+    reach_mm = np.abs(np.array(scene_mm(points))).max(axis=0)
+    below = -float(reach_mm[1]) - 15
+    bar = [[-25.0, below, 0.0], [25.0, below, 0.0]]
+    lines.append({"path": bar, "color": AXIS_COLOR, "width": 2.0})
+    layers = [
+        pydeck.Layer(
+            "PointCloudLayer",
+            [{"at": at, "color": color} for at, color in dots],
+            get_position="at",
+            get_color="color",
+            size_units="'common'",
+            point_size=0.6,
+            material=False,
+        ),
+        pydeck.Layer(
+            "PathLayer",
+            lines,
+            get_path="path",
+            get_color="color",
+            get_width="width",
+            width_units="'common'",
+            width_min_pixels=1,
+            billboard=True,
+        ),
+    ]
+    view = pydeck.View("OrbitView", orbit_axis="Y", controller=True)
+    turned = pydeck.ViewState(
+        target=[0, 0, 0],
+        rotation_x=15,
+        rotation_orbit=-30,
+        zoom=math.log2(CLOUD_HEIGHT_PX / (2.5 * float(reach_mm.max()))),
+    )
+    # No provider of maps: nothing is asked of another machine.
+    return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)
 
 
-def cloud(key: str, data: dict[str, Any]) -> None:
-    """Show a cloud as `cloud.fruit_cloud` gives it."""
-    _components()["cloud"](key=key, data=data)
+def tube_rings(
+    axis_m: NDArray[np.float64], diameter_m: NDArray[np.float64], rings: int = RINGS
+) -> list[NDArray[np.float64]]:
+    """Return circles about an axis, as closed lines of points.
+
+    Parameters
+    ----------
+    axis_m : ndarray of float64, shape (K, 3)
+        The axis, metres.
+    diameter_m : ndarray of float64, shape (K,)
+        The diameter at each point.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (RING_POINTS + 1, 3)
+
+    Examples
+    --------
+    >>> axis = np.stack([np.linspace(0, 0.2, 9), np.zeros(9), np.full(9, 0.5)], axis=1)
+    >>> rings = tube_rings(axis, np.full(9, 0.04), rings=3)
+    >>> len(rings), rings[1].shape, round(float(np.linalg.norm(rings[1][0] - axis[4])), 6)
+    (3, (21, 3), 0.02)
+    """
+    chosen = np.unique(np.linspace(0, len(axis_m) - 1, rings).round().astype(int))
+    ahead = np.gradient(axis_m, axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    turn = np.linspace(0, 2 * np.pi, RING_POINTS + 1)[:, None]
+    found = []
+    for k in chosen.tolist():
+        # Any vector that is not along the axis serves to begin the circle.
+        one = np.cross(ahead[k], np.eye(3)[np.argmin(np.abs(ahead[k]))])
+        one /= np.linalg.norm(one)
+        other = np.cross(ahead[k], one)
+        found.append(axis_m[k] + diameter_m[k] / 2 * (np.cos(turn) * one + np.sin(turn) * other))
+    return found
 
 
-def _nothing() -> None:
-    """Take part in no callback: the page reads the value itself."""
+def _sample(
+    capture: Capture, where: NDArray[np.bool_], most: int
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return the 3D points and colours of at most about `most` pixels."""
+    v, u = np.nonzero(where)
+    step = max(1, len(v) // most)
+    v, u = v[::step], u[::step]
+    z = capture.depth_m[v, u].astype(np.float64)
+    x, y = capture.intrinsics.rays(u.astype(np.float64), v.astype(np.float64))
+    return np.stack([x * z, y * z, z], axis=1), capture.color[v, u]

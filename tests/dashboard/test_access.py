@@ -1,173 +1,245 @@
 from __future__ import annotations
 
-import base64
 import contextlib
-import hashlib
 import os
 import stat
 import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+pytest.importorskip("streamlit")
+
+import argon2
+from limits import parse
+
+from cucumbervision.dashboard import access
 from cucumbervision.dashboard.access import (
-    Attempts,
+    SESSION_S,
     Login,
+    PasswordChecker,
+    Session,
+    accounts_file,
     decide_login,
-    has_oidc,
-    hash_password,
     is_loopback,
-    password_file,
-    read_password_hash,
-    verify_password,
-    write_password_hash,
+    read_accounts,
+    read_openid_connect,
+    set_password,
 )
 from cucumbervision.errors import AccessError
 
 WORDS = "grüne gurken im haus"
 AUTH = '[auth]\nredirect_uri = "https://a/oauth2callback"\ncookie_secret = "x"\n'
 CLIENT = 'client_id = "a"\nclient_secret = "b"\nserver_metadata_url = "https://c"\n'
+ADMITTED = '[cucumbervision]\nadmitted = ["Anna@example.org", "248289761001"]\n'
 
 
 @pytest.fixture(scope="module")
-def kept() -> str:
-    return hash_password(WORDS, log2_n=8)
+def accounts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    path = tmp_path_factory.mktemp("accounts") / "accounts"
+    set_password(path, "anna", WORDS)
+    return read_accounts(path)
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "127.8.8.8", "localhost", "LOCALHOST", "[::1]"])
-def test_on_this_machine_nobody_logs_in(address: str) -> None:
+def test_loopback_requires_no_login_unless_asked_for(address: str) -> None:
     assert is_loopback(address)
-    assert decide_login(address, oidc=False, password=False) is Login.NONE
-    assert decide_login(address, oidc=False, password=True, always=True) is Login.PASSWORD
-    with pytest.raises(AccessError, match="there is no login"):
-        decide_login(address, oidc=False, password=False, always=True)
+    assert decide_login(address, oidc=False, accounts=False) is Login.NONE
+    assert decide_login(address, oidc=False, accounts=True, always=True) is Login.PASSWORD
+    with pytest.raises(AccessError, match="--login requires a login, and none is set up"):
+        decide_login(address, oidc=False, accounts=False, always=True)
 
 
 @pytest.mark.parametrize(
     "address", ["0.0.0.0", "::", "", "192.168.1.7", "house.example", "127.0.0.1.example"]
 )
-def test_beyond_it_there_is_a_login_or_no_start(address: str) -> None:
-    with pytest.raises(AccessError, match="there is no login; run `cucumbervision dashboard set-"):
-        decide_login(address, oidc=False, password=False)
-    assert decide_login(address, oidc=False, password=True) is Login.PASSWORD
-    assert decide_login(address, oidc=True, password=True) is Login.OIDC
+def test_other_addresses_require_a_login(address: str) -> None:
+    with pytest.raises(AccessError, match="no login is set up; run `cucumbervision dashboard set-"):
+        decide_login(address, oidc=False, accounts=False)
+    assert decide_login(address, oidc=False, accounts=True) is Login.PASSWORD
+    assert decide_login(address, oidc=True, accounts=True) is Login.OIDC
 
 
-def test_the_key_is_scrypts_own(kept: str) -> None:
-    _, n, r, p, salt, key = kept.split("$")
-    expected = hashlib.scrypt(
-        WORDS.encode(), salt=base64.b64decode(salt), n=2 ** int(n), r=int(r), p=int(p), dklen=32
-    )
-    assert base64.b64decode(key) == expected
-
-
-def test_a_password_is_right_or_wrong(kept: str) -> None:
-    assert verify_password(WORDS, kept)
-    assert not verify_password(WORDS + " ", kept)
-    assert not verify_password("", kept)
-    assert hash_password(WORDS, log2_n=8) != kept  # another salt
-
-
-def test_short_passwords_are_refused() -> None:
-    with pytest.raises(AccessError, match="has 9 characters; take at least 10"):
-        hash_password("123456789")
-
-
-@pytest.mark.parametrize("text", ["", "x", "scrypt$8$8$1$AA==", "scrypt$99$8$1$AA==$AA==", "a$b"])
-def test_what_is_no_hash_is_refused(text: str) -> None:
-    with pytest.raises(AccessError, match="no password hash"):
-        verify_password(WORDS, text)
-
-
-def test_the_default_cost_is_owasps(tmp_path: Path) -> None:
-    text = hash_password(WORDS)
-    assert text.startswith("scrypt$17$8$1$")
-    assert verify_password(WORDS, text)
-
-
-def test_the_hash_is_kept_for_its_owner_alone(tmp_path: Path, kept: str) -> None:
-    path = tmp_path / "new" / "password"
-    assert read_password_hash(path) is None
-    write_password_hash(path, kept)
-    write_password_hash(path, kept)
-    assert read_password_hash(path) == kept
-    assert [p.name for p in path.parent.iterdir()] == ["password"]
+def test_only_argon2_hashes_are_stored_for_their_owner(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "accounts"
+    assert read_accounts(path) == {}
+    set_password(path, "anna", WORDS)
+    set_password(path, "ben@house", WORDS)
+    first = read_accounts(path)
+    set_password(path, "anna", WORDS)
+    again = read_accounts(path)
+    assert list(again) == ["anna", "ben@house"]
+    assert again["anna"] != first["anna"]  # another salt
+    assert again["ben@house"] == first["ben@house"]
+    assert argon2.PasswordHasher().verify(again["anna"], WORDS)
+    parameters = argon2.extract_parameters(again["anna"])
+    assert parameters.type is argon2.Type.ID
+    assert parameters.memory_cost >= 19 * 1024  # KiB: OWASP's least for argon2id
+    assert WORDS not in path.read_text(encoding="utf-8")
+    assert [p.name for p in path.parent.iterdir()] == ["accounts"]
     if os.name == "posix":
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         path.chmod(0o640)
         with pytest.raises(AccessError, match=r"others on this machine .* chmod 600"):
-            read_password_hash(path)
+            read_accounts(path)
 
 
-def test_a_file_without_a_hash_is_named(tmp_path: Path, kept: str) -> None:
-    path = tmp_path / "password"
+@pytest.mark.parametrize(
+    ("account", "password", "message"),
+    [
+        ("anna", "123456789", "has 9 characters; use at least 10"),
+        ("anna:ben", WORDS, "cannot be an account's name"),
+        ("", WORDS, "cannot be an account's name"),
+        ("a\nb", WORDS, "cannot be an account's name"),
+    ],
+)
+def test_unusable_names_and_passwords_are_refused(
+    account: str, password: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(AccessError, match=message):
+        set_password(tmp_path / "accounts", account, password)
+    assert not (tmp_path / "accounts").exists()
+
+
+@pytest.mark.parametrize("text", ["anna", "anna:secret", "anna:$argon2id$v=19$x", "a b c"])
+def test_a_file_of_anything_else_is_named(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "accounts"
     path.touch(mode=0o600)
-    with pytest.raises(AccessError, match=r"password: what is kept is no password hash"):
-        read_password_hash(path)
-    with pytest.raises(AccessError, match="no password hash"):
-        write_password_hash(path, WORDS)
-    with pytest.raises(AccessError, match="cannot be written"):
-        write_password_hash(path / "below", kept)
+    assert read_accounts(path) == {}
+    path.write_text(text)
+    with pytest.raises(AccessError, match="accounts: is not a list of accounts"):
+        read_accounts(path)
+    with pytest.raises(AccessError, match="accounts: is not a list of accounts"):
+        set_password(path, "anna", WORDS)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(AccessError, match="cannot be"):
+        set_password(tmp_path / "file" / "accounts", "anna", WORDS)
 
 
 def test_a_variable_names_another_file() -> None:
-    assert password_file({"CUCUMBERVISION_PASSWORD_FILE": "/run/secret"}) == Path("/run/secret")
-    assert password_file({}).name == "dashboard-password"
+    assert accounts_file({"CUCUMBERVISION_ACCOUNTS_FILE": "/run/secret"}) == Path("/run/secret")
+    assert accounts_file({}).name == "dashboard-accounts"
 
 
-def test_streamlits_login_must_be_whole(tmp_path: Path) -> None:
-    path = tmp_path / "secrets.toml"
-    assert not has_oidc([path])
-    path.write_text('other = "x"\n')
-    assert not has_oidc([path])
-    path.write_text(AUTH + CLIENT)
-    assert has_oidc([tmp_path / "none.toml", path])
-    path.write_text(AUTH + "[auth.house]\n" + CLIENT)
-    assert has_oidc([path])
-    path.write_text(AUTH)
-    with pytest.raises(AccessError, match="has no client_id and client_secret and server_metadata"):
-        has_oidc([path])
-    path.write_text("[auth]\n" + CLIENT)
-    with pytest.raises(AccessError, match="has no redirect_uri and cookie_secret"):
-        has_oidc([path])
-    path.write_text("[auth")
-    with pytest.raises(AccessError, match="cannot be read"):
-        has_oidc([path])
+def test_a_password_opens_its_own_account_only(accounts: dict[str, str]) -> None:
+    checker = PasswordChecker()
+    session = checker.log_in(accounts, " anna ", WORDS)
+    assert session is not None
+    assert session.account == "anna"
+    for account, password in (("anna", WORDS + " "), ("anna", ""), ("ben", WORDS), ("", "")):
+        assert checker.log_in(accounts, account, password) is None
 
 
-def test_waits_double_and_end(kept: str) -> None:
-    now = [0.0]
-    attempts = Attempts(free=2, longest_s=4.0, clock=lambda: now[0])
-    waits = [attempts.failed("a") for _ in range(6)]
-    assert waits == [0.0, 0.0, 1.0, 2.0, 4.0, 4.0]
-    assert attempts.wait_s("b") == 0
-    with pytest.raises(AccessError, match="too many wrong passwords; wait 4 s"):
-        attempts.check("a", WORDS, kept)
-    now[0] = 4.0
-    assert attempts.check("a", WORDS, kept)
-    assert attempts.failed("a") == 0.0  # forgotten
+def test_a_session_ends_with_time_password_and_account(
+    accounts: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 1_700_000_000.0
+    monkeypatch.setattr("time.time", lambda: now)
+    session = PasswordChecker().log_in(accounts, "anna", WORDS)
+    assert session == Session("anna", accounts["anna"], now + SESSION_S)
+    assert session.holds(accounts)
+    set_password(tmp_path / "accounts", "anna", WORDS + "!")
+    assert not session.holds(read_accounts(tmp_path / "accounts"))
+    assert not session.holds({})
+    now += SESSION_S
+    assert not session.holds(accounts)
 
 
-def test_many_at_once_gain_nothing(kept: str) -> None:
-    attempts = Attempts(free=2, first_s=60.0)
-    looked_at = []
+def test_each_account_has_five_attempts(accounts: dict[str, str]) -> None:
+    checker = PasswordChecker()
+    for _ in range(4):
+        assert checker.log_in(accounts, "anna", "wrong") is None
+    assert checker.log_in(accounts, "anna", WORDS) is not None  # clears the count
+    for _ in range(5):
+        assert checker.log_in(accounts, "anna", "wrong") is None
+    with pytest.raises(AccessError, match="too many wrong passwords for this account; wait 15 min"):
+        checker.log_in(accounts, "anna", WORDS)
+    assert checker.log_in(accounts, "ben", WORDS) is None  # another account is not affected
+
+
+def test_the_limit_is_released_after_its_window(
+    accounts: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(access, "ATTEMPTS", parse("1 per second"))
+    checker = PasswordChecker()
+    assert checker.log_in(accounts, "anna", "wrong") is None
+    freed = threading.Event()
+    for _ in range(600):
+        with contextlib.suppress(AccessError):
+            assert checker.log_in(accounts, "anna", WORDS) is not None
+            break
+        freed.wait(0.1)
+    else:
+        pytest.fail("the account stays locked")
+
+
+def test_many_attempts_at_once_gain_nothing(accounts: dict[str, str]) -> None:
+    checker, verified = PasswordChecker(), []
 
     def guess() -> None:
         with contextlib.suppress(AccessError):
-            looked_at.append(attempts.check("a", "wrong", kept))
+            verified.append(checker.log_in(accounts, "anna", "wrong"))
 
     threads = [threading.Thread(target=guess) for _ in range(30)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert looked_at == [False] * 3
-    assert attempts.wait_s("a") > 0
+    assert verified == [None] * 5
 
 
-def test_it_forgets_whom_it_heard_of_longest_ago() -> None:
-    attempts = Attempts(free=0, most=2)
-    for client in ("a", "b", "a", "c"):
-        attempts.failed(client)
-    assert attempts.wait_s("b") == 0
-    assert attempts.wait_s("a") > 1
+def test_openid_connect_must_be_complete_and_admit_somebody(tmp_path: Path) -> None:
+    path = tmp_path / "secrets.toml"
+
+    def read(text: str) -> access.OpenIdConnect | None:
+        path.write_text(text)
+        return read_openid_connect((tmp_path / "none.toml", path))
+
+    assert read_openid_connect((path,)) is None
+    assert read('other = "x"\n') is None
+    one = read(AUTH + CLIENT + ADMITTED)
+    assert one is not None
+    assert one.providers == ()
+    assert one.admitted == {"anna@example.org", "248289761001"}
+    named = read(AUTH + "[auth.house]\n" + CLIENT + ADMITTED)
+    assert named is not None
+    assert named.providers == ("house",)
+    for text, message in (
+        (AUTH + ADMITTED, "has no client_id and client_secret and server_metadata_url"),
+        ("[auth]\n" + CLIENT + ADMITTED, "has no redirect_uri and cookie_secret"),
+        (AUTH + CLIENT, "nobody is admitted"),
+        (AUTH + CLIENT + "[cucumbervision]\nadmitted = []", "nobody is admitted"),
+        ("[auth", "cannot be read"),
+    ):
+        with pytest.raises(AccessError, match=message):
+            read(text)
+
+
+@pytest.mark.parametrize(
+    ("claims", "admitted"),
+    [
+        ({"sub": "1", "email": "ANNA@example.org", "email_verified": True}, True),
+        ({"sub": "248289761001"}, True),
+        ({"sub": "1", "email": "anna@example.org", "email_verified": False}, False),
+        ({"sub": "1", "email": "anna@example.org"}, False),
+        ({"sub": "anna@example.org"}, False),
+        ({"sub": "1", "email": "248289761001", "email_verified": True}, False),
+        ({"sub": "1", "email": "eve@example.org", "email_verified": True}, False),
+        ({}, False),
+    ],
+)
+def test_admitted_are_verified_addresses_and_subjects(
+    claims: dict[str, Any], admitted: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "secrets.toml"
+    path.write_text(AUTH + CLIENT + ADMITTED)
+    oidc = read_openid_connect((path,))
+    assert oidc is not None
+    assert oidc.admits({**claims, "iat": time.time()}) is admitted
+    assert not oidc.admits({**claims, "iat": time.time() - SESSION_S - 1})
+    assert not oidc.admits(claims)

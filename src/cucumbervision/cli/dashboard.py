@@ -1,4 +1,4 @@
-"""`cucumbervision dashboard`: the pages in a browser, and the password for other machines."""
+"""`cucumbervision dashboard`: the pages in a browser, and accounts for other machines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def dashboard(
     context: typer.Context,
     store: Annotated[
         str | None,
-        typer.Option(help="SQLite file or postgresql:// URL; by default one of your own."),
+        typer.Option(help="SQLite file or postgresql:// URL; your own file by default."),
     ] = None,
     replay: Annotated[
         Path | None,
@@ -38,7 +38,7 @@ def dashboard(
         bool,
         typer.Option(
             "--login",
-            help="Ask for the login on this machine too: behind a proxy that others reach.",
+            help="Require a login on this machine too: behind a proxy that others reach.",
         ),
     ] = False,
 ) -> None:
@@ -59,15 +59,16 @@ def dashboard(
 
 
 @app.command("set-password")
-def set_password() -> None:
-    """Set the password that viewers on other machines need; only its hash is kept."""
-    from cucumbervision.dashboard.access import (
-        hash_password,
-        password_file,
-        write_password_hash,
-    )
+def set_password(
+    account: Annotated[str, typer.Argument(help="Name of the account.", metavar="ACCOUNT")],
+) -> None:
+    """Set an account's password for viewers on other machines; only its argon2 hash is stored."""
+    from cucumbervision.dashboard.server import require_extra
+
+    require_extra()
+    from cucumbervision.dashboard import access
 
     password = typer.prompt("Password", hide_input=True, confirmation_prompt=True)
-    path = password_file()
-    write_password_hash(path, hash_password(password))
-    typer.echo(f"Its hash is in {path}")
+    path = access.accounts_file()
+    access.set_password(path, account, password)
+    typer.echo(f"The accounts are in {path}; to remove one, delete its line")

@@ -1,70 +1,67 @@
-"""Who may open the dashboard: anyone on this machine, nobody from elsewhere without a login."""
+"""Who may open the dashboard: anyone on this machine, nobody from elsewhere without a login.
+
+Two ways to log in: accounts of the dashboard's own, with passwords that argon2-cffi hashes, or an
+OpenID Connect provider by Streamlit's `st.login` with a list of whom it may admit.
+"""
 
 from __future__ import annotations
 
-import base64
-import binascii
-import hashlib
-import hmac
 import ipaddress
 import os
+import re
 import secrets
 import threading
 import time
 import tomllib
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import streamlit as st
+from argon2 import PasswordHasher, extract_parameters
+from argon2.exceptions import InvalidHashError, VerificationError
+from limits import parse
+from limits.storage import MemoryStorage
+from limits.strategies import MovingWindowRateLimiter
 
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.errors import AccessError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping
 
 __all__ = [
-    "LOGIN_REMEDY",
-    "Attempts",
+    "SESSION_S",
     "Login",
+    "OpenIdConnect",
+    "PasswordChecker",
+    "Session",
+    "accounts_file",
+    "configured_login",
     "decide_login",
-    "has_oidc",
-    "hash_password",
     "is_loopback",
-    "login_of",
-    "password_file",
-    "read_password_hash",
-    "require_login",
-    "secrets_files",
-    "verify_password",
-    "write_password_hash",
+    "read_accounts",
+    "read_openid_connect",
+    "set_password",
 ]
 
-_SET_UP = "run `cucumbervision dashboard set-password`, set up [auth] in Streamlit's secrets.toml"
-
-LOGIN_REMEDY = f"{_SET_UP}, or bind to 127.0.0.1"
-
+SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
 SHORTEST = 10  # characters of a password
-
-_FILE = "dashboard-password"
-
-# OWASP's password storage cheat sheet: scrypt with n = 2**17, r = 8, p = 1, some 128 MB.
-_LOG2_N, _R, _P = 17, 8, 1
-
-_MOST_MEMORY = 512 * 1024 * 1024
-
-_SALT_BYTES, _KEY_BYTES = 16, 32
-
-_OIDC_KEYS = ("client_id", "client_secret", "server_metadata_url")
-
+ATTEMPTS = parse("5 per 15 minutes")
+ACCOUNTS_VARIABLE = "CUCUMBERVISION_ACCOUNTS_FILE"
+_SET_UP = (
+    "run `cucumbervision dashboard set-password NAME`, or set up [auth] in Streamlit's secrets.toml"
+)
+_HASHER = PasswordHasher()  # argon2id with the parameters of RFC 9106 for 64 MiB
+_ACCOUNT = re.compile(r"[\w.@-]{1,64}")
 _OIDC_SHARED = ("redirect_uri", "cookie_secret")
+_OIDC_PROVIDER = ("client_id", "client_secret", "server_metadata_url")
 
 
 class Login(StrEnum):
-    """How people log in."""
+    """How viewers log in."""
 
     NONE = "none"
     OIDC = "oidc"
@@ -72,7 +69,7 @@ class Login(StrEnum):
 
 
 def is_loopback(address: str) -> bool:
-    """Say whether an address to bind to is reached from this machine alone.
+    """Return whether an address to bind to is reached from this machine alone.
 
     An empty address means all of a machine's, and a name other than localhost may be anything.
 
@@ -89,204 +86,235 @@ def is_loopback(address: str) -> bool:
     return False
 
 
-def has_oidc(secrets_files: Sequence[Path]) -> bool:
-    """Say whether one of Streamlit's secrets files sets up a login by OpenID Connect.
-
-    Parameters
-    ----------
-    secrets_files : sequence of Path
-        `~/.streamlit/secrets.toml` and `.streamlit/secrets.toml`; missing ones are skipped.
-
-    Raises
-    ------
-    AccessError
-        If a file has an [auth] part that is not whole, or is no TOML.
-
-    Notes
-    -----
-    Streamlit's `st.login`: `redirect_uri` and `cookie_secret` in [auth], and `client_id`,
-    `client_secret` and `server_metadata_url` there or in each [auth.PROVIDER].
-    """
-    for path in secrets_files:
-        try:
-            document = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            continue
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise AccessError(
-                f"cannot be read ({error})", source=path, remedy="correct it"
-            ) from None
-        auth = document.get("auth")
-        if auth is None:
-            continue
-        if missing := _missing_keys(auth):
-            raise AccessError(
-                f"[auth] has no {missing}", source=path, remedy="see Streamlit's page on st.login"
-            )
-        return True
-    return False
-
-
-def _missing_keys(auth: object) -> str:
-    if not isinstance(auth, dict):
-        return " and ".join((*_OIDC_SHARED, *_OIDC_KEYS))
-    parts = [part for part in auth.values() if isinstance(part, dict)] or [auth]
-    missing = [key for key in _OIDC_SHARED if not auth.get(key)]
-    missing += [key for key in _OIDC_KEYS if not all(part.get(key) for part in parts)]
-    return " and ".join(missing)
-
-
-def decide_login(address: str, *, oidc: bool, password: bool, always: bool = False) -> Login:
-    """Decide how people log in, or refuse to start.
+def decide_login(address: str, *, oidc: bool, accounts: bool, always: bool = False) -> Login:
+    """Return how viewers of a server log in.
 
     Parameters
     ----------
     address : str
         What the server binds to.
-    oidc : bool
-        Whether Streamlit's login is set up: `has_oidc`.
-    password : bool
-        Whether a password's hash is there: `read_password_hash` gave one.
+    oidc, accounts : bool
+        Whether OpenID Connect is set up, and whether there are accounts with passwords.
     always : bool
-        Ask on this machine too: for a server behind a proxy that others reach.
+        Require a login on this machine too: for a server behind a proxy that others reach.
 
     Raises
     ------
     AccessError
-        If it binds beyond this machine, or is always to ask, and there is neither.
+        If a login is required and none is set up.
 
     Examples
     --------
-    >>> decide_login("localhost", oidc=False, password=True)
+    >>> decide_login("localhost", oidc=False, accounts=True)
     <Login.NONE: 'none'>
-    >>> decide_login("0.0.0.0", oidc=False, password=True)
+    >>> decide_login("0.0.0.0", oidc=False, accounts=True)
     <Login.PASSWORD: 'password'>
-    >>> decide_login("0.0.0.0", oidc=False, password=False)
+    >>> decide_login("0.0.0.0", oidc=False, accounts=False)
     Traceback (most recent call last):
     ...
-    cucumbervision.errors.AccessError: 0.0.0.0: others could open the dashboard, and there is no
-    login; run `cucumbervision dashboard set-password`, ...
+    cucumbervision.errors.AccessError: 0.0.0.0: other machines can reach this address, and no login
+    is set up; run `cucumbervision dashboard set-password NAME`, ...
     """
     if is_loopback(address) and not always:
         return Login.NONE
     if oidc:
         return Login.OIDC
-    if password:
+    if accounts:
         return Login.PASSWORD
-    if always:
-        raise AccessError(
-            "a login is asked for, and there is no login set up", source=address, remedy=_SET_UP
-        )
+    if is_loopback(address):
+        raise AccessError("--login requires a login, and none is set up", remedy=_SET_UP)
     raise AccessError(
-        "others could open the dashboard, and there is no login",
+        "other machines can reach this address, and no login is set up",
         source=address or "all addresses",
-        remedy=LOGIN_REMEDY,
+        remedy=f"{_SET_UP}, or bind to 127.0.0.1",
     )
 
 
-def hash_password(password: str, *, log2_n: int = _LOG2_N) -> str:
-    """Hash a password for keeping: scrypt (RFC 7914), with its parameters and salt.
+def configured_login(address: str) -> Login:
+    """Return how viewers of a server at this address log in, by this machine's configuration.
+
+    Raises
+    ------
+    AccessError
+        If a login is required and none is set up, or its files cannot be used.
+    """
+    return decide_login(
+        address,
+        oidc=read_openid_connect() is not None,
+        accounts=bool(read_accounts(accounts_file())),
+        always=bool(os.environ.get(LOGIN_VARIABLE)),
+    )
+
+
+@dataclass(frozen=True)
+class OpenIdConnect:
+    """Login by accounts of an OpenID Connect provider.
 
     Parameters
     ----------
-    password : str
-        At least `SHORTEST` characters.
-    log2_n : int
-        Cost: each step doubles time and memory (17 takes 128 MB).
+    providers : tuple of str
+        Names in [auth.NAME]; empty for the one provider of [auth] itself.
+    admitted : frozenset of str
+        E-mail addresses in lower case, and subject identifiers (`sub`), which have no '@'.
+    """
 
-    Returns
-    -------
-    str
-        `scrypt$log2_n$r$p$salt$key`, the last two in base 64.
+    providers: tuple[str, ...]
+    admitted: frozenset[str]
+
+    def admits(self, claims: Mapping[str, Any]) -> bool:
+        """Return whether an ID token is younger than `SESSION_S` and names somebody admitted.
+
+        An e-mail address counts only if the provider says that it verified it. The token's age
+        counts because Streamlit's cookie would keep the login for 30 days.
+
+        Examples
+        --------
+        >>> only_anna = OpenIdConnect((), frozenset({"anna@example.org"}))
+        >>> token = {"iat": time.time(), "email": "Anna@example.org"}
+        >>> only_anna.admits(token | {"email_verified": True}), only_anna.admits(token)
+        (True, False)
+        """
+        if time.time() > float(claims.get("iat") or 0) + SESSION_S:
+            return False
+        email, subject = str(claims.get("email", "")).lower(), str(claims.get("sub", ""))
+        if "@" in email and claims.get("email_verified") is True and email in self.admitted:
+            return True
+        return "@" not in subject and subject in self.admitted
+
+
+def read_openid_connect(files: tuple[Path, ...] | None = None) -> OpenIdConnect | None:
+    """Return the login by OpenID Connect that Streamlit's secrets files set up; None for none.
+
+    Parameters
+    ----------
+    files : tuple of Path, optional
+        By default `~/.streamlit/secrets.toml` and `.streamlit/secrets.toml`; later ones override
+        earlier ones, as in Streamlit.
 
     Raises
     ------
     AccessError
-        If the password is too short.
-
-    Examples
-    --------
-    >>> kept = hash_password("correct horse battery", log2_n=10)
-    >>> kept.split("$")[:4], verify_password("correct horse battery", kept)
-    (['scrypt', '10', '8', '1'], True)
+        If a file is not TOML, [auth] lacks a key that `st.login` needs, or [cucumbervision] has no
+        list `admitted`: anyone with an account at a public provider could log in.
     """
-    if len(password) < SHORTEST:
+    if files is None:
+        files = tuple(at / ".streamlit" / "secrets.toml" for at in (Path.home(), Path.cwd()))
+    document: dict[str, Any] = {}
+    for path in files:
+        try:
+            document |= tomllib.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError) as error:
+            raise AccessError(
+                f"cannot be read ({error})", source=path, remedy="correct it"
+            ) from None
+    auth, own = document.get("auth"), document.get("cucumbervision")
+    if auth is None:
+        return None
+    auth = auth if isinstance(auth, dict) else {}
+    named = {name: part for name, part in auth.items() if isinstance(part, dict)}
+    missing = [key for key in _OIDC_SHARED if not auth.get(key)]
+    missing += [k for k in _OIDC_PROVIDER if not all(p.get(k) for p in named.values() or [auth])]
+    if missing:
         raise AccessError(
-            f"the password has {len(password)} characters",
-            remedy=f"take at least {SHORTEST}, such as four words",
+            f"[auth] has no {' and '.join(missing)}",
+            source="secrets.toml",
+            remedy="see Streamlit's page on st.login",
         )
-    salt = secrets.token_bytes(_SALT_BYTES)
-    key = _scrypt(password, salt, log2_n, _R, _P)
-    parts = (str(log2_n), str(_R), str(_P), *(base64.b64encode(b).decode() for b in (salt, key)))
-    return "$".join(("scrypt", *parts))
-
-
-def verify_password(password: str, kept: str) -> bool:
-    """Say whether a password is the one whose hash was kept, in a time that tells nothing.
-
-    Raises
-    ------
-    AccessError
-        If what was kept is no hash of `hash_password`.
-    """
-    log2_n, r, p, salt, key = _parsed(kept)
-    return hmac.compare_digest(_scrypt(password, salt, log2_n, r, p), key)
-
-
-def _parsed(kept: str) -> tuple[int, int, int, bytes, bytes]:
-    try:
-        name, *numbers, salt, key = kept.strip().split("$")
-        log2_n, r, p = (int(number) for number in numbers)
-        parsed = (log2_n, r, p, base64.b64decode(salt, validate=True), base64.b64decode(key))
-    except (ValueError, binascii.Error):
-        name, parsed = "", (0, 0, 0, b"", b"")
-    within = 1 <= parsed[0] <= 20 and 1 <= parsed[1] <= 32 and 1 <= parsed[2] <= 16
-    if name != "scrypt" or not within or len(parsed[4]) != _KEY_BYTES:
+    admitted = own.get("admitted") if isinstance(own, dict) else None
+    if not isinstance(admitted, list) or not admitted:
         raise AccessError(
-            "what is kept is no password hash", remedy="run `cucumbervision dashboard set-password`"
+            "[auth] is set up, but nobody is admitted",
+            source="secrets.toml",
+            remedy='add [cucumbervision] with admitted = ["name@example.org"]',
         )
-    return parsed
+    # Addresses are compared without regard to case, subject identifiers exactly.
+    names = {str(one).lower() if "@" in str(one) else str(one) for one in admitted}
+    return OpenIdConnect(tuple(named), frozenset(names))
 
 
-def _scrypt(password: str, salt: bytes, log2_n: int, r: int, p: int) -> bytes:
-    return hashlib.scrypt(
-        password.encode("utf-8", "surrogatepass"),
-        salt=salt,
-        n=1 << log2_n,
-        r=r,
-        p=p,
-        maxmem=_MOST_MEMORY,
-        dklen=_KEY_BYTES,
-    )
+def accounts_file(environment: Mapping[str, str] | None = None) -> Path:
+    """Return the path of the file that holds the accounts' password hashes.
 
-
-def password_file(environment: Mapping[str, str] | None = None) -> Path:
-    """Give the file in which the password's hash is kept.
-
-    `CUCUMBERVISION_PASSWORD_FILE` names another, as for a mounted secret.
+    `CUCUMBERVISION_ACCOUNTS_FILE` names another than the user's own, as for a mounted secret.
     """
-    named = (os.environ if environment is None else environment).get("CUCUMBERVISION_PASSWORD_FILE")
+    named = (os.environ if environment is None else environment).get(ACCOUNTS_VARIABLE)
     if named:
         return Path(named)
     from platformdirs import user_config_path
 
-    return user_config_path("cucumbervision", appauthor=False) / _FILE
+    return user_config_path("cucumbervision", appauthor=False) / "dashboard-accounts"
 
 
-def write_password_hash(path: Path, kept: str) -> None:
-    """Keep a hash, readable by its owner alone, in place of an earlier one.
+def read_accounts(path: Path) -> dict[str, str]:
+    """Return the password hash of each account; empty where there is no file.
 
     Raises
     ------
     AccessError
-        If it is no hash, or the file cannot be written.
+        If other users of this machine can read or write the file, or a line is not 'name:hash'.
     """
-    _parsed(kept)
+    try:
+        mode = path.stat().st_mode
+        lines = path.read_text(encoding="utf-8", errors="replace").split()
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise AccessError(
+            f"cannot be read ({error.strerror})", source=path, remedy="check its permissions"
+        ) from None
+    if os.name == "posix" and mode & 0o077:
+        raise AccessError(
+            "others on this machine can read or write it", source=path, remedy=f"chmod 600 {path}"
+        )
+    accounts = dict(line.split(":", 1) for line in lines if ":" in line)
+    try:
+        for password_hash in accounts.values():
+            extract_parameters(password_hash)
+    except InvalidHashError:
+        accounts = {}
+    if len(accounts) < len(lines):
+        raise AccessError(
+            "is not a list of accounts with argon2 hashes",
+            source=path,
+            remedy="delete it and run `cucumbervision dashboard set-password NAME`",
+        )
+    return accounts
+
+
+def set_password(path: Path, account: str, password: str) -> None:
+    """Write an account's new password hash into the file, readable by its owner only.
+
+    Parameters
+    ----------
+    path : Path
+        As `accounts_file` gives it; made where it is missing, replaced in one step.
+    account : str
+        1 to 64 letters, digits, '.', '-', '_' and '@'.
+    password : str
+        At least `SHORTEST` characters.
+
+    Raises
+    ------
+    AccessError
+        If name or password does not serve, or the file cannot be read or written.
+    """
+    if not _ACCOUNT.fullmatch(account):
+        raise AccessError(
+            f"{account[:64]!r} cannot be an account's name", remedy="use letters and digits"
+        )
+    if len(password) < SHORTEST:
+        raise AccessError(
+            f"the password has {len(password)} characters",
+            remedy=f"use at least {SHORTEST}, for example four words",
+        )
+    accounts = read_accounts(path) | {account: _HASHER.hash(password)}
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:  # noqa: PTH123
-            stream.write(f"{kept}\n")
+            stream.writelines(f"{name}:{kept}\n" for name, kept in accounts.items())
         temporary.replace(path)
     except OSError as error:
         with suppress(OSError):
@@ -296,193 +324,71 @@ def write_password_hash(path: Path, kept: str) -> None:
         ) from None
 
 
-def read_password_hash(path: Path) -> str | None:
-    """Read the hash that was kept; None if there is none.
+@dataclass(frozen=True)
+class Session:
+    """A viewer who logged in with a password.
 
-    Raises
-    ------
-    AccessError
-        If the file can be read by others, or holds no hash.
+    It ends after `SESSION_S`, and when the account's password changes or the account is removed.
     """
-    try:
-        mode = path.stat().st_mode
-        kept = path.read_text(encoding="utf-8", errors="replace").strip()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise AccessError(
-            f"cannot be read ({error.strerror})", source=path, remedy="check its rights"
-        ) from None
-    if os.name == "posix" and mode & 0o077:
-        raise AccessError(
-            "others on this machine can read or write it", source=path, remedy=f"chmod 600 {path}"
-        )
-    try:
-        _parsed(kept)
-    except AccessError as error:
-        raise AccessError(error.message, source=path, remedy=error.remedy) from None
-    return kept
+
+    account: str
+    password_hash: str
+    until_s: float
+
+    def holds(self, accounts: Mapping[str, str]) -> bool:
+        """Return whether the session still holds, given the accounts that there are now."""
+        return time.time() < self.until_s and accounts.get(self.account) == self.password_hash
 
 
-@dataclass
-class Attempts:
-    """Slows down guessing: each wrong password doubles the wait, for each session or address.
+class PasswordChecker:
+    """Checks passwords for the whole server; any number of threads may use it.
 
-    One for the whole server; any number of threads may use it.
-
-    Parameters
-    ----------
-    free : int
-        Wrong passwords that cost no wait.
-    first_s, longest_s : float
-        The first wait, and the longest.
-    most : int
-        Clients that are remembered; beyond, those heard of longest ago are forgotten.
-    clock : callable
-        Gives seconds that never go back.
+    Each account allows `ATTEMPTS`, whoever makes them; the right password clears the count.
 
     Examples
     --------
-    >>> seconds = iter((0.0, 0.0, 0.5))
-    >>> attempts = Attempts(free=0, clock=lambda: next(seconds))
-    >>> attempts.wait_s("tablet"), attempts.failed("tablet"), attempts.wait_s("tablet")
-    (0.0, 1.0, 0.5)
+    >>> checker = PasswordChecker()
+    >>> accounts = {"anna": PasswordHasher().hash("correct horse battery")}
+    >>> checker.log_in(accounts, "anna", "wrong") is None
+    True
+    >>> checker.log_in(accounts, "anna", "correct horse battery").account
+    'anna'
     """
 
-    free: int = 3
-    first_s: float = 1.0
-    longest_s: float = 900.0
-    most: int = 10_000
-    clock: Callable[[], float] = time.monotonic
-    _failures: dict[str, tuple[int, float]] = field(default_factory=dict, init=False, repr=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
+    def __init__(self) -> None:
+        self._limiter = MovingWindowRateLimiter(MemoryStorage())
+        self._verifying = threading.Lock()  # one at a time: each takes 64 MiB
 
-    # One at a time: each takes 128 MB.
-    _verifying: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
-
-    def wait_s(self, client: str) -> float:
-        """Give the seconds that a client must wait before it may try; 0 if it may now."""
-        with self._lock:
-            return self._wait_s(client)
-
-    def failed(self, client: str) -> float:
-        """Note a wrong password; give the seconds that the client must wait now."""
-        with self._lock:
-            return self._note(client)
-
-    def succeeded(self, client: str) -> None:
-        """Forget a client's wrong passwords."""
-        with self._lock:
-            self._failures.pop(client, None)
-
-    def check(self, client: str, password: str, kept: str) -> bool:
-        """Verify a password, unless the client must wait.
+    def log_in(self, accounts: Mapping[str, str], account: str, password: str) -> Session | None:
+        """Return a session if the password is the account's, else None.
 
         Raises
         ------
         AccessError
-            If it must wait: the password is then not looked at.
+            If the account had too many attempts: the password is then not looked at.
         """
-        with self._lock:
-            wait_s = self._wait_s(client)
-            if wait_s == 0:
-                # Counted before it is verified, so that many at once gain nothing.
-                self._note(client)
-        if wait_s > 0:
+        account = account.strip()[:64]
+        # Counted before it is verified, so that many attempts at once gain nothing.
+        if not self._limiter.hit(ATTEMPTS, account):
             raise AccessError(
-                "too many wrong passwords", remedy=f"wait {wait_s:.0f} s and try again"
+                "too many wrong passwords for this account", remedy="wait 15 minutes and try again"
             )
+        password_hash = accounts.get(account)
         with self._verifying:
-            right = verify_password(password, kept)
-        if right:
-            self.succeeded(client)
-        return right
-
-    def _wait_s(self, client: str) -> float:
-        count, at_s = self._failures.get(client, (0, 0.0))
-        return max(0.0, at_s + self._delay_s(count) - self.clock())
-
-    def _note(self, client: str) -> float:
-        count = self._failures.pop(client, (0, 0.0))[0] + 1
-        self._failures[client] = (count, self.clock())
-        while len(self._failures) > self.most:
-            self._failures.pop(next(iter(self._failures)))
-        return self._delay_s(count)
-
-    def _delay_s(self, count: int) -> float:
-        if count <= self.free:
-            return 0.0
-        doublings = min(count - self.free - 1, 60)
-        return float(min(self.longest_s, self.first_s * 2.0**doublings))
+            # An unknown account takes as long as a known one.
+            right = _verifies(password_hash or _hash_of_nothing(), password)
+        if not right or password_hash is None:
+            return None
+        self._limiter.clear(ATTEMPTS, account)
+        return Session(account, password_hash, time.time() + SESSION_S)
 
 
-def secrets_files() -> tuple[Path, ...]:
-    """Give the files that Streamlit's login is set up in."""
-    return (
-        Path.home() / ".streamlit" / "secrets.toml",
-        Path.cwd() / ".streamlit" / "secrets.toml",
-    )
+def _verifies(password_hash: str, password: str) -> bool:
+    with suppress(VerificationError):
+        return _HASHER.verify(password_hash, password)
+    return False
 
 
-def login_of(address: str) -> Login:
-    """Decide how people log in to a server at this address; by its variable always.
-
-    Raises
-    ------
-    AccessError
-        If others could reach it and there is no login.
-    """
-    kept = read_password_hash(password_file())
-    return decide_login(
-        address,
-        oidc=has_oidc(secrets_files()),
-        password=kept is not None,
-        always=bool(os.environ.get(LOGIN_VARIABLE)),
-    )
-
-
-@st.cache_resource(show_spinner=False)
-def _attempts() -> Attempts:
-    return Attempts()
-
-
-def require_login(address: str) -> None:
-    """Draw the login and end the script, unless the viewer is in or needs none.
-
-    Parameters
-    ----------
-    address : str
-        What the server listens on.
-
-    Raises
-    ------
-    AccessError
-        If others could reach it and there is no login.
-    """
-    login = login_of(address)
-    if login is Login.NONE or st.session_state.get("inside"):
-        return
-    if login is Login.OIDC:
-        if st.user.is_logged_in:
-            return
-        st.button("Log in", type="primary", on_click=st.login)
-        st.stop()
-    with st.form("login"):
-        password = st.text_input("Password", type="password")
-        if st.form_submit_button("Log in", type="primary") and _right(password):
-            st.session_state["inside"] = True
-            st.rerun()
-    st.stop()
-
-
-def _right(password: str) -> bool:
-    client = st.context.ip_address or "unknown"
-    kept = read_password_hash(password_file()) or ""
-    try:
-        right = _attempts().check(client, password, kept)
-    except AccessError as error:
-        st.error(str(error))
-        return False
-    if not right:
-        st.error("That is not the password.")
-    return right
+@cache
+def _hash_of_nothing() -> str:
+    return _HASHER.hash(secrets.token_hex())

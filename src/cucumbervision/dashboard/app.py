@@ -1,12 +1,24 @@
-"""The script that Streamlit runs for every viewer: the pages and what frames them."""
+"""The script that Streamlit runs for every viewer: login, navigation and what frames a page."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import streamlit as st
 
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.access import require_login
-from cucumbervision.dashboard.pages import (
+from cucumbervision.dashboard.access import (
+    Login,
+    PasswordChecker,
+    Session,
+    accounts_file,
+    configured_login,
+    read_accounts,
+    read_openid_connect,
+)
+from cucumbervision.dashboard.views import (
     accuracy,
     capture,
     forecast,
@@ -17,52 +29,160 @@ from cucumbervision.dashboard.pages import (
 )
 from cucumbervision.errors import CucumberVisionError
 
-__all__ = ["main"]
+if TYPE_CHECKING:
+    from streamlit.navigation.page import StreamlitPage
+
+__all__ = ["footer", "keep_inputs", "main"]
+
+# Streamlit forgets the input of a page that is left; these are kept for its return.
+KEPT_INPUTS = (
+    *("round", "row", "side", "position_m", "step_m"),
+    *("source", "fruit", "color_by", "list_page"),
+)
+SESSION_CHECK_S = 30.0
+
+_STYLE = """<style>
+.stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
+  min-height: 3rem; }
+.st-key-take button { min-height: 5.5rem; }
+.st-key-take button p { font-size: 1.6rem; font-weight: 600; }
+.stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
+[data-testid="stButtonGroup"] button { min-height: 2.75rem; }
+.stNumberInput button { min-width: 2.75rem; }
+.st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
+.block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
+@media (max-width: 1000px) {
+  .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
+  .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {
+    min-width: 100%; } }
+@media print {
+  header, .stButton, .st-key-noprint, [data-testid="stToolbar"] { display: none !important; }
+  .block-container { padding: 0 !important; } }
+</style>"""
 
 
 def main() -> None:
-    """Draw the page that the viewer chose."""
+    """Draw the page that the viewer chose, or the login."""
     st.set_page_config(page_title="CucumberVision", page_icon="🥒", layout="wide")
-    page_elements.style()
+    st.html(_STYLE)
     try:
-        require_login(st.get_option("server.address") or "")
-    except CucumberVisionError as error:
-        st.error(str(error), icon=":material/lock:")
-        st.stop()
-    page_elements.keep_inputs()
-    chosen = st.navigation(
-        [
-            st.Page(
-                capture.page, title="Capture", icon=":material/photo_camera:", url_path="capture"
-            ),
-            st.Page(upload.page, title="Upload", icon=":material/upload:", url_path="upload"),
-            st.Page(
-                results.page,
-                title="Results",
-                icon=":material/straighten:",
-                url_path="results",
-                default=True,
-            ),
-            st.Page(row_map.page, title="Row map", icon=":material/map:", url_path="map"),
-            st.Page(
-                forecast.page,
-                title="Forecast",
-                icon=":material/calendar_month:",
-                url_path="forecast",
-            ),
-            st.Page(accuracy.page, title="Accuracy", icon=":material/target:", url_path="accuracy"),
-            st.Page(
-                settings.page, title="Settings", icon=":material/settings:", url_path="settings"
-            ),
-        ],
-        position="top",
-    )
-    try:
-        page_elements.progress(resources.prepare())
-        chosen.run()
+        login = configured_login(st.get_option("server.address") or "")
+        inside = _is_inside(login)
+        # Without a login too, so that each page's address leads to the form.
+        chosen = st.navigation(_pages(), position="top" if inside else "hidden")
+        if inside:
+            _draw_log_out(login)
+            keep_inputs()
+            page_elements.progress(resources.prepare())
+            chosen.run()
+        else:
+            _draw_login(login)
     except CucumberVisionError as error:
         st.error(str(error), icon=":material/error:")
-    page_elements.footer()
+    footer()
+
+
+def _pages() -> list[StreamlitPage]:
+    modules = [
+        ("Capture", capture, ":material/photo_camera:"),
+        ("Upload", upload, ":material/upload:"),
+        ("Results", results, ":material/straighten:"),
+        ("Row map", row_map, ":material/map:"),
+        ("Forecast", forecast, ":material/calendar_month:"),
+        ("Accuracy", accuracy, ":material/target:"),
+        ("Settings", settings, ":material/settings:"),
+    ]
+    return [
+        st.Page(
+            module.page,
+            title=title,
+            icon=icon,
+            url_path=title.split()[-1].lower(),
+            default=module is results,
+        )
+        for title, module, icon in modules
+    ]
+
+
+def keep_inputs() -> None:
+    """Keep the input of pages that are not shown."""
+    for name in KEPT_INPUTS:
+        if name in st.session_state:
+            st.session_state[name] = st.session_state[name]
+
+
+def footer() -> None:
+    """Name the program, its licence and where its source is (AGPL-3.0, section 13)."""
+    offer = source_offer()
+    where = f"[source code]({offer})" if offer.startswith("http") else f"source code: {offer}"
+    st.divider()
+    st.caption(f"CucumberVision {__version__} · {LICENCE} · {where}")
+
+
+def _is_inside(login: Login) -> bool:
+    """Return whether the viewer may see the pages."""
+    if login is Login.PASSWORD:
+        session: Session | None = st.session_state.get("session")
+        return session is not None and session.holds(read_accounts(accounts_file()))
+    if login is Login.OIDC:
+        oidc = read_openid_connect()
+        return bool(st.user.is_logged_in and oidc and oidc.admits(st.user.to_dict()))
+    return True
+
+
+def _draw_login(login: Login) -> None:
+    oidc = read_openid_connect()
+    if login is Login.PASSWORD or oidc is None:
+        _draw_password_form()
+    elif st.user.is_logged_in:
+        st.error(
+            f"The login as {st.user.get('email') or st.user.get('sub')} is not admitted, or older "
+            "than 12 hours.",
+            icon=":material/lock:",
+        )
+        st.button("Log out", icon=":material/logout:", on_click=st.logout)
+    else:
+        for name in oidc.providers or ("",):
+            st.button(
+                f"Log in with {name}" if name else "Log in",
+                type="primary",
+                on_click=st.login,
+                args=(name,) if name else (),
+            )
+
+
+@st.cache_resource(show_spinner=False)
+def _checker() -> PasswordChecker:
+    return PasswordChecker()
+
+
+def _draw_password_form() -> None:
+    with st.form("login"):
+        account = st.text_input("Account", autocomplete="username")
+        password = st.text_input("Password", type="password", autocomplete="current-password")
+        if not st.form_submit_button("Log in", type="primary"):
+            return
+        session = _checker().log_in(read_accounts(accounts_file()), account, password)
+        if session is None:
+            st.error("Account or password is wrong.", icon=":material/lock:")
+        else:
+            st.session_state["session"] = session
+            st.rerun()
+
+
+def _draw_log_out(login: Login) -> None:
+    if login is Login.NONE:
+        return
+    leave = st.logout if login is Login.OIDC else st.session_state.clear
+    st.button("Log out", icon=":material/logout:", on_click=leave)
+
+    @st.fragment(run_every=SESSION_CHECK_S)
+    def _end_with_session() -> None:
+        """Leave a page that stays open, such as the camera's, when the session ends."""
+        if not _is_inside(login):
+            st.rerun()
+
+    _end_with_session()
 
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision._version import __version__
-from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.jobs import Job, JobState
 from cucumbervision.store.records import RoundRecord
@@ -17,60 +15,9 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = [
-    "CLASSES",
-    "footer",
-    "halves",
-    "keep_inputs",
-    "pick_round",
-    "progress",
-    "style",
-    "thumbnail_of",
-]
+__all__ = ["CLASSES", "halves", "pick_round", "progress", "thumbnail_of"]
 
-# Streamlit forgets the input of a page that is left; these are kept for its return.
-KEPT_INPUTS = (
-    "round",
-    "row",
-    "side",
-    "position_m",
-    "step_m",
-    "source",
-    "fruit",
-    "color_by",
-    "list_page",
-)
 CLASSES = ("class I", "class II", "class III", "out of grade", "not graded")
-
-_STYLE = """<style>
-.stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
-  min-height: 3rem; }
-.st-key-take button { min-height: 5.5rem; }
-.st-key-take button p { font-size: 1.6rem; font-weight: 600; }
-.stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
-[data-testid="stButtonGroup"] button { min-height: 2.75rem; }
-.stNumberInput button { min-width: 2.75rem; }
-.block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
-@media (max-width: 1000px) {
-  .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
-  .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {
-    min-width: 100%; } }
-@media print {
-  header, .stButton, .st-key-noprint, [data-testid="stToolbar"] { display: none !important; }
-  .block-container { padding: 0 !important; } }
-</style>"""
-
-
-def style() -> None:
-    """Make what is touched large enough for a thumb."""
-    st.html(_STYLE)
-
-
-def keep_inputs() -> None:
-    """Keep the input of pages that are not shown."""
-    for name in KEPT_INPUTS:
-        if name in st.session_state:
-            st.session_state[name] = st.session_state[name]
 
 
 def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
@@ -78,14 +25,6 @@ def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
     with st.container(key="halves"):
         left, right = st.columns([3, 2], gap="medium")
     return left, right
-
-
-def footer() -> None:
-    """Name the program, its licence and where its source is (AGPL-3.0, section 13)."""
-    offer = source_offer()
-    where = f"[source code]({offer})" if offer.startswith("http") else f"source code: {offer}"
-    st.divider()
-    st.caption(f"CucumberVision {__version__} · {LICENCE} · {where}")
 
 
 def pick_round() -> RoundView | None:

@@ -14,21 +14,20 @@ __all__ = [
     "REPLAY_VARIABLE",
     "STORE_VARIABLE",
     "default_store",
+    "require_extra",
     "serve",
     "server_arguments",
 ]
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
-
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
-
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
-
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
+APP = Path(__file__).with_name("app.py")
 
 
 def default_store() -> str:
-    """Give where the store is unless somebody says otherwise.
+    """Return the path of the user's own store.
 
     Examples
     --------
@@ -40,18 +39,22 @@ def default_store() -> str:
     return str(Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "rounds.db")
 
 
-APP = Path(__file__).with_name("app.py")
+def require_extra() -> None:
+    """Raise MissingExtraError if a package of the extra 'dashboard' is not installed."""
+    for package in ("streamlit", "argon2", "limits"):
+        if find_spec(package) is None:
+            raise MissingExtraError(package, "dashboard")
 
 
 def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
-    """Give Streamlit's command line.
+    """Return Streamlit's command line.
 
     Examples
     --------
     >>> "--browser.gatherUsageStats=false" in server_arguments("127.0.0.1", 8501, browser=False)
     True
     """
-    said = {
+    options = {
         "server.address": address,
         "server.port": port,
         "server.headless": "false" if browser else "true",
@@ -65,7 +68,7 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         "theme.primaryColor": "#1B7837",
         "theme.baseFontSize": 17,
     }
-    return ["run", str(APP), *(f"--{name}={value}" for name, value in said.items())]
+    return ["run", str(APP), *(f"--{name}={value}" for name, value in options.items())]
 
 
 def serve(
@@ -85,34 +88,33 @@ def serve(
     store : str
         Path of an SQLite file, or the URL of a PostgreSQL database.
     replay : Path, optional
-        Folder or recording that is shown where no camera is; the bundled captures by default.
+        Folder or recording to show where no camera is; the bundled captures by default.
     images : Path, optional
         Folder of the pictures, which PostgreSQL needs.
     address : str
-        What to listen on.
+        Address to bind to.
     port : int
         TCP port.
     browser : bool
         Open a browser on this machine.
     login : bool
-        Ask on this machine too: for a proxy on it that others reach.
+        Require a login on this machine too: for a proxy on it that others reach.
 
     Raises
     ------
     MissingExtraError
-        If Streamlit is not installed.
+        If the extra 'dashboard' is not installed.
     AccessError
-        If a login is needed (the address can be reached from other machines, or it is asked
-        for), and none is set up.
+        If a login is required (the address can be reached from other machines, or `login`), and
+        none is set up.
     CucumberVisionError
-        If the replay is not there.
+        If the replay does not exist.
     """
-    if find_spec("streamlit") is None:
-        raise MissingExtraError("streamlit", "dashboard")
-    from cucumbervision.dashboard.access import login_of
+    require_extra()
+    from cucumbervision.dashboard.access import configured_login
 
     os.environ.update({LOGIN_VARIABLE: "always"} if login else {})
-    login_of(address)
+    configured_login(address)
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
     given = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}

@@ -8,12 +8,12 @@ import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import (
+    CLOUD_HEIGHT_PX,
     as_data_url,
-    cloud,
     depth_picture,
-    fruit_cloud,
     fruit_layers,
     picture,
+    point_cloud,
     ruler_m,
     scale_bar,
 )
@@ -166,12 +166,16 @@ def _pictures(one: RoundView, detail: DetectionDetail) -> None:
     with seen:
         _picture(one, detail, capture)
     with turned:
-        found = fruit_cloud(capture, detail.view.record)
-        if found is None:
+        deck = point_cloud(capture, detail.view.record)
+        if deck is None:
             st.info("There is no depth on this fruit to show in 3D.")
         else:
-            cloud(f"cloud_{detail.view.key}", found)
-            st.caption("Points as read, rings of the fitted tube, its axis white.")
+            with st.container(key="point_cloud"):
+                st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
+            st.caption(
+                "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
+                "white; the bar is 5 cm long. Drag to turn, pinch or wheel to zoom."
+            )
 
 
 @st.cache_resource(show_spinner=False, max_entries=6)

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.dashboard import charts, page_elements, resources
-from cucumbervision.dashboard.pages import export
-from cucumbervision.dashboard.pages import fruit as fruit_page
 from cucumbervision.dashboard.round_tables import (
     RoundLists,
     grade_name,
@@ -17,6 +15,8 @@ from cucumbervision.dashboard.round_tables import (
     method_lines,
     statistics,
 )
+from cucumbervision.dashboard.views import export
+from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:

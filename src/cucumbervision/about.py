@@ -18,10 +18,10 @@ _VERSIONS_OF = (
 
 
 def source_offer() -> str:
-    """Say where the program's source is (AGPL-3.0, section 13).
+    """Return the address of the program's source, or a sentence that none is given.
 
-    The address is the installed package's own `Source` URL, so that who passes on a changed
-    program changes it in one place, `pyproject.toml`.
+    The AGPL-3.0, section 13, asks for the offer. The address is the installed package's `Source` in
+    `[project.urls]` of `pyproject.toml`: whoever distributes a changed program changes it there.
 
     Examples
     --------
@@ -32,7 +32,10 @@ def source_offer() -> str:
         label, _, address = line.partition(", ")
         if label.lower() == "source":
             return str(address)
-    return "with whoever gave you this program, who owes it to you (AGPL-3.0, section 13)"
+    return (
+        "this installation names no address of its source (Source in [project.urls]); "
+        "whoever runs it owes you the source (AGPL-3.0, section 13)"
+    )
 
 
 def installed_versions() -> dict[str, str]:

@@ -1,11 +1,18 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -21,6 +28,12 @@ from cucumbervision.store.repository import Store, open_store
 WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
 LONG = RoundRecord(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
 FRUIT_PER_STOP = 5
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
 
 
 @pytest.fixture(scope="session")
@@ -107,3 +120,68 @@ def long_round(store: Store, template: StopRecord, stops: int) -> None:
 def make_long() -> Callable[[Store, StopRecord, int], None]:
     """Give `long_round`."""
     return long_round
+
+
+StartServer: TypeAlias = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def start_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartServer]:
+    """Start the real command in a folder and return its address; ended after the module."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(folder: Path, *arguments: str, **environment: str) -> str:
+        code = "from cucumbervision.cli.app import main; main()"
+        for _ in range(5):  # another process may take the port before the server does
+            with socket.socket() as probe:
+                probe.bind(("127.0.0.1", 0))
+                port = int(probe.getsockname()[1])
+            command = [sys.executable, "-c", code, "dashboard", "--no-browser"]
+            with (folder / "server.log").open("ab") as log:
+                server = subprocess.Popen(
+                    [*command, "--port", str(port), *arguments],
+                    stdout=log,
+                    stderr=log,
+                    cwd=folder,
+                    env={**os.environ, **environment},
+                )
+            started.append(server)
+            if _answers(f"http://127.0.0.1:{port}", server):
+                return f"http://127.0.0.1:{port}"
+        raise AssertionError((folder / "server.log").read_text())
+
+    yield start
+    for server in started:
+        server.terminate()
+    for server in started:
+        server.wait(PATIENCE_S)
+
+
+def _answers(address: str, server: subprocess.Popen[bytes]) -> bool:
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until and server.poll() is None:
+        try:
+            with urllib.request.urlopen(f"{address}/_stcore/health", timeout=10):
+                return True
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.2)
+    return False
+
+
+@pytest.fixture(scope="module")
+def new_page() -> Iterator[Callable[[], Any]]:
+    """Open an empty page of a real Chromium, in a browser context of its own."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+
+        def opened() -> Any:
+            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            page.set_default_timeout(1000 * PATIENCE_S)
+            return page
+
+        yield opened
+        browser.close()

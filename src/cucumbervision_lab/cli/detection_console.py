@@ -10,12 +10,12 @@ from rich.table import Table
 from cucumbervision_lab.cli.benchmark_console import progress
 from cucumbervision_lab.detection.report import (
     main_tables,
-    photo_tables,
     write_detection_report,
     write_photo_report,
 )
 from cucumbervision_lab.detection.run import evaluate_detection, evaluate_real_photos
 from cucumbervision_lab.detection.summary import summarise
+from cucumbervision_lab.detection.tables import photo_table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,8 +55,7 @@ def evaluate_photos_and_show(
             folder, *networks, runtime=runtime, confidence=confidence, split=split, report=report
         )
     console = _console()
-    for table in photo_tables(result):
-        _print(console, table)
+    _print(console, photo_table(result))
     file = write_photo_report(result, out)
     console.print(f"The figures are in {file}", soft_wrap=True, markup=False)
 

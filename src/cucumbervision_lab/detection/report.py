@@ -20,7 +20,6 @@ from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.detection import plots
 from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.overlaps import OverlapRow
-from cucumbervision_lab.detection.summary import score_ends
 from cucumbervision_lab.detection.tables import (
     end_table,
     false_table,
@@ -28,7 +27,6 @@ from cucumbervision_lab.detection.tables import (
     length_table,
     overall_table,
     overlap_table,
-    photo_end_table,
     photo_table,
     precision_table,
 )
@@ -44,13 +42,12 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.lengths import LengthScore
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
-    from cucumbervision_lab.detection.summary import EndScore, Summary
+    from cucumbervision_lab.detection.summary import Summary
 
 __all__ = [
     "JSON_NAME",
     "card_numbers",
     "main_tables",
-    "photo_tables",
     "write_detection_report",
     "write_photo_report",
 ]
@@ -112,10 +109,10 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
         On real photos.
     """
     tables = [precision_table(summary), overall_table(summary, confidence)]
-    tables += [end_table(summary.ends, summary.swapped)] if summary.ends else []
+    tables += [end_table(summary)] if summary.ends else []
     tables += [overlap_table(summary)] if summary.overlaps else []
     tables += [length_table(summary, "centreline", "whole")] if summary.lengths else []
-    tables += photo_tables(photos) if photos else []
+    tables += [photo_table(photos)] if photos else []
     return tables
 
 
@@ -181,11 +178,6 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
     return out / HTML_NAME
 
 
-def photo_tables(photos: PhotoResult) -> list[Table]:
-    """Return the tables of what was found on real photos: shares, and ends where they were read."""
-    return [photo_table(photos)] + ([photo_end_table(photos)] if photos.ends else [])
-
-
 def write_photo_report(photos: PhotoResult, out: Path) -> Path:
     """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`: figures, names and boxes.
 
@@ -234,7 +226,7 @@ def _page(result: DetectionResult, summary: Summary) -> str:
     sections += _overlap_sections(result)
     sections += _length_sections(summary)
     if photos is not None:
-        sections.append(Section("Real photos", (), (*photo_tables(photos), false_table(photos))))
+        sections.append(Section("Real photos", (), (photo_table(photos), false_table(photos))))
     sections += _worst_sections(result, summary)
     notes = [("", _intro(result))]
     return render_page(
@@ -338,7 +330,13 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
         "groups": [
             {"factor": one.factor, "group": one.group, **_scores(one)} for one in summary.groups
         ],
-        "ends": _end_numbers(summary.ends),
+        "ends": {
+            one.ends: {
+                "median_percent": one.median_percent.as_json(),
+                "p90_percent": one.p90_percent.as_json(),
+            }
+            for one in summary.ends
+        },
         "ends_swapped": summary.swapped.as_json(),
         "masks": [
             {
@@ -356,16 +354,6 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _end_numbers(ends: Sequence[EndScore]) -> dict[str, Any]:
-    return {
-        one.ends: {
-            "median_percent": one.median_percent.as_json(),
-            "p90_percent": one.p90_percent.as_json(),
-        }
-        for one in ends
-    }
-
-
 def _length_numbers(one: LengthScore) -> dict[str, Any]:
     return {
         "truth": str(one.truth),
@@ -380,15 +368,12 @@ def _length_numbers(one: LengthScore) -> dict[str, Any]:
 
 
 def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
-    ends, swapped = score_ends(photos.ends)
     return {
         "photos": photos.photos,
         "scenes": photos.scenes,
         "missing": photos.missing,
         "scores": {name: _scores(one) for name, one in photos.scores},
         "tests": {name: _scores(one) for name, one in photos.tests},
-        "ends": _end_numbers(ends),
-        "ends_swapped": swapped.as_json(),
         "half_size": {name: _scores(one) for name, one in photos.small},
         "false": [json_value(asdict(r)) for r in photos.found if r.outcome == "false"],
     }

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.overlaps import OverlapRow
     from cucumbervision_lab.detection.run import DetectionResult
 
-__all__ = ["EndScore", "OverlapScore", "Precision", "Summary", "score_ends", "summarise"]
+__all__ = ["EndScore", "OverlapScore", "Precision", "Summary", "summarise"]
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def summarise(result: DetectionResult) -> Summary:
     fruit, found = fruit_rows(frames, confidence), found_rows(frames, confidence)
     parts = [Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked)]
     ends = end_rows(frames, confidence)
-    end_scores, swapped = score_ends(ends)
+    turned = [(row.swapped, row.scene) for row in ends if row.swapped is not None]
     return Summary(
         tuple(Precision(s, j, average_precision(frames, j, s)) for s, j in asked),
         tuple(
@@ -150,8 +150,8 @@ def summarise(result: DetectionResult) -> Summary:
             for s in parts
         ),
         tuple(group_scores(fruit, found)),
-        end_scores,
-        swapped,
+        tuple(_end_scores(ends)),
+        share([swapped for swapped, _ in turned], [scene for _, scene in turned]),
         tuple(_overlap_scores(result.overlaps)),
         tuple(
             score
@@ -164,21 +164,7 @@ def summarise(result: DetectionResult) -> Summary:
     )
 
 
-def score_ends(rows: Sequence[EndRow]) -> tuple[tuple[EndScore, ...], Estimate]:
-    """Compute how far the ends are off, and how often they are swapped.
-
-    Parameters
-    ----------
-    rows : sequence of EndRow
-        From `end_rows`.
-
-    Returns
-    -------
-    scores : tuple of EndScore
-        Groups without any end are left out.
-    swapped : Estimate
-        Share of the fruit both of whose ends are known.
-    """
+def _end_scores(rows: Sequence[EndRow]) -> list[EndScore]:
     ends = [(r.blossom_percent, r.scene, r.blossom_seen, "blossom end") for r in rows]
     ends += [(r.stem_percent, r.scene, r.stem_seen, "stem end") for r in rows]
     ends = [end for end in ends if math.isfinite(end[0])]
@@ -196,8 +182,7 @@ def score_ends(rows: Sequence[EndRow]) -> tuple[tuple[EndScore, ...], Estimate]:
             scores.append(
                 EndScore(name, estimate(values, scenes, 0.5), estimate(values, scenes, 0.9))
             )
-    turned = [(row.swapped, row.scene) for row in rows if row.swapped is not None]
-    return tuple(scores), share([way for way, _ in turned], [scene for _, scene in turned])
+    return scores
 
 
 def _overlap_scores(rows: Sequence[OverlapRow]) -> list[OverlapScore]:

@@ -10,14 +10,13 @@ from cucumbervision.accuracy.table import Cell, Column, Table
 from cucumbervision.accuracy.tables import DESCRIPTIONS
 from cucumbervision_lab.detection.average_precision import OKS_SIGMA, Judged
 from cucumbervision_lab.detection.pictures import Stage
-from cucumbervision_lab.detection.summary import score_ends
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision_lab.detection.estimates import Estimate
     from cucumbervision_lab.detection.photos import PhotoResult
-    from cucumbervision_lab.detection.summary import EndScore, Summary
+    from cucumbervision_lab.detection.summary import Summary
 
 __all__ = [
     "end_table",
@@ -26,7 +25,6 @@ __all__ = [
     "length_table",
     "overall_table",
     "overlap_table",
-    "photo_end_table",
     "photo_table",
     "precision_table",
 ]
@@ -89,7 +87,7 @@ def group_table(summary: Summary, factor: str) -> Table:
     return Table(f"By {factor}", _shares("group"), rows)
 
 
-def end_table(ends: Sequence[EndScore], swapped: Estimate, title: str = "Ends") -> Table:
+def end_table(summary: Summary) -> Table:
     """Set endpoint errors out."""
     columns = (
         Column("ends"),
@@ -110,8 +108,9 @@ def end_table(ends: Sequence[EndScore], swapped: Estimate, title: str = "Ends") 
             one.p90_percent.value,
             span(one.p90_percent, 1, 2),
         )
-        for one in ends
+        for one in summary.ends
     ]
+    swapped = summary.swapped
     share = "–" if math.isnan(swapped.value) else f"{100 * swapped.value:.2f} %"
     comment = (
         "Distance between the true and the found end, in percent of the line through the fruit's "
@@ -119,7 +118,7 @@ def end_table(ends: Sequence[EndScore], swapped: Estimate, title: str = "Ends") 
         f"{share} of {swapped.count} fruit (95 % by scene: {span(swapped, 100, 2)}); swapped ends "
         "are judged as they are."
     )
-    return Table(title, columns, tuple(rows), comment)
+    return Table("Ends", columns, tuple(rows), comment)
 
 
 def overlap_table(summary: Summary) -> Table:
@@ -219,11 +218,6 @@ def photo_table(photos: PhotoResult) -> Table:
         + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
     )
     return Table("Real photos", _shares("photos"), rows, comment)
-
-
-def photo_end_table(photos: PhotoResult) -> Table:
-    """Set endpoint errors on real photos out, where the ends were read."""
-    return end_table(*score_ends(photos.ends), "Ends on real photos")
 
 
 def false_table(photos: PhotoResult) -> Table:

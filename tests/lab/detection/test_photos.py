@@ -22,9 +22,8 @@ from cucumbervision_lab.detection.photos import (
 )
 from cucumbervision_lab.detection.picture_result import Networks
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
-from cucumbervision_lab.detection.tables import false_table, photo_end_table, photo_table
+from cucumbervision_lab.detection.tables import false_table, photo_table
 
-ENDS = ("blossom end", "stem end")
 SPOTS = [np.array([0.0, 30 * k, 90, 30 * k + 20]) for k in range(8)]
 
 
@@ -106,23 +105,6 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
         *("half size: all", "half size: negatives", "half size: on the plant"),
         *("where: none", "where: plant"),
     ]
-
-
-def test_ends_on_photos_are_held_against_the_straight_line_between_them() -> None:
-    line = np.linspace([10.0, 10.0], [110.0, 10.0], 5)
-    true = TrueFruit(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
-    points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
-    seen = SeenFruit(SPOTS[0], 0.9, keypoints=points)
-    frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(seen,), kept=(seen,))
-    found = score_photos([frame], ["trial"], 0.25)
-    (row,) = found.ends
-    assert (row.length_px, row.blossom_percent, row.stem_percent, row.swapped) == (
-        100.0,
-        3.0,
-        3.0,
-        False,
-    )
-    assert [r[0] for r in photo_end_table(found).rows] == ["all", "in sight", *ENDS]
 
 
 @pytest.mark.realdata

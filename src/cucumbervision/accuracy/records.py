@@ -67,7 +67,7 @@ class Record:
         What each read, metres; None where it refused. Keys: 'M1' … 'M5', 'M6' (centreline),
         'M6 thread', 'M6 chord', 'oracle', and other people's tools by name.
     details : dict
-        What else was noted: 'm6_sd_m', 'm6_tilt_deg', 'm6_hidden_share', 'm6_ms', 'selected'
+        What else was noted: 'm6_sd_m', 'm6_tilt_deg', 'm6_hidden_share', 'selected'
         (the selector's method), 'paper_selected', 'flags'.
     """
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.accuracy.records import Masks, Record
-from cucumbervision.measurement.methods import Region, run_methods
+from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.result import Method
-from cucumbervision.measurement.selector import Selector, choose
+from cucumbervision.measurement.selector import Selector, choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision_lab.benchmark.disturb import disturb_mask, draw_disturbance
@@ -23,11 +22,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.result import Measurement
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision_lab.benchmark.protocol import Case
 
-__all__ = ["CaseOptions", "measure_case"]
+__all__ = ["CaseOptions", "fruit_lengths", "measure_case"]
 
 OUTLINE_RMS_PX = 1.5
 NO_RECORD_BELOW_PX = 30  # a fruit of which fewer pixels show is no capture of a fruit
@@ -113,25 +113,13 @@ def _record(
     case: Case, taken: Simulated, kind: Masks, instance: Instance, outsiders: bool
 ) -> Record:
     truth, capture = taken.truth, taken.capture
-    region = Region(
-        capture.depth_m, capture.intrinsics, instance.box, instance.mask, instance.keypoints
-    )
-    results = run_methods(region, [m for m in Method if m is not Method.M6])
-    start = time.perf_counter()
-    m6 = run_methods(region, [Method.M6])[Method.M6]
-    details: dict[str, Any] = {"m6_ms": round(1e3 * (time.perf_counter() - start), 1)}
-    results[Method.M6] = m6
-    lengths: dict[str, float | None] = {str(m): r.length_m for m, r in results.items()}
-    lengths.update(_tube(m6))
-    lengths.update(_selected(results, region, details))
+    measured = measure_fruit(capture, instance)
+    lengths, chosen = fruit_lengths(measured, capture)
     if instance.mask is not None:
         rng = np.random.default_rng(case.capture_seed + 5)
         lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
         if outsiders:
-            lengths.update(_outsiders(capture.depth_m, instance.mask, region))
-    details.update(_noted(m6, instance))
-    points = region.mask_points_m
-    pixels = 0 if instance.mask is None else int(np.count_nonzero(instance.mask))
+            lengths.update(_outsiders(capture, instance.mask))
     return Record(
         case=case.name,
         suite=case.suite,
@@ -144,50 +132,61 @@ def _record(
         tilt_deg=_chord_tilt_deg(truth.axis_m),
         bend_radius_m=case.bend_radius_m,
         hidden_share=truth.hidden_share,
-        fill=0.0 if points is None or not pixels else len(points) / pixels,
+        fill=0.0 if instance.mask is None else measured.fill or 0.0,
         condition=case.condition,
         depth_scale=taken.depth_scale,
         lengths_m=lengths,
         details={
-            **details,
+            **{f"selected_{selector}": method for selector, method in chosen.items()},
+            **_noted(measured.measurements[Method.M6], instance),
             "mask_iou": round(mask_iou(instance.mask, truth.visible), 4),
             "ends_seen": _ends_seen(taken),
         },
     )
 
 
-def _tube(m6: Measurement) -> dict[str, float | None]:
-    tube = m6.tube
-    return {
-        "M6": tube.centreline_m if tube else None,
-        "M6 thread": tube.thread_m if tube else None,
-        "M6 chord": tube.chord_m if tube else None,
+def fruit_lengths(
+    fruit: FruitMeasurement, capture: Capture
+) -> tuple[dict[str, float | None], dict[Selector, str | None]]:
+    """Return a fruit's lengths by every method and both selectors, and what these chose.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        By all methods, chosen by `Selector.BEST`.
+    capture : Capture
+        Where it was measured.
+
+    Returns
+    -------
+    lengths_m : dict of str to float
+        'M1' … 'M6', 'M6 thread', 'M6 chord', 'selector best', 'selector paper'; None for none.
+    chosen : dict of Selector to str
+        The method whose length each selector took.
+    """
+    lengths: dict[str, float | None] = {
+        str(method): one.length_m for method, one in fruit.measurements.items()
     }
+    tube = fruit.measurements[Method.M6].tube
+    lengths["M6 thread"] = tube.thread_m if tube else None
+    lengths["M6 chord"] = tube.chord_m if tube else None
+    # The paper's selector takes no mask of the detector's.
+    mask, points = fruit.instance.mask, None
+    if mask is not None:
+        points = len(masked_points(capture.depth_m, mask, capture.intrinsics))
+    by_paper, _, _ = choose(fruit.measurements, points, fruit.instance.box, Selector.PAPER)
+    chosen: dict[Selector, str | None] = {}
+    for selector, one in ((Selector.BEST, fruit.selected), (Selector.PAPER, by_paper)):
+        lengths[f"selector {selector}"] = None if one is None else one.length_m
+        chosen[selector] = None if one is None else str(one.source)
+    return lengths, chosen
 
 
-def _selected(
-    results: dict[Method, Measurement], region: Region, details: dict[str, Any]
-) -> dict[str, float | None]:
-    points = None if region.mask_points_m is None else len(region.mask_points_m)
-    lengths: dict[str, float | None] = {}
-    for selector in Selector:
-        allowed = {
-            m: r for m, r in results.items() if selector is Selector.BEST or m is not Method.M6
-        }
-        chosen, _, _ = choose(allowed, points, region.box)
-        lengths[f"selector {selector}"] = None if chosen is None else chosen.length_m
-        method = None if chosen is None else str(chosen.measured_by or chosen.method)
-        details[f"selected_{selector}"] = method
-    return lengths
-
-
-def _outsiders(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], region: Region
-) -> dict[str, float | None]:
+def _outsiders(capture: Capture, mask: NDArray[np.bool_]) -> dict[str, float | None]:
     from cucumbervision_lab.benchmark.baselines import available_outsiders
 
     tools = available_outsiders()
-    return {name: tool(depth_m, mask, region.intrinsics) for name, tool in tools.items()}
+    return {name: tool(capture.depth_m, mask, capture.intrinsics) for name, tool in tools.items()}
 
 
 def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:

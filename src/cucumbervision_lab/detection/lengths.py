@@ -10,11 +10,11 @@ import numpy as np
 from cucumbervision.accuracy.records import Masks, Record, Suite
 from cucumbervision.accuracy.statistics import score
 from cucumbervision.accuracy.tables import Truth, methods_against, readings, truth_m
-from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.result import Method
-from cucumbervision.measurement.selector import Selector, choose, measure_fruit
+from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, decode_rle
+from cucumbervision_lab.benchmark.measure_case import fruit_lengths
 from cucumbervision_lab.detection.estimates import Estimate, estimate
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.statistics import Metrics
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.detection.pictures import Frame
 
 __all__ = ["GROUPS", "LengthScore", "group_of", "length_records", "length_scores"]
@@ -115,7 +114,7 @@ def _record(
     details["cut_off"] = bool(fruit.cut_off)
     if instance is not None:
         measured = measure_fruit(capture, instance)
-        lengths.update(_lengths(measured, capture))
+        lengths.update(fruit_lengths(measured, capture)[0])
         details["selected"] = str(measured.selected.method) if measured.selected else None
         details["flags"] = list(measured.flags)
     return Record(
@@ -134,25 +133,6 @@ def _record(
         lengths_m=lengths,
         details=details,
     )
-
-
-def _lengths(fruit: FruitMeasurement, capture: Capture) -> dict[str, float | None]:
-    lengths: dict[str, float | None] = {
-        str(method): one.length_m for method, one in fruit.measurements.items()
-    }
-    m6 = fruit.measurements[Method.M6]
-    tube = m6.tube
-    lengths["M6"] = tube.centreline_m if tube else None
-    lengths["M6 thread"] = tube.thread_m if tube else None
-    lengths["M6 chord"] = tube.chord_m if tube else None
-    lengths["selector best"] = fruit.selected.length_m if fruit.selected else None
-    # The paper's selector takes no mask of the detector's.
-    mask, points = fruit.instance.mask, None
-    if mask is not None:
-        points = len(masked_points(capture.depth_m, mask, capture.intrinsics))
-    chosen, _, _ = choose(fruit.measurements, points, fruit.instance.box, Selector.PAPER)
-    lengths["selector paper"] = chosen.length_m if chosen else None
-    return lengths
 
 
 def group_of(record: Record) -> str:

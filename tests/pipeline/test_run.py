@@ -3,6 +3,8 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +12,14 @@ import numpy as np
 import openpyxl
 import pytest
 
-from cucumbervision.capture.source import ReadOptions, bundled_captures
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import (
+    CaptureRef,
+    CaptureSource,
+    ReadOptions,
+    bundled_captures,
+)
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.finders import make_finder
@@ -204,11 +213,49 @@ def test_captures_are_counted_for_the_progress_bar(tmp_path: Path) -> None:
 
 def test_sams_masks_lie_on_the_fruit(tmp_path: Path) -> None:
     finder = make_finder(MeasureOptions(instances="dataset", segmenter="mobile-sam"))
-    from cucumbervision.capture.readers import open_source
-
     for ref in open_source(bundled_captures()):
         capture = ref.load()
         for drawn, true in zip(finder.find(capture).instances, capture.masks, strict=True):
             assert drawn.mask is not None
             overlap = np.count_nonzero(drawn.mask & true) / np.count_nonzero(drawn.mask | true)
             assert overlap > 0.93
+
+
+def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> None:
+    good = next(iter(open_source(bundled_captures() / ROW_A)))
+
+    def too_large() -> Capture:
+        return replace(good.load(), depth_m=np.zeros((1 << 24, 1 << 24), np.float32))
+
+    def endless() -> Capture:
+        return replace(good.load(), burst_size=int(float("inf")))
+
+    def opener(path: Path, _: ReadOptions) -> CaptureSource:
+        def refs() -> Iterator[CaptureRef]:
+            yield CaptureRef("too_large", 0, too_large)
+            yield CaptureRef("endless", 0, endless)
+            yield good
+            raise RecursionError("maximum recursion depth exceeded")
+
+        return CaptureSource(path, "test", refs)
+
+    options = MeasureOptions(methods=(Method.M1,))
+    result = measure_inputs([Path("house")], tmp_path, options, opener=opener)
+    assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 70)
+    assert [(f.capture, f.error) for f in result.failures] == [
+        ("too_large", "OutOfMemoryError"),
+        ("endless", "InternalError"),
+        ("", "InternalError"),
+    ]
+    assert "OverflowError" in result.failures[1].message
+    assert len(read_csv(tmp_path / "failures.csv")) == 3
+    assert len(read_csv(tmp_path / "measurements.csv")) == 3
+
+
+def test_a_picture_that_cannot_be_written_costs_no_row(tmp_path: Path) -> None:
+    (tmp_path / "overlays" / f"{ROW_A}.png").mkdir(parents=True)
+    options = MeasureOptions(methods=(Method.M1,))
+    result = measure_inputs([bundled_captures() / ROW_A], tmp_path, options)
+    assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 1)
+    assert [f.error for f in result.failures] == ["FileError"]
+    assert "Is a directory" in result.failures[0].message

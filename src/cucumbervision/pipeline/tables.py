@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import platform
 from collections import Counter
+from contextlib import suppress
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
@@ -87,8 +87,9 @@ class CsvSink:
             while rest:
                 rest = rest[self._file.write(rest) or 0 :]
         except OSError:
-            os.truncate(self._file.fileno(), self._size)
-            self._file.seek(self._size)
+            with suppress(OSError):
+                self._file.truncate(self._size)
+                self._file.seek(self._size)
             raise
         self._size += len(data)
 

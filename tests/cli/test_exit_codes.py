@@ -1,0 +1,116 @@
+"""What goes wrong for real: what is lost, what is said, and the exit code."""
+
+from __future__ import annotations
+
+import csv
+import json
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.capture.source import bundled_captures
+
+BENCH = bundled_captures() / "simulated-bench"
+
+
+def measure(
+    *arguments: object, limit: Callable[[], None] | None = None
+) -> subprocess.CompletedProcess[str]:
+    command = ["measure", *map(str, arguments), "--instances", "dataset", "--methods", "m1"]
+    program = "from cucumbervision.cli.app import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", program, *command],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=limit,
+    )
+
+
+def failures(out: Path) -> list[tuple[str, str]]:
+    with (out / "failures.csv").open(newline="", encoding="utf-8-sig") as stream:
+        return [(row["error"], row["message"]) for row in csv.DictReader(stream)]
+
+
+def rows(out: Path) -> int:
+    return len((out / "measurements.csv").read_text(encoding="utf-8-sig").splitlines()) - 1
+
+
+def named(folder: Path, text: str) -> Path:
+    """A capture whose manifest is that text."""
+    shutil.copytree(BENCH, folder)
+    (folder / "capture.json").write_text(text)
+    return folder
+
+
+def test_a_single_wrong_path_is_2(tmp_path: Path) -> None:
+    done = measure("nowhere", "--out", tmp_path)
+    assert done.returncode == 2
+    assert "nowhere: does not exist" in done.stderr
+
+
+def test_a_wrong_path_among_others_is_1(tmp_path: Path) -> None:
+    done = measure("nowhere", BENCH, "--out", tmp_path)
+    assert (done.returncode, rows(tmp_path)) == (1, 3)
+
+
+def test_a_name_that_is_too_long_costs_its_picture_only(tmp_path: Path) -> None:
+    manifest = json.loads((BENCH / "capture.json").read_text())
+    long = named(tmp_path / "long", json.dumps({**manifest, "name": "x" * 300}))
+    done = measure(long, BENCH, "--out", tmp_path / "out")
+    assert (done.returncode, rows(tmp_path / "out")) == (1, 6)
+    [(error, message)] = failures(tmp_path / "out")
+    assert error == "FileError"
+    assert "too long; shorten the name" in message
+    assert "Traceback" not in done.stderr
+
+
+def test_a_full_disk_in_the_middle_is_no_traceback(tmp_path: Path) -> None:
+    def little_room() -> None:
+        # Room for the head of the table, and for no row or picture.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (900, 900))
+
+    done = measure(BENCH, "--out", tmp_path, limit=little_room)
+    assert done.returncode == 2
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert rows(tmp_path) == 0
+
+
+def test_a_full_disk_at_the_start_is_2(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    (tmp_path / "measurements.csv").symlink_to("/dev/full")
+    done = measure(BENCH, "--out", tmp_path)
+    assert done.returncode == 2
+    assert "cannot be written (No space left on device)" in done.stderr
+
+
+def test_an_error_without_a_name_is_a_defect_of_ours_and_70(tmp_path: Path) -> None:
+    deep = named(tmp_path / "deep", "[" * 100_000)
+    done = measure(deep, BENCH, "--out", tmp_path / "out")
+    assert (done.returncode, rows(tmp_path / "out")) == (70, 3)
+    [(error, message)] = failures(tmp_path / "out")
+    assert error == "InternalError"
+    assert "RecursionError" in message
+    assert "report" in message
+
+
+@pytest.mark.parametrize("command", [("measure",), ("detect",), ("demo",), ("round", "add")])
+def test_help_names_the_codes(command: tuple[str, ...]) -> None:
+    program = "from cucumbervision.cli.app import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *command, "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"COLUMNS": "120", "PYTHONPATH": ":".join(sys.path)},
+    )
+    said = " ".join(done.stdout.replace("│", " ").split())
+    assert "Exit codes: 0 everything was read" in said
+    assert "70 a defect of the software" in said

@@ -1,0 +1,71 @@
+"""Command, round, dashboard, Python and evaluation give one capture the same lengths."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.dashboard.measuring import SharedMeasurer
+from cucumbervision.dashboard.settings import Settings
+from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.pipeline.finders import make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.rounds.adding import add_captures
+from cucumbervision.store.records import DetectionRecord, RoundRecord
+from cucumbervision.store.repository import open_store
+from cucumbervision_lab.benchmark.measure_case import fruit_lengths
+
+
+def said(record: DetectionRecord) -> dict[str, Any]:
+    """What a record says of the length, in the columns of the tables."""
+    metres = {
+        name: getattr(record, f"{name}_m")
+        for name in ("length", "interval_low", "interval_high", "thread", "centreline", "chord")
+    }
+    cells: dict[str, Any] = {
+        f"{name}_cm": None if value is None else round(100 * value, 3)
+        for name, value in metres.items()
+    }
+    names = ("method", "length_kind", "mask_source", "flags", "reason")
+    return cells | {name: getattr(record, name) for name in names}
+
+
+@pytest.mark.parametrize("with_masks", [True, False])
+def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) -> None:
+    folder = tmp_path / "bench"
+    shutil.copytree(bundled_captures() / "simulated-bench", folder)
+    if not with_masks:  # the package's own networks find the fruit
+        shutil.rmtree(folder / "mask_visib")
+    rows = measure_inputs([folder], tmp_path / "out", MeasureOptions()).rows
+    assert len(rows) >= 2
+    assert {row["mask_source"] for row in rows} == {"dataset" if with_masks else "sam"}
+    added, taken = RoundRecord(name="added"), RoundRecord(name="taken")
+    capture = next(iter(open_source(folder))).load()
+    with open_store(tmp_path / "house.db") as store:
+        store.save_round(added)
+        store.save_round(taken)
+        add_captures(store, added.key, [folder], MeasureOptions())
+        options = Settings().options
+        SharedMeasurer(load_registry()).take_stop(store, taken.key, capture, options)
+        for one in (added, taken):
+            records = [view.record for view in store.detections(one.key)]
+            found = {record.number: said(record) for record in records}
+            assert [found[n] for n in sorted(found)] == [
+                {name: row[name] for name in found[1]} for row in rows
+            ]
+    instances = make_finder(MeasureOptions()).find(capture).instances
+    for row, instance in zip(rows, instances, strict=True):
+        fruit = measure_fruit(capture, instance)
+        assert fruit.length is not None
+        assert round(100 * fruit.length.value_m, 3) == row["length_cm"]
+        lengths, _ = fruit_lengths(fruit, capture)
+        for name in ("M3", "M5", "M6"):
+            length = lengths[name]
+            assert (length and round(100 * length, 3)) == row[f"{name.lower()}_cm"]

@@ -18,11 +18,23 @@ from cucumbervision.capture.source import bundled_captures
 BENCH = bundled_captures() / "simulated-bench"
 
 
+# Plants a defect: the first capture's fruit cannot be measured.
+DEFECT = """
+import cucumbervision.pipeline.measurer as module
+real = module.measure_fruit
+def broken(capture, *rest, **more):
+    if capture.source.endswith("other"):
+        return 1.0 / (capture.width - 848.0)
+    return real(capture, *rest, **more)
+module.measure_fruit = broken
+"""
+
+
 def measure(
-    *arguments: object, limit: Callable[[], None] | None = None
+    *arguments: object, limit: Callable[[], None] | None = None, before: str = ""
 ) -> subprocess.CompletedProcess[str]:
     command = ["measure", *map(str, arguments), "--instances", "dataset", "--methods", "m1"]
-    program = "from cucumbervision.cli.app import main; main()"
+    program = f"{before}\nfrom cucumbervision.cli.app import main; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *command],
         capture_output=True,
@@ -92,13 +104,22 @@ def test_a_full_disk_at_the_start_is_2(tmp_path: Path) -> None:
 
 
 def test_an_error_without_a_name_is_a_defect_of_ours_and_70(tmp_path: Path) -> None:
-    deep = named(tmp_path / "deep", "[" * 100_000)
-    done = measure(deep, BENCH, "--out", tmp_path / "out")
+    named(tmp_path / "other", (BENCH / "capture.json").read_text())
+    done = measure(tmp_path / "other", BENCH, "--out", tmp_path / "out", before=DEFECT)
     assert (done.returncode, rows(tmp_path / "out")) == (70, 3)
     [(error, message)] = failures(tmp_path / "out")
     assert error == "InternalError"
-    assert "RecursionError" in message
+    assert "other: ZeroDivisionError: float division by zero" in message
     assert "report" in message
+    assert message in done.stderr
+
+
+def test_a_defect_outside_of_captures_is_70_with_its_traceback(tmp_path: Path) -> None:
+    before = "import cucumbervision.pipeline.run as run; del run.Folder; "
+    done = measure(BENCH, "--out", tmp_path, before=before)
+    assert done.returncode == 70
+    assert "Traceback" in done.stderr
+    assert "NameError" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize("command", [("measure",), ("detect",), ("demo",), ("round", "add")])

@@ -12,6 +12,7 @@ from cucumbervision.perception.sam import Segmenter
 from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import numpy as np
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["Detectors", "NetworkLoader"]
+__all__ = ["Detectors", "NetworkLoader", "each_fruit_once"]
 
 
 class Detectors:
@@ -59,10 +60,30 @@ class Detectors:
         tuple of Instance
             Best first, with the detector's masks and the pose network's keypoints.
         """
-        found = merge_instances(self._detector.detect(color_rgb))
-        if self._pose is None or not found:
-            return found
-        return each_once(found, self._pose.detect(color_rgb))
+        found = self._detector.detect(color_rgb)
+        pose = self._pose.detect(color_rgb) if self._pose is not None and found else ()
+        return each_fruit_once(found, pose)
+
+
+def each_fruit_once(
+    detected: Sequence[Instance], posed: Sequence[Instance]
+) -> tuple[Instance, ...]:
+    """Return what is reported of a detector's and a pose network's detections of one picture.
+
+    Parameters
+    ----------
+    detected : sequence of Instance
+        Of the detector: the fruit.
+    posed : sequence of Instance
+        Of the pose network, whose keypoints they get; empty without one.
+
+    Returns
+    -------
+    tuple of Instance
+        Each fruit once, best first.
+    """
+    found = merge_instances(detected)
+    return each_once(found, posed) if posed and found else found
 
 
 class NetworkLoader:

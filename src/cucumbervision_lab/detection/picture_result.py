@@ -6,8 +6,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.perception.instances import each_once, merge_instances
-from cucumbervision.perception.networks import NetworkLoader
+from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit
 
@@ -167,8 +166,6 @@ def shipped(
 ) -> tuple[Instance, ...]:
     """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
-    As `perception.networks.Detectors.find`, which runs the networks for itself.
-
     Parameters
     ----------
     segmented : sequence of Instance, optional
@@ -178,11 +175,10 @@ def shipped(
     confidence : float
         A score must exceed it.
     """
-    first = posed if segmented is None else segmented
-    found = merge_instances([one for one in first if one.confidence > confidence])
-    if segmented is None or not posed or not found:
-        return found
-    return each_once(found, [one for one in posed if one.confidence > confidence])
+    sure = [one for one in posed if one.confidence > confidence]
+    if segmented is None:
+        return each_fruit_once(sure, ())
+    return each_fruit_once([one for one in segmented if one.confidence > confidence], sure)
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

@@ -283,7 +283,7 @@ def test_the_command_writes_everything(
     numbers = json.loads((out / "results.json").read_text())
     assert numbers["overall"]["what is reported"]["recall"]["value"] == 1.0
     assert numbers["overall"]["what is reported"]["recall"]["n"] == 2
-    assert [one["file"] for one in numbers["networks"]] == ["seg.onnx", "pose.onnx"]
+    assert [one["name"] for one in numbers["networks"]] == ["seg.onnx", "pose.onnx"]
     (best,) = (
         one
         for one in numbers["lengths"]

@@ -65,7 +65,7 @@ class Outcome:
 
 
 def classes_of(lengths_m: NDArray[np.float64], profile: CropProfile) -> NDArray[np.intp]:
-    """Give the index of each length's class among the profile's outcomes."""
+    """Return the index of each length's class among the profile's outcomes."""
     bins = np.searchsorted(profile.edges_m, lengths_m, side="right")
     return np.array(profile.outcome_of_bin, np.intp)[bins]
 
@@ -131,7 +131,7 @@ def compare(found: Forecast, house: SimulatedHouse, profile: CropProfile) -> Out
 
 
 def classes_of_fruit(house: SimulatedHouse, profile: CropProfile) -> NDArray[np.intp]:
-    """Give what "today + 3 cm a day" says of each found fruit, shape (D, fruit)."""
+    """Return what "today + 3 cm a day" says of each found fruit, shape (D, fruit)."""
     today = {f.fruit_id: f.length_m for f in house.fruit}
     lengths = np.array([today[str(k)] for k in house.of_fruit if k >= 0])
     ahead = NAIVE_M_PER_DAY * np.arange(len(house.lengths_m))[:, None]
@@ -145,7 +145,7 @@ def _inside(counts: Counts, truth: NDArray[np.intp], classes: int) -> NDArray[np
 def _scores(
     found: Forecast, house: SimulatedHouse, true: NDArray[np.intp], naive: NDArray[np.intp]
 ) -> tuple[float, float, float, float]:
-    """Give Brier and log score of forecast and naive, for each real fruit and day from 1 on."""
+    """Return Brier and log score of forecast and naive, for each real fruit and day from 1 on."""
     at = {f.fruit_id: k for k, f in enumerate(found.fruit)}
     real = house.of_fruit[house.of_fruit >= 0]
     said = found.probability[[at[str(k)] for k in real]].transpose(1, 0, 2)[1:]
@@ -161,7 +161,7 @@ def _scores(
 
 
 def clopper_pearson(hits: int, trials: int) -> tuple[float, float]:
-    """Give the exact 95 % interval of a share."""
+    """Return the exact 95 % interval of a share."""
     from scipy.stats import binomtest
 
     found = binomtest(hits, trials).proportion_ci(0.95, method="exact")
@@ -169,7 +169,7 @@ def clopper_pearson(hits: int, trials: int) -> tuple[float, float]:
 
 
 def report(scenario: Scenario, outcomes: list[Outcome]) -> str:
-    """Give one line of the table."""
+    """Return one line of the table."""
     hits = np.array([o.hits for o in outcomes])
     shares = np.array([np.nanmean(h) for h in hits])
     rng = np.random.default_rng(0)

@@ -28,7 +28,7 @@ _START_S = 1.8e9
 
 
 def made_round(name: str, day: int = 0) -> RoundRecord:
-    """Give a round of a day."""
+    """Return a round of a day."""
     return RoundRecord(key_of("made", name, day), name, "house 1", _START_S + 86400.0 * day)
 
 
@@ -38,7 +38,7 @@ def made_stop(
     images: ImageStore | None = None,
     size_px: tuple[int, int] = (160, 120),
 ) -> StopRecord:
-    """Give one stop of a round, the same for the same number.
+    """Return one stop of a round, the same for the same number.
 
     Parameters
     ----------

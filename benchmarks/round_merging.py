@@ -68,19 +68,19 @@ class Quality:
 
 
 def codes(cluster: NDArray[np.int64]) -> set[int]:
-    """Give the pairs of views of one fruit as numbers."""
+    """Return the pairs of views of one fruit as numbers."""
     i, j = cluster_pairs(np.unique(cluster, return_inverse=True)[1])
     return set((i * len(cluster) + j).tolist())
 
 
 def truth(row: Walk) -> NDArray[np.int64]:
-    """Give each view's true fruit; an invented one is a fruit of its own."""
+    """Return each view's true fruit; an invented one is a fruit of its own."""
     invented = row.of_fruit < 0
     return np.where(invented, 10**6 + np.arange(len(invented)), row.of_fruit)
 
 
 def shares(found: set[int], true: set[int]) -> tuple[float, float]:
-    """Give precision and recall."""
+    """Return precision and recall."""
     hits = len(found & true)
     return hits / max(len(found), 1), hits / max(len(true), 1)
 
@@ -121,7 +121,7 @@ def merged_quality(row: Walk, merged: Merged) -> Quality:
 
 
 def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> NDArray[np.float64]:
-    """Give precision and recall of links, of the sure ones, and calibration of probabilities."""
+    """Return precision and recall of links, of the sure ones, and calibration of probabilities."""
     first = simulate_row(settings, seed)
     rng = np.random.default_rng([13, seed])
     # Lowered by 15 to 35 cm, moved along by up to 40; from a point on otherwise.
@@ -154,7 +154,7 @@ def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> ND
 
 
 def interval(values: NDArray[np.float64]) -> str:
-    """Give mean and bootstrap interval of rows."""
+    """Return mean and bootstrap interval of rows."""
     rng = np.random.default_rng(0)
     values = values[np.isfinite(values)]
     means = values[rng.integers(0, len(values), (2000, len(values)))].mean(axis=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.agronomy.growth import LINEAR, Curve, GrowthPrior, Link, fit_growth
-from cucumbervision.agronomy.kalman import Basis, Spreads, gather, run_filter
+from cucumbervision.agronomy.kalman import Basis, Spreads, kalman_filter, measured_histories
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
 from cucumbervision_lab.simulation.growth import HouseSettings, simulate_house
@@ -18,8 +18,10 @@ def test_filter_is_the_joint_normal_posterior() -> None:
     days, sd = np.array([0.0, 2.0, 3.0]), np.array([0.004, 0.005, 0.006])
     lengths, mu = np.array([0.15, 0.20, 0.245]), 0.03
     basis = Basis(("r",), 0, 0)
-    seen = gather([list(zip(days, lengths, sd**2, strict=True))], ["r"], basis, until=4.0)
-    found = run_filter(seen, SPREADS)
+    seen = measured_histories(
+        [list(zip(days, lengths, sd**2, strict=True))], ["r"], basis, until=4.0
+    )
+    found = kalman_filter(seen, SPREADS)
     # x(t) = x0 + (mu + b) t + sum of daily luck, x0 with a practically flat prior; days outside
     # the basis bring the weather's variance as well.
     luck = SPREADS.fruit_day**2 + SPREADS.day**2
@@ -87,7 +89,7 @@ def test_unslowed_length_grows_as_fast_everywhere() -> None:
     curve = Curve(0.45)
     lengths = [0.10]
     for _ in range(4000):  # a rate of 3 cm a day for 10 days, in small steps
-        lengths.append(lengths[-1] + 0.03 * 10 / 4000 * float(curve.slowness(lengths[-1])))
+        lengths.append(lengths[-1] + 0.03 * 10 / 4000 * float(curve.rate_share(lengths[-1])))
     grown = curve.unslowed(lengths[-1]) - curve.unslowed(lengths[0])
     assert float(grown) == pytest.approx(0.30, rel=1e-4)
     assert lengths[-1] < 0.36

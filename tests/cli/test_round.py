@@ -2,12 +2,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.rounds.forecasting import growth_links
+from cucumbervision.store.records import (
+    CaptureRecord,
+    DetectionRecord,
+    RoundRecord,
+    StopRecord,
+    new_key,
+)
+from cucumbervision.store.repository import open_store
 
 
 def run(*arguments: str) -> str:
@@ -43,6 +53,45 @@ def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
     assert "logged as action 3" in run("pick", "1", *house, "--by", "kim")
     assert "picked" in run("show", *house)
     assert "to pick" in run("pick-list", *house)
+    assert "logged as action 4" in run("undo", *house)
+    assert "logged as action 5" in run("undo", "2", *house)
+    assert "picked" not in run("show", *house)
+
+
+def test_growth_is_linked_by_hand_and_taken_back(house: list[str]) -> None:
+    with open_store(house[1]) as store:
+        [first] = store.rounds()
+        later = RoundRecord(new_key(), "evening", started_s=first.record.started_s + 86400)
+        store.save_round(later)
+        for number, key in enumerate((first.key, later.key)):
+            fruit = DetectionRecord(1, length_m=0.2 + 0.03 * number)
+            stop = StopRecord(
+                new_key(), key, row="4", captures=(CaptureRecord("a", fruit=(fruit,)),)
+            )
+            store.save_stop(stop)
+    names = ("link-by-hand", "morning", "1", "1", "--round", "evening")
+    assert "logged as action 1" in run(*names, *house)
+    with open_store(house[1]) as store:
+        [link] = growth_links(store, later.key)
+        assert (link.length0_m, link.length1_m) == pytest.approx((0.20, 0.23))
+    run(*names, "--apart", *house)
+    with open_store(house[1]) as store:
+        assert growth_links(store, later.key) == []
+
+
+def test_a_store_is_checked(house: list[str]) -> None:
+    with open_store(house[1]) as store:
+        thumbnail = store.images.put_thumbnail(np.full((48, 64, 3), 90, np.uint8))
+        stop = StopRecord(
+            new_key(), store.rounds()[0].key, captures=(CaptureRecord("a", thumbnail=thumbnail),)
+        )
+        store.save_stop(stop)
+        path = store.images.path(thumbnail)
+    assert "1 pictures, 0 files that no stop names\nsound" in run("check", *house)
+    path.write_bytes(b"broken")
+    done = CliRunner().invoke(app, ["round", "check", *house])
+    assert done.exit_code == 1
+    assert f"damaged: {path}" in done.stdout
 
 
 def test_faults_are_named(house: list[str]) -> None:

@@ -34,7 +34,7 @@ def store(tmp_path: Path) -> Iterator[Store]:
 
 @pytest.fixture
 def save_walk(store: Store) -> SaveWalk:
-    """Give what saves a simulated walk as the stops of a round."""
+    """Return what saves a simulated walk as the stops of a round."""
 
     def save(walk: Walk, record: RoundRecord = MORNING, row: str = "3") -> None:
         for number in range(len(walk.stops)):

@@ -12,7 +12,7 @@ ROW = SimulatedRow(per_m=10)
 
 
 def linked(seed: int, along: float, up: float) -> tuple[DayLinks, float, float, float]:
-    """Give links, precision and recall, and precision of the sure ones."""
+    """Return links, precision and recall, and precision of the sure ones."""
     first = simulate_row(ROW, seed)
     rng = np.random.default_rng(seed)
     shift = np.tile([along, up, 0.0], (len(first.plants.name), 1))

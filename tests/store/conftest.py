@@ -102,7 +102,7 @@ def store(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Itera
 
 @pytest.fixture
 def make_stop() -> MakeStop:
-    """Give a maker of stops: fruit k of step s is (10 s + k) cm long and 0.1 k m along."""
+    """Return a maker of stops: fruit k of step s is (10 s + k) cm long and 0.1 k m along."""
 
     def make(step: int = 0, /, fruit: int = 2, **changes: Any) -> StopRecord:
         found = tuple(

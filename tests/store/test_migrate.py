@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,13 @@ from cucumbervision.store.engine import (
     begin,
     database_url,
     make_engine,
+)
+from cucumbervision.store.records import (
+    CaptureRecord,
+    DetectionRecord,
+    RoundRecord,
+    StopRecord,
+    key_of,
 )
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.schema import Base
@@ -88,3 +96,20 @@ def test_an_empty_file_becomes_a_store(tmp_path: Path) -> None:
     (tmp_path / "a.db").touch()
     with open_store(tmp_path / "a.db") as store:
         assert store.rounds() == []
+
+
+def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
+    walk, stop = RoundRecord(key_of("walk")), key_of("stop")
+    capture = CaptureRecord("a", fruit=(DetectionRecord(1, length_m=0.3, tilt_deg=4.0),))
+    with open_store(address) as store:
+        store.save_round(walk)
+        store.save_stop(StopRecord(stop, walk.key, captures=(capture,)))
+        # As if the software that made the store had not known this trait.
+        with begin(store.engine, write=True) as connection:
+            connection.execute(text("ALTER TABLE fruit DROP COLUMN tilt_deg"))
+    with open_store(address) as store:
+        [old] = store.detections(walk.key)
+        assert (old.record.length_m, old.record.tilt_deg) == (0.3, None)
+        again = replace(capture, fruit=(DetectionRecord(1, tilt_deg=5.0),))
+        store.save_stop(StopRecord(key_of("next"), walk.key, captures=(again,)))
+        assert store.detections(walk.key)[1].record.tilt_deg == 5.0

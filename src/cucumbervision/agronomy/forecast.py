@@ -14,7 +14,7 @@ import numpy as np
 
 from cucumbervision.agronomy.fruit import FruitState, check_fruit, natural_key
 from cucumbervision.agronomy.growth import measured_points
-from cucumbervision.agronomy.kalman import gather, run_filter
+from cucumbervision.agronomy.kalman import kalman_filter, measured_histories
 from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.fruit import FruitState
     from cucumbervision.agronomy.growth import Growth, Link
-    from cucumbervision.agronomy.kalman import Filtered, Histories, Spreads
+    from cucumbervision.agronomy.kalman import FilteredStates, Histories, Spreads
     from cucumbervision.agronomy.profiles import CropProfile
 
 __all__ = [
@@ -109,7 +109,12 @@ def simulate(
         shared = _Shared(beta, weather, len(histories.basis.rows))
         where = slice(h * each, (h + 1) * each)
         _fill(
-            unslowed[:, where], run_filter(histories, spreads), shared, histories.row, spreads, rng
+            unslowed[:, where],
+            kalman_filter(histories, spreads),
+            shared,
+            histories.row,
+            spreads,
+            rng,
         )
         newcomers[1:, where] = _newcomers(shared, spreads, rng)
     if scale_sd > 0:
@@ -138,7 +143,7 @@ def _histories(
         points.append(growth.curve.points(series, growth.pace_m))
     names = [one.row for one in fruit]
     rows = tuple(dict.fromkeys((*growth.basis.rows, *names)))
-    return gather(points, names, replace(growth.basis, rows=rows), today)
+    return measured_histories(points, names, replace(growth.basis, rows=rows), today)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +162,7 @@ class _Shared:
 
 def _fill(
     lengths: NDArray[np.float32],
-    filtered: Filtered,
+    filtered: FilteredStates,
     shared: _Shared,
     rows: NDArray[np.intp],
     spreads: Spreads,
@@ -185,7 +190,7 @@ def _fill(
 
 
 def _affine(columns: NDArray[np.float64], beta: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Give first column + others times beta, for every draw: shape (s, N)."""
+    """Return first column + others times beta for every draw, shape (s, N)."""
     result = np.repeat(columns[None, :, 0].astype(np.float32), len(beta), axis=0)
     # Only fruit with a past depend on beta. No BLAS: its threads cost more than they give here.
     past = np.flatnonzero(columns[:, 1:].any(axis=1))
@@ -430,7 +435,7 @@ class _Tally:
         self._before = np.zeros(shape, bool)
 
     def day(self, day: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Give probabilities (N, C), and counts in class and newly ready, (draws, R, C)."""
+        """Return probabilities (N, C), and counts in class and newly ready, (draws, R, C)."""
         lengths = self._lengths.unslowed_m[day]
         bins = np.zeros(lengths.shape, np.int8)
         for edge in self._edges:
@@ -477,7 +482,7 @@ def _weights(
 def _counts(
     drawn: NDArray[np.float64], level: float, rng: np.random.Generator
 ) -> tuple[Counts, Counts]:
-    """Give the house's and the rows' counts of draws, shape (draws, R, D, C)."""
+    """Return the house's and the rows' counts of draws, shape (draws, R, D, C)."""
     ends = [0.5 - level / 2, 0.5 + level / 2]
     found = []
     for counts in (drawn.sum(axis=1), drawn):
@@ -490,7 +495,7 @@ def _counts(
 
 
 def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDArray[np.bool_]:
-    """Say up to when no fruit that is too small today can be in a class."""
+    """Return for each day and class whether no fruit too small today can be in it, (D, C)."""
     unslowed = growth.curve.unslowed
     grown = unslowed(profile.acceptance.min_cm / 100) + lengths.newcomer_m
     entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]

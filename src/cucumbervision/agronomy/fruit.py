@@ -82,7 +82,7 @@ def check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Give a key that sorts names as people do: row 2 before row 10.
+    """Return a key that sorts names as people do: row 2 before row 10.
 
     Examples
     --------

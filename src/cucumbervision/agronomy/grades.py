@@ -34,7 +34,7 @@ INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_hig
 
 @dataclass(frozen=True)
 class LengthBelief:
-    """What is believed of one fruit's length: two half normals of its logarithm.
+    """What is known of one fruit's length: two half normals of its logarithm.
 
     The intervals are conformal, with half of 1 - level missed on either side, and may be longer
     on one side. Their ends are taken as quantiles, the measured length as the median (the
@@ -97,7 +97,7 @@ class LengthBelief:
         return self.median_m * float(np.sqrt((self.low_sd**2 + self.high_sd**2) / 2))
 
     def below(self, limit_m: ArrayLike) -> NDArray[np.float64]:
-        """Give the probability to be shorter than each limit in metres, float64."""
+        """Return the probability to be shorter than each limit in metres, float64."""
         from scipy.special import ndtr
 
         limit = np.asarray(limit_m, np.float64)
@@ -108,7 +108,7 @@ class LengthBelief:
         return np.asarray(ndtr(z), np.float64)
 
     def probability(self, low_m: float, high_m: float) -> float:
-        """Give the probability to be from `low_m`, inclusive, to `high_m`, exclusive."""
+        """Return the probability to be from `low_m`, inclusive, to `high_m`, exclusive."""
         below = self.below([low_m, high_m])
         return float(below[1] - below[0])
 
@@ -158,7 +158,7 @@ class GradingTraits:
     volume_m3: float | None = None
 
     def length_m(self, kind: LengthDefinition) -> float | None:
-        """Give one of the three lengths, metres."""
+        """Return one of the three lengths, metres."""
         lengths = {
             LengthDefinition.THREAD: self.thread_m,
             LengthDefinition.CENTRELINE: self.centreline_m,

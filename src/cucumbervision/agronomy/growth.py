@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.kalman import Basis, Spreads, gather, run_filter
+from cucumbervision.agronomy.kalman import Basis, Spreads, kalman_filter, measured_histories
 from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Curve:
     Examples
     --------
     >>> curve = Curve(0.40)
-    >>> curve.slowness([0.10, 0.20, 0.30]).round(6).tolist()
+    >>> curve.rate_share([0.10, 0.20, 0.30]).round(6).tolist()
     [1.0, 1.0, 0.5]
     >>> curve.unslowed([0.10, 0.20, 0.30]).round(4).tolist()  # 0.2 + 0.2 log 2
     [0.1, 0.2, 0.3386]
@@ -64,8 +64,8 @@ class Curve:
 
     full_m: float = float("inf")
 
-    def slowness(self, length_m: ArrayLike) -> NDArray[np.float64]:
-        """Give s(L), the share of its rate that a fruit of this length grows by, float64."""
+    def rate_share(self, length_m: ArrayLike) -> NDArray[np.float64]:
+        """Return s(L), the share of its rate that a fruit of this length grows by, float64."""
         length = np.asarray(length_m, np.float64)
         if np.isinf(self.full_m):
             return np.ones_like(length)
@@ -73,13 +73,13 @@ class Curve:
         return np.asarray(np.minimum(2 * (1 - share), 1.0), np.float64)
 
     def unslowed(self, length_m: ArrayLike) -> NDArray[np.float64]:
-        """Give u(L) in metres, float64."""
+        """Return u(L) in metres, float64."""
         length = np.asarray(length_m, np.float64)
         if np.isinf(self.full_m):
             return length
         half = self.full_m / 2
-        # Below half the slowness is 1, and its logarithm nothing.
-        return np.asarray(np.minimum(length, half) - half * np.log(self.slowness(length)))
+        # Below half the rate_share is 1, and its logarithm nothing.
+        return np.asarray(np.minimum(length, half) - half * np.log(self.rate_share(length)))
 
     def points(
         self, measured: Sequence[tuple[float, float, float]], pace_m: float
@@ -106,10 +106,10 @@ class Curve:
         for day, length, sd in measured:
             u = float(self.unslowed(length))
             expected = u if not found else found[-1][1] + (day - found[-1][0]) * pace_m
-            found.append((day, u, (sd / self._slowness_of_unslowed(expected)) ** 2))
+            found.append((day, u, (sd / self._rate_share_of_unslowed(expected)) ** 2))
         return found
 
-    def _slowness_of_unslowed(self, u_m: float) -> float:
+    def _rate_share_of_unslowed(self, u_m: float) -> float:
         half = self.full_m / 2
         if u_m <= half:
             return 1.0
@@ -255,11 +255,11 @@ class Growth:
     root: NDArray[np.float64]
 
     def house(self, level: float = 0.8) -> Rate:
-        """Give the growth of the house."""
+        """Return the growth of the house."""
         return self._rate(np.eye(1, self.basis.size)[0], level)
 
     def row(self, name: str, level: float = 0.8) -> Rate:
-        """Give the growth of a row; of one without links what is to be expected of any row."""
+        """Return the growth of a row; of one without links what is to be expected of any row."""
         weights = np.eye(1, self.basis.size)[0]
         if name in self.basis.rows:
             weights[1 + self.basis.rows.index(name)] = 1.0
@@ -335,7 +335,7 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
 
 
 def measured_points(links: Sequence[Link]) -> list[tuple[float, float, float]]:
-    """Give the measurements (day, length_m, sd_m) of one fruit's links, each once, in order."""
+    """Return the measurements (day, length_m, sd_m) of one fruit's links, each once, in order."""
     starts = {(k.day0, k.length0_m, k.sd0_m) for k in links}
     return sorted(starts | {(k.day1, k.length1_m, k.sd1_m) for k in links})
 
@@ -363,8 +363,8 @@ class _Problem:
         ends = curve.unslowed([[a[1], b[1]] for a, b in steps]).reshape(-1, 2)
         paces = (ends[:, 1] - ends[:, 0]) / np.array([b[0] - a[0] for a, b in steps])
         pace_m = float(np.median(paces)) if steps else prior.mean_m
-        histories = gather([curve.points(m, pace_m) for m in series], rows, basis)
-        slope = float(np.log(curve.slowness([b[1] for _, b in steps])).sum())
+        histories = measured_histories([curve.points(m, pace_m) for m in series], rows, basis)
+        slope = float(np.log(curve.rate_share([b[1] for _, b in steps])).sum())
         return cls(prior, curve, pace_m, histories, slope)
 
     def log_posterior(self, logs: NDArray[np.float64]) -> float:
@@ -398,8 +398,8 @@ class _Fit:
 def _coefficients(
     histories: Histories, prior: GrowthPrior, spreads: Spreads
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Give posterior mean and root of beta, and the log marginal likelihood."""
-    filtered = run_filter(histories, spreads)
+    """Return posterior mean and root of beta, and the log marginal likelihood."""
+    filtered = kalman_filter(histories, spreads)
     sd = _prior_sd(histories.basis, spreads)
     known = np.zeros(len(sd))
     known[0] = prior.mean_m
@@ -418,7 +418,7 @@ def _coefficients(
 
 
 def _prior_sd(basis: Basis, spreads: Spreads) -> NDArray[np.float64]:
-    """Give the prior standard deviation of each coefficient, metres a day, shape (p,)."""
+    """Return the prior standard deviation of each coefficient, metres a day, shape (p,)."""
     rows, days = [spreads.row] * len(basis.rows), [spreads.day] * basis.days
     return np.array([spreads.house, *rows, *days])
 
@@ -426,7 +426,7 @@ def _prior_sd(basis: Basis, spreads: Spreads) -> NDArray[np.float64]:
 def _laplace(
     badness: Callable[[NDArray[np.float64]], float],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the mode, and a square root of the inverse curvature there."""
+    """Return the mode, and a square root of the inverse curvature there."""
     from scipy.optimize import minimize
 
     size = 5

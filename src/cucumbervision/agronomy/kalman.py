@@ -1,4 +1,4 @@
-"""The lengths that were measured of each fruit, and the filter that runs along them.
+"""A Kalman filter along the lengths that were measured of each fruit.
 
 Growth is linear with day-to-day variability. For fruit i in row r on day t
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Basis", "Filtered", "Histories", "Spreads", "gather", "run_filter"]
+__all__ = ["Basis", "FilteredStates", "Histories", "Spreads", "kalman_filter", "measured_histories"]
 
 Point = tuple[float, float, float]  # day, length in metres, its variance
 
@@ -52,7 +52,7 @@ class Basis:
         return 1 + len(self.rows) + self.days
 
     def overlap(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give how much of each whole day lies between `start` and `end`, shape (N, days)."""
+        """Return how much of each whole day lies between `start` and `end`, shape (N, days)."""
         days = self.first_day + np.arange(self.days)
         upper = np.minimum(end[:, None], days + 1)
         return np.asarray(np.maximum(upper - np.maximum(start[:, None], days), 0.0))
@@ -82,7 +82,7 @@ class Histories:
 
 
 @dataclass(frozen=True, eq=False)
-class Filtered:
+class FilteredStates:
     """The filter's result.
 
     Parameters
@@ -104,7 +104,7 @@ class Filtered:
     log_scale: float
 
 
-def gather(
+def measured_histories(
     points: Sequence[Sequence[Point]], rows: Sequence[str], basis: Basis, until: float | None = None
 ) -> Histories:
     """Sort the points of each fruit and lay them out step by step.
@@ -150,8 +150,8 @@ def _step(
     return _Step(fruit, end - start, basis.overlap(start, end), length_m, variance_m2)
 
 
-def run_filter(histories: Histories, spreads: Spreads) -> Filtered:
-    """Filter every fruit along its points, all fruit at once.
+def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:
+    """Run a Kalman filter along the points of every fruit, all fruit at once.
 
     The length before the first point is unknown (flat), so that the first point starts the state
     and says nothing of growth.
@@ -161,9 +161,9 @@ def run_filter(histories: Histories, spreads: Spreads) -> Filtered:
     Two lengths 3 cm apart in a day, both exact, growth known to vary among fruit alone:
 
     >>> basis = Basis(("1",), 0, 0)
-    >>> seen = gather([[(0.0, 0.20, 0.0), (1.0, 0.23, 0.0)]], ["1"], basis)
+    >>> seen = measured_histories([[(0.0, 0.20, 0.0), (1.0, 0.23, 0.0)]], ["1"], basis)
     >>> spreads = Spreads(0.006, 0.002, 0.005, 1e-9, 1e-9)
-    >>> found = run_filter(seen, spreads)
+    >>> found = kalman_filter(seen, spreads)
     >>> found.length[:, 0].round(4), found.growth.round(4)  # b = 0.03 - mu - a
     (array([0.23]), array([[ 0.03, -1.  , -1.  ]]))
     """
@@ -191,7 +191,7 @@ def run_filter(histories: Histories, spreads: Spreads) -> Filtered:
             innovations.append(rest / np.sqrt(scale)[:, None])
             log_scale += 0.5 * float(np.log(scale).sum())
         length[step.fruit], growth[step.fruit], cov[step.fruit] = x, b, p
-    return Filtered(length, growth, cov, np.concatenate(innovations), log_scale)
+    return FilteredStates(length, growth, cov, np.concatenate(innovations), log_scale)
 
 
 def _carried(

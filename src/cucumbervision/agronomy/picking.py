@@ -44,7 +44,7 @@ class Pick:
 def pick_list(
     forecast: Forecast, threshold: float = 0.5, *, back_and_forth: bool = True
 ) -> tuple[Pick, ...]:
-    """Give today's ready fruit by row and position.
+    """Return today's ready fruit by row and position.
 
     Parameters
     ----------

@@ -270,7 +270,7 @@ class ProfileEntry:
 
 
 def profiles_folder() -> Path:
-    """Give the folder of the user's own: `CUCUMBERVISION_PROFILES`, or the user's settings."""
+    """Return the folder of the user's own: `CUCUMBERVISION_PROFILES`, or the user's settings."""
     if chosen := os.environ.get("CUCUMBERVISION_PROFILES"):
         return Path(chosen)
     import platformdirs
@@ -279,7 +279,7 @@ def profiles_folder() -> Path:
 
 
 def profiles(folder: Path | None = None) -> tuple[ProfileEntry, ...]:
-    """Give every profile, the user's own first; one of a shipped name takes its place.
+    """Return every profile, the user's own first; one of a shipped name takes its place.
 
     Parameters
     ----------

@@ -118,16 +118,9 @@ def merge(
     ] = None,
 ) -> None:
     """Find which fruit were seen from several stops; what was decided by hand stands."""
-    from cucumbervision.cli.round_console import show_rows
-    from cucumbervision.rounds.merge import MergeSettings
-    from cucumbervision.rounds.service import find_round, merge_round
-    from cucumbervision.store.repository import open_store
+    from cucumbervision.cli.round_console import merge_and_show
 
-    settings = MergeSettings()
-    if across is not None:
-        settings = MergeSettings(across_m=across, across_sd_m=0.05)
-    with open_store(store) as opened:
-        show_rows(merge_round(opened, find_round(opened, round_).key, settings))
+    merge_and_show(store, round_, across)
 
 
 @app.command()
@@ -137,13 +130,9 @@ def link(
     round_: RoundName = "",
 ) -> None:
     """Find the fruit of an earlier round again, though they grew and were moved."""
-    from cucumbervision.cli.round_console import show_links
-    from cucumbervision.rounds.service import find_round, link_rounds
-    from cucumbervision.store.repository import open_store
+    from cucumbervision.cli.round_console import link_and_show
 
-    with open_store(store) as opened:
-        keys = find_round(opened, earlier).key, find_round(opened, round_).key
-        show_links(link_rounds(opened, *keys))
+    link_and_show(store, earlier, round_)
 
 
 @app.command()
@@ -175,14 +164,14 @@ def merge_by_hand(
     round_: RoundName = "",
     by: By = "",
 ) -> None:
-    """Say that two fruit of the table are one; every later merging keeps to it."""
-    from cucumbervision.rounds.service import find_fruit, find_round
-    from cucumbervision.store.repository import open_store
+    """Record that two fruit of the table are one; every later merging keeps to it."""
+    from cucumbervision.cli.round_console import by_hand
 
-    with open_store(store) as opened:
-        key = find_round(opened, round_).key
-        pair = [find_fruit(opened, key, name).key for name in (first, second)]
-        typer.echo(f"logged as action {opened.merge(*pair, by=by)}")
+    by_hand(
+        store,
+        [(round_, first), (round_, second)],
+        lambda opened, keys: opened.merge(*keys, by=by),
+    )
 
 
 @app.command()
@@ -192,13 +181,30 @@ def unmerge(
     round_: RoundName = "",
     by: By = "",
 ) -> None:
-    """Say that a view is another fruit than all that it is merged with."""
-    from cucumbervision.rounds.service import find_fruit, find_round
-    from cucumbervision.store.repository import open_store
+    """Record that a view is another fruit than all that it is merged with."""
+    from cucumbervision.cli.round_console import by_hand
 
-    with open_store(store) as opened:
-        one = find_fruit(opened, find_round(opened, round_).key, fruit)
-        typer.echo(f"logged as action {opened.unmerge(one.key, by=by)}")
+    by_hand(store, [(round_, fruit)], lambda opened, keys: opened.unmerge(*keys, by=by))
+
+
+@app.command("link-by-hand")
+def link_by_hand(
+    earlier: Annotated[str, typer.Argument(help="The earlier round: name or key.")],
+    then: Annotated[str, typer.Argument(help="The fruit's number or key in that round.")],
+    now: Annotated[str, typer.Argument(help="Its number or key in the later round.")],
+    store: StoreArg = "house.db",
+    round_: RoundName = "",
+    by: By = "",
+    apart: Annotated[bool, typer.Option("--apart", help="They are two fruit.")] = False,
+) -> None:
+    """Record that a fruit is this one of an earlier round; every later linking keeps to it."""
+    from cucumbervision.cli.round_console import by_hand
+
+    by_hand(
+        store,
+        [(earlier, then), (round_, now)],
+        lambda opened, keys: (opened.unlink_growth if apart else opened.link_growth)(*keys, by=by),
+    )
 
 
 @app.command()
@@ -210,14 +216,45 @@ def pick(
     undo: Annotated[bool, typer.Option("--undo", help="They were not picked.")] = False,
 ) -> None:
     """Mark fruit as picked: they leave forecast and pick list."""
-    from cucumbervision.rounds.service import find_fruit, find_round
-    from cucumbervision.store.repository import open_store
+    from cucumbervision.cli.round_console import by_hand
 
-    with open_store(store) as opened:
-        key = find_round(opened, round_).key
-        keys = [find_fruit(opened, key, name).key for name in fruit]
-        number = opened.unpick(keys, by=by) if undo else opened.pick(keys, by=by)
-        typer.echo(f"logged as action {number}")
+    by_hand(
+        store,
+        [(round_, one) for one in fruit],
+        lambda opened, keys: (opened.unpick if undo else opened.pick)(keys, by=by),
+    )
+
+
+@app.command()
+def undo(
+    action: Annotated[
+        int | None, typer.Argument(help="Its number; the round's newest without.")
+    ] = None,
+    store: StoreArg = "house.db",
+    round_: RoundName = "",
+    by: By = "",
+) -> None:
+    """Take back what was done by hand, unless a later action stands on it."""
+    from cucumbervision.cli.round_console import undo_action
+
+    undo_action(store, round_, action, by)
+
+
+@app.command()
+def check(
+    store: StoreArg = "house.db",
+    contents: Annotated[
+        bool, typer.Option(help="Read every picture and hold it against its hash.")
+    ] = True,
+    remove: Annotated[
+        bool, typer.Option("--remove", help="Remove pictures that no stop names.")
+    ] = False,
+    images: Images = None,
+) -> None:
+    """Check a store: its file, and that every picture is there and whole. Exits 1 if not."""
+    from cucumbervision.cli.round_console import check_and_show
+
+    raise typer.Exit(check_and_show(store, images, contents=contents, remove=remove))
 
 
 @app.command("pick-list")

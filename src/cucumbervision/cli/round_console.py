@@ -13,19 +13,38 @@ from cucumbervision.pipeline.measurer import exit_code
 from cucumbervision.pipeline.run import count_captures
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import find_round, fruit_table
+from cucumbervision.rounds.merge import MergeSettings
+from cucumbervision.rounds.service import (
+    find_fruit,
+    find_round,
+    fruit_table,
+    link_rounds,
+    merge_round,
+)
+from cucumbervision.store.images import check_store
 from cucumbervision.store.repository import open_store
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
-    from cucumbervision.rounds.service import RoundFruit, RowLinks, RowReport
+    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.store.repository import Store
 
-__all__ = ["add_and_show", "show_links", "show_picks", "show_round", "show_rounds", "show_rows"]
+__all__ = [
+    "add_and_show",
+    "by_hand",
+    "check_and_show",
+    "link_and_show",
+    "merge_and_show",
+    "show_picks",
+    "show_round",
+    "show_rounds",
+    "undo_action",
+]
 
 
 def _console() -> Console:
@@ -57,8 +76,13 @@ def add_and_show(
     return exit_code(len(done) - len(failures), failures)
 
 
-def show_rows(rows: Sequence[RowReport]) -> None:
-    """Show what merging found."""
+def merge_and_show(where: str, name: str, across_m: float | None) -> None:
+    """Merge a round and show what was found; `across_m` lies between the two aisles' cameras."""
+    settings = MergeSettings()
+    if across_m is not None:
+        settings = MergeSettings(across_m=across_m, across_sd_m=0.05)
+    with open_store(where) as store:
+        rows = merge_round(store, find_round(store, name).key, settings)
     table = Table("row", title="Merged rows", title_justify="left")
     for head in ("stops", "views", "fruit", "expected", "stops known to"):
         table.add_column(head, justify="right")
@@ -85,8 +109,10 @@ def show_rows(rows: Sequence[RowReport]) -> None:
             )
 
 
-def show_links(rows: Sequence[RowLinks]) -> None:
-    """Show what linking found."""
+def link_and_show(where: str, earlier: str, later: str) -> None:
+    """Link the fruit of two rounds and show what was found."""
+    with open_store(where) as store:
+        rows = link_rounds(store, find_round(store, earlier).key, find_round(store, later).key)
     table = Table("row", title="Fruit found again", title_justify="left")
     for head in ("earlier", "later", "linked", "sure", "moved along"):
         table.add_column(head, justify="right")
@@ -158,7 +184,7 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
 
 
 def show_rounds(where: str) -> None:
-    """List rounds."""
+    """Return rounds."""
     with open_store(where) as store:
         rounds = store.rounds()
     table = Table("key", "name", "house", "began", "profile")
@@ -200,3 +226,37 @@ def show_picks(where: str, name: str, given: str | None) -> None:
             pick.name,
         )
     _console().print(table)
+
+
+def by_hand(
+    where: str,
+    fruit: Sequence[tuple[str, str]],
+    action: Callable[[Store, list[str]], int],
+) -> None:
+    """Do something by hand to fruit that are named by their rounds and numbers or keys."""
+    with open_store(where) as store:
+        keys = [find_fruit(store, find_round(store, name).key, one).key for name, one in fruit]
+        _console().print(f"logged as action {action(store, keys)}")
+
+
+def undo_action(where: str, name: str, number: int | None, by: str) -> None:
+    """Take back an action of a round: the newest, or the one of this number."""
+    with open_store(where) as store:
+        done = store.undo(find_round(store, name).key, number=number, by=by)
+        _console().print(f"logged as action {done}")
+
+
+def check_and_show(where: str, images: Path | None, *, contents: bool, remove: bool) -> int:
+    """Check a store, show what was found, and return the exit code."""
+    with open_store(where, images=images, create=False) as store:
+        found = check_store(store, contents=contents, remove=remove)
+    console = _console()
+    console.print(f"{found.pictures} pictures, {len(found.orphans)} files that no stop names")
+    for path in found.removed:
+        console.print(f"removed: {path}", soft_wrap=True, markup=False)
+    problems = [f"missing: {path}" for path in found.missing]
+    problems += [f"damaged: {path}" for path in found.damaged]
+    for problem in (*problems, *found.faults):
+        console.print(problem, soft_wrap=True, markup=False)
+    console.print("sound" if found.sound else "copy what is missing or damaged from a backup")
+    return 0 if found.sound else 1

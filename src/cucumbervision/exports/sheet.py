@@ -87,7 +87,7 @@ def write_sheet(tables: RoundTables, out: Path) -> list[Path]:
 
 
 def render_sheet(tables: RoundTables) -> str:
-    """Give the page: summary, charts, forecast, work, pick list, fruit, and what it rests on.
+    """Return the page: summary, charts, forecast, work, pick list, fruit, and what it rests on.
 
     Every text of it is escaped, and it loads nothing from anywhere.
     """
@@ -132,7 +132,7 @@ def _template() -> Template:
 
 
 def _figure(cell: Cell, unit: str = "") -> Any:
-    """Give a cell as people read it."""
+    """Return a cell as people read it."""
     if cell is None:
         return "–"
     if isinstance(cell, bool):

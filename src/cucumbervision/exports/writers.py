@@ -214,7 +214,7 @@ class _Writer:
         self._numbers: dict[str, Any] = {}
 
     def number(self, column: Column) -> Any:
-        """Give the format of a column's numbers; None for texts."""
+        """Return the format of a column's numbers; None for texts."""
         if column.type in {"text", "yes/no"}:
             return None
         shape = "0" if column.type == "whole" else _FORMATS.get(column.unit, "0.00")

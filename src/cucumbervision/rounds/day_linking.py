@@ -30,7 +30,7 @@ PRIOR_LINKS = 20.0  # links that the belief about swinging is worth
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """What is believed of plants between two rounds.
+    """What is known of plants between two rounds before any is linked.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def link_days(
 def _swing(
     gap: NDArray[np.float64], other: NDArray[np.float64], s: LinkSettings
 ) -> NDArray[np.float64]:
-    """Give the variance of fruit about their plants' shift: the prior's and the links' own.
+    """Return the variance of fruit about their plants' shift: the prior's and the links' own.
 
     By the median, so that a fifth of wrong links does little.
     """
@@ -163,7 +163,7 @@ def _swing(
 
 
 def _tops(fruit: RowFruit) -> NDArray[np.float64]:
-    """Give where fruit hang: a growing fruit's upper end stays, its middle sinks."""
+    """Return the upper ends of fruit, shape (F, 3): they stay while a growing middle sinks."""
     top = fruit.place_m.copy()
     top[:, UP] += np.nan_to_num(fruit.length_m, nan=0.15) / 2
     return top
@@ -192,7 +192,7 @@ def _size_ratio(
     days: float,
     s: LinkSettings,
 ) -> NDArray[np.float64]:
-    """Give how much the sizes speak for one fruit that grew."""
+    """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
     first, second = earlier.length_m[i], later.length_m[j]
     known = np.isfinite(first + second) & ~earlier.partial[i] & ~later.partial[j]
     error = np.hypot(first * earlier.length_sd[i], second * later.length_sd[j])
@@ -206,13 +206,13 @@ def _size_ratio(
 def _hidden_variance(
     earlier: RowFruit, later: RowFruit, i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Give how much less is known of the upper end of fruit of which part is hidden."""
+    """Return the variance that hidden parts add to upper ends, shape (K, 3)."""
     lost = 0.06**2 * (earlier.partial[i].astype(float) + later.partial[j])
     return np.stack([0 * lost, lost, 0 * lost], axis=1)
 
 
 def _other_density(b: NDArray[np.float64]) -> float:
-    """Give the log density of fruit in the row, per cubic metre."""
+    """Return the log density of fruit in the row, per cubic metre."""
     width = np.maximum(np.sqrt(12) * b.std(axis=0), [0.5, 0.2, 0.1])
     return float(np.log(max(len(b), 1) / width.prod()))
 
@@ -271,7 +271,7 @@ def _peak(grid: NDArray[np.float64], middles: list[NDArray[np.float64]]) -> tupl
 def _assign(
     i: NDArray[np.intp], j: NDArray[np.intp], ratio: NDArray[np.float64], rows: int, columns: int
 ) -> NDArray[np.intp]:
-    """Give which pairs are assigned, one to one; a pair below even odds is none.
+    """Return which pairs are assigned, one to one; a pair below even odds is none.
 
     Fruit that no likely pair joins are assigned apart from each other, group by group.
     """
@@ -333,7 +333,7 @@ def _fit(
 def _chances(
     i: NDArray[np.intp], j: NDArray[np.intp], ratio: NDArray[np.float64], rows: int, columns: int
 ) -> NDArray[np.float64]:
-    """Give how likely each pair is, of all one-to-one assignments and none.
+    """Return how likely each pair is, of all one-to-one assignments and none.
 
     Marginals by belief propagation, as in Williams & Lau (2014), "Approximate evaluation of
     marginal association probabilities with belief propagation".

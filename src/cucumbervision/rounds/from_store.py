@@ -111,7 +111,7 @@ def read_round(store: Store, round_key: str) -> RoundContent:
 
 
 def load_rows(content: RoundContent) -> list[StoredRow]:
-    """Give a round's rows as arrays.
+    """Return a round's rows as arrays.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def _views(
 
 
 def _length(record: DetectionRecord) -> tuple[float, float]:
-    """Give the length and its relative standard deviation."""
+    """Return the length and its relative standard deviation."""
     if record.length_m is None or not record.length_m > 0:
         return np.nan, UNKNOWN_SD
     low, high = record.interval_low_m, record.interval_high_m
@@ -255,7 +255,7 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
 
 
 def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
-    """Give what somebody decided of a row's views."""
+    """Return what somebody decided of a row's views."""
     index = {key: k for k, key in enumerate(row.fruit_keys)}
 
     def pairs(kind: LinkKind) -> NDArray[np.int64]:
@@ -270,7 +270,7 @@ def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
 
 
 def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
-    """Give a row as it was merged and saved, what was done by hand included."""
+    """Return a row as it was merged and saved, what was done by hand included."""
     groups = {view.key: view.group for view in content.views}
     names = [groups[key] for key in row.fruit_keys]
     _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)

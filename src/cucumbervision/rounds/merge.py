@@ -103,7 +103,7 @@ def _assign(
     ratio: NDArray[np.float64],
     sizes: NDArray[np.intp],
 ) -> NDArray[np.intp]:
-    """Give for each of a capture's views the column of its fruit, or -1."""
+    """Return for each of a capture's views the column of its fruit, or -1."""
     from scipy.optimize import linear_sum_assignment
 
     rows, columns = len(own), len(sizes)
@@ -127,7 +127,7 @@ def join_clusters(
     ratio: NDArray[np.float64],
     cluster: NDArray[np.intp],
 ) -> NDArray[np.intp]:
-    """Join fruit whose views are alike on average and never of one capture, the likest first.
+    """Join fruit whose views are alike on average and never of one capture, the most alike first.
 
     A view at a time cannot do that: of four views, two and two may have found each other.
     """
@@ -156,7 +156,7 @@ def join_clusters(
 
 
 def cluster_pairs(cluster: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Give all pairs of views of one fruit, each once.
+    """Return all pairs of views of one fruit, each once.
 
     Examples
     --------
@@ -250,7 +250,7 @@ class Merged:
     mirrored: tuple[int, ...] = ()
 
     def place_m(self, views: RowViews) -> NDArray[np.float64]:
-        """Give each view's place in the row's frame, shape (N, 3), metres."""
+        """Return each view's place in the row's frame, shape (N, 3), metres."""
         return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
 
 
@@ -328,7 +328,7 @@ def merge_row(
 
 
 def views_per_m(stops: RowStops, views: RowViews) -> float:
-    """Give how many views a capture has per metre of row that it shows.
+    """Return how many views a capture has per metre of row that it shows.
 
     Examples
     --------
@@ -346,7 +346,7 @@ def views_per_m(stops: RowStops, views: RowViews) -> float:
 
 
 def _candidates(fitted: FittedStops, views: RowViews) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Give pairs of views of different captures that may be one fruit, by their place alone."""
+    """Return pairs of views of different captures that may be one fruit, by their place alone."""
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
     i, j = pairs_within(along, GATE_SD * np.sqrt(2) * own)
@@ -362,7 +362,7 @@ def _rated(
     settings: MergeSettings,
     by_hand: ByHand,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Give the candidates and their log likelihood ratios."""
+    """Return the candidates and their log likelihood ratios."""
     i, j = _candidates(fitted, views)
     known = np.vstack([by_hand.same, by_hand.apart])
     i, j = np.concatenate([i, known[:, 0]]), np.concatenate([j, known[:, 1]])
@@ -434,7 +434,7 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
 
 
 def _numbered(cluster: NDArray[np.intp], along: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Give clusters numbers along the row, from 0."""
+    """Return clusters numbers along the row, from 0."""
     names, at = np.unique(cluster, return_inverse=True)
     middle = np.bincount(at, along) / np.bincount(at)
     rank = np.empty(len(names), np.int64)
@@ -449,7 +449,7 @@ def _chance(
     ratio: NDArray[np.float64],
     size: int,
 ) -> NDArray[np.float64]:
-    """Give how likely each pair is one fruit; even for pairs that nobody rated."""
+    """Return the probability that each pair is one fruit; 0.5 where a pair was not rated."""
     codes = i * size + j
     order = np.argsort(codes)
     wanted = pairs[:, 0] * size + pairs[:, 1]

@@ -134,7 +134,7 @@ def _lines(text: str, *, json_text: bool) -> list[Any]:
 
 
 def sign_of_side(side: str | None) -> int:
-    """Say whether positions get higher (1) or lower (-1) to the right in the picture.
+    """Return whether positions get higher (1) or lower (-1) to the right in the picture.
 
     Who walks towards higher positions and looks at the row on the left has them higher on the
     right, and the reverse: -1 for 'right', 'B' and '2', in any case of letters, else 1.
@@ -156,7 +156,7 @@ def pose_matrix(
     pitch_deg: float = 0.0,
     roll_deg: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Give the matrix from camera coordinates to the row's: along, up, into the row; metres.
+    """Return the matrix from camera coordinates to the row's: along, up, into the row; metres.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ TURN_SD = 0.02  # radians: how far a camera is turned off its pose
 
 
 def is_partial(flags: str, hidden_share: float | None) -> bool:
-    """Say whether a fruit's length is no more than a lower bound.
+    """Return whether a fruit's length is no more than a lower bound.
 
     Examples
     --------
@@ -220,7 +220,7 @@ def is_partial(flags: str, hidden_share: float | None) -> bool:
 
 
 def middle_offset(middle_m: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give how far a fruit is from its camera along the row, upwards and into the row.
+    """Return how far a fruit is from its camera along the row, upwards and into the row.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def middle_offset(middle_m: NDArray[np.float64], pose: NDArray[np.float64]) -> N
 def middle_sd(
     offset_m: NDArray[np.float64], *, tube: bool, partial: bool, length_m: float | None
 ) -> NDArray[np.float64]:
-    """Give the standard deviations of a fruit's offset, metres, shape (3,).
+    """Return the standard deviations of a fruit's offset, metres, shape (3,).
 
     Parameters
     ----------

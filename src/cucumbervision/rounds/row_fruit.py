@@ -65,12 +65,12 @@ class RowFruit:
     diameter_m: NDArray[np.float64]
 
     def __len__(self) -> int:
-        """Give the number of fruit."""
+        """Return the number of fruit."""
         return len(self.best)
 
 
 def best_views(merged: Merged, views: RowViews) -> NDArray[np.int64]:
-    """Give for each fruit the view that stands, shape (F,).
+    """Return for each fruit the view that stands, shape (F,).
 
     One with a length before one without, one that shows the whole fruit before a lower bound,
     then the higher view score, then the narrower length.
@@ -89,7 +89,7 @@ def best_views(merged: Merged, views: RowViews) -> NDArray[np.int64]:
 
 
 def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
-    """Give the fruit of a merged row: place from all views, sizes from the best one."""
+    """Return the fruit of a merged row: place from all views, sizes from the best one."""
     best = best_views(merged, views)
     place = merged.place_m(views)
     weight = 1.0 / views.offset_sd_m**2
@@ -113,7 +113,7 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
 def combined_length(
     length_m: NDArray[np.float64], length_sd: NDArray[np.float64], partial: NDArray[np.bool_]
 ) -> tuple[float, float] | None:
-    """Give the length that all whole views of a fruit give together, and its standard deviation.
+    """Return the length that all whole views of a fruit give together, and its standard deviation.
 
     Weighted by the inverse variance of the logarithm. Views of one camera share errors, so that
     half of the variance does not become less however many there are; and where views differ by
@@ -254,7 +254,7 @@ def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
 
 
 def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> NDArray[np.int64]:
-    """Give how many captures could show each fruit, shape (F,).
+    """Return how many captures could show each fruit, shape (F,).
 
     Only captures of sides that did see it count: leaves may hide it from the other aisle.
     """
@@ -326,7 +326,7 @@ def estimate_count(
 
 
 def _share_learnt(real: NDArray[np.float64]) -> float:
-    """Give by how much doubt grows since the share of invented ones is learnt from them too.
+    """Return by how much variance grows since the share of invented ones is learnt from them too.
 
     By the missing information m of a mixture's share: 1 / (1 - m) (Louis 1982).
     """
@@ -338,7 +338,7 @@ def _share_learnt(real: NDArray[np.float64]) -> float:
 
 
 def _score_ratio(score: NDArray[np.float64], sure: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give how much a confidence speaks for a fruit: its density among sure ones, over the range.
+    """Return the likelihood ratio of a confidence: its density among sure fruit, over the range.
 
     The density is a Beta distribution's, fitted by moments.
     """

@@ -42,7 +42,7 @@ class RowStops:
     reach: NDArray[np.float64]
 
     def __len__(self) -> int:
-        """Give the number of stops."""
+        """Return the number of stops."""
         return len(self.side)
 
 
@@ -81,14 +81,14 @@ class RowViews:
     view_score: NDArray[np.float64]
 
     def __len__(self) -> int:
-        """Give the number of detections."""
+        """Return the number of detections."""
         return len(self.stop)
 
 
 def pairs_within(
     values: NDArray[np.float64], gate: float | NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Give all pairs i, j of values that lie no farther apart than a gate, each once.
+    """Return all pairs i, j of values that lie no farther apart than a gate, each once.
 
     Parameters
     ----------

@@ -293,7 +293,7 @@ def fruit_table(content: RoundContent) -> list[RoundFruit]:
 
 
 def _combined(content: RoundContent) -> dict[str, tuple[float, float]]:
-    """Give the combined length of each fruit by all keys of its views."""
+    """Return the combined length of each fruit by all keys of its views."""
     found = {}
     for row in load_rows(content):
         if not len(row.views):

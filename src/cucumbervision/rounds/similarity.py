@@ -73,7 +73,7 @@ class Crowd:
 
 
 def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
-    """Give the log density of a gap under a normal distribution with heavy tails.
+    """Return the log density of a gap under a normal distribution with heavy tails.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def size_ratio(
     partial: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     width: float,
 ) -> NDArray[np.float64]:
-    """Give how much two sizes speak for one fruit: log ratio against any other fruit's size.
+    """Return the log likelihood ratio of two sizes: of one fruit, against those of any other two.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def size_ratio(
 def shape_ratio(
     views: RowViews, i: NDArray[np.intp], j: NDArray[np.intp], crowd: Crowd
 ) -> NDArray[np.float64]:
-    """Give how much length and diameter of views i and j speak for one fruit, shape (K,)."""
+    """Return the log likelihood ratio of length and diameter of views i and j, shape (K,)."""
     whole = np.zeros(len(i), bool)
     length_sd = np.hypot(views.length_sd[i], views.length_sd[j])
     diameter_sd = np.hypot(views.diameter_sd[i], views.diameter_sd[j])
@@ -156,7 +156,7 @@ def shape_ratio(
 def position_ratio(
     gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd
 ) -> NDArray[np.float64]:
-    """Give how much positions speak for one fruit: log ratio against the crowd.
+    """Return the log likelihood ratio of positions: of one fruit, against the crowd.
 
     Parameters
     ----------

@@ -52,14 +52,14 @@ class FittedStops:
         return np.asarray(np.sqrt(np.einsum("css->sc", self.covariance_m2)), np.float64)
 
     def gap_variance(self, s: NDArray[np.int64], t: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Give the variance of how far stops s and t lie apart, shape (K, 3)."""
+        """Return the variance of how far stops s and t lie apart, shape (K, 3)."""
         own = np.einsum("css->sc", self.covariance_m2)
         between = np.moveaxis(self.covariance_m2[:, s, t], 0, -1)
         return np.asarray(np.maximum(own[s] + own[t] - 2 * between, 0.0), np.float64)
 
 
 def prior_stops(stops: RowStops) -> FittedStops:
-    """Give the stops as they were declared, before any fruit is looked at."""
+    """Return the stops as they were declared, before any fruit is looked at."""
     covariance = np.zeros((3, len(stops), len(stops)))
     at = np.arange(len(stops))
     covariance[:, at, at] = stops.sd_m.T**2
@@ -206,7 +206,7 @@ def vote_pairs(
 
 
 def _starts(*keys: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Give where runs of equal keys start."""
+    """Return where runs of equal keys start."""
     changed = np.zeros(len(keys[0]), bool)
     changed[0] = True
     for key in keys:
@@ -217,7 +217,7 @@ def _starts(*keys: NDArray[np.integer]) -> NDArray[np.intp]:
 def _mutual(
     group: NDArray[np.intp], i: NDArray[np.intp], j: NDArray[np.intp], ratio: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Say which pairs are the best of both their views within a group, and likelier than not."""
+    """Return which pairs are the best of both their views within a group, and likelier than not."""
     kept = ratio > 0
     for view in (i, j):
         key = group * (max(int(i.max()), int(j.max())) + 1) + view

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, inspect, text
+from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
@@ -248,6 +248,8 @@ _POSTGRES_LOCK = 0x63766D31  # any number that nobody else takes for an advisory
 def migrate(engine: Engine) -> None:
     """Make the tables, or bring them up to date, in one transaction.
 
+    Columns that records have and tables have not are added, empty.
+
     Two programs that open a new store at once wait for each other; one that is killed meanwhile
     leaves the database as it was.
 
@@ -259,14 +261,12 @@ def migrate(engine: Engine) -> None:
         If the database holds tables of ours that no version made.
     """
     with begin(engine) as connection:
-        if stored_revision(connection) == HEAD:
+        if stored_revision(connection) == HEAD and not _missing_columns(connection):
             return
     with begin(engine, write=True) as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
         found = stored_revision(connection)
-        if found == HEAD:
-            return
         if found is not None and found not in REVISIONS:
             raise StoreVersionError(
                 f"its version {found} is newer than this software's {HEAD}",
@@ -275,7 +275,29 @@ def migrate(engine: Engine) -> None:
             )
         if found is None:
             _check_free(connection, named(engine.url))
-        _upgrade(connection)
+        if found != HEAD:
+            _upgrade(connection)
+        from alembic.migration import MigrationContext
+        from alembic.operations import Operations
+
+        for table, column in _missing_columns(connection):
+            operations = Operations(MigrationContext.configure(connection))
+            operations.add_column(table, Column(column.name, column.type, nullable=True))
+
+
+def _missing_columns(connection: Connection) -> list[tuple[str, Column[Any]]]:
+    """Return the columns of records that the tables do not have yet, such as a new trait's.
+
+    They may be empty, so that older software goes on with such a database; all other changes of
+    the tables need a revision.
+    """
+    inspector = inspect(connection)
+    found = []
+    for name in ("captures", "fruit", "measurements"):
+        there = {column["name"] for column in inspector.get_columns(name)}
+        columns = Base.metadata.tables[name].columns
+        found += [(name, one) for one in columns if one.nullable and one.name not in there]
+    return found
 
 
 def stored_revision(connection: Connection) -> str | None:

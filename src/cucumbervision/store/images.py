@@ -67,7 +67,7 @@ class ImageStore:
         self.folder = folder
 
     def put_color(self, color: NDArray[np.uint8], *, lossless: bool = True) -> ImageRef:
-        """Keep a colour picture.
+        """Store a colour picture.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class ImageStore:
         return self._put_picture(color, ".jpg", _jpeg(_JPEG_QUALITY))
 
     def put_thumbnail(self, color: NDArray[np.uint8]) -> ImageRef:
-        """Keep a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
+        """Store a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
         import cv2
 
         scale = min(1.0, THUMBNAIL_PX / max(color.shape[:2]))
@@ -95,7 +95,7 @@ class ImageStore:
         return self._put_picture(cast("NDArray[Any]", small), ".jpg", _jpeg(_THUMBNAIL_QUALITY))
 
     def put_depth(self, depth_m: NDArray[np.float32]) -> ImageRef:
-        """Keep a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
+        """Store a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class ImageStore:
         return self._put_picture(kept.astype(np.uint16), ".png", ())
 
     def put(self, data: bytes, suffix: str, width_px: int, height_px: int) -> ImageRef:
-        """Keep an encoded picture.
+        """Store an encoded picture.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class ImageStore:
         return ref
 
     def path(self, ref: ImageRef) -> Path:
-        """Give a picture's file: two levels of folders, then the whole hash."""
+        """Return a picture's file: two levels of folders, then the whole hash."""
         return self.folder / ref.sha256[:2] / ref.sha256[2:4] / f"{ref.sha256}{ref.suffix}"
 
     def read(self, ref: ImageRef) -> bytes:
@@ -183,13 +183,13 @@ class ImageStore:
         return (_decoded(image).astype(np.float64) * unit_m).astype(np.float32)
 
     def files(self) -> Iterator[Path]:
-        """List every picture in the folder, named by a hash or not."""
+        """Return every picture in the folder, named by a hash or not."""
         for path in self.folder.glob("??/??/*"):
             if not path.name.startswith(_TEMPORARY):
                 yield path
 
     def unfinished(self) -> Iterator[Path]:
-        """List what was being written when its program ended."""
+        """Return files whose writing was broken off."""
         return self.folder.glob(f"??/??/{_TEMPORARY}*")
 
     def _put_picture(
@@ -203,7 +203,7 @@ class ImageStore:
         return self.put(data.tobytes(), suffix, int(image.shape[1]), int(image.shape[0]))
 
     def _has(self, path: Path, sha256: str) -> bool:
-        """Say whether the picture is there and whole; it is then marked as used just now.
+        """Return whether the picture is there and whole; its time of change becomes now.
 
         The time of change is what keeps `check` from removing a picture as an orphan between
         this and the transaction that names it.
@@ -299,7 +299,7 @@ class CheckReport:
 def check_store(
     store: Database, *, contents: bool = True, remove: bool = False, grace_s: float = GRACE_S
 ) -> CheckReport:
-    """Look a store over; nothing that a stop names is ever removed.
+    """Check a store against its pictures; nothing that a stop names is ever removed.
 
     Parameters
     ----------
@@ -384,7 +384,7 @@ def _removed(store: Database, path: Path, grace_s: float) -> bool:
 
 
 def _bring_back(store: Database) -> None:
-    """Give files their names again that a check was just removing when it was killed."""
+    """Restore files that a check was just removing when it was killed."""
     for aside in list(store.images.files()):
         if aside.name.endswith(_ASIDE):
             path = aside.with_name(aside.name.removesuffix(_ASIDE))

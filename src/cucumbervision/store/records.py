@@ -34,7 +34,7 @@ _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
 
 
 def new_key() -> str:
-    """Make a key that nothing else has: a random UUID.
+    """Return a key that nothing else has: a random UUID.
 
     Examples
     --------
@@ -45,7 +45,7 @@ def new_key() -> str:
 
 
 def key_of(*parts: object) -> str:
-    """Make the key that belongs to these parts: the same parts always give the same UUID.
+    """Return the key of these parts: the same parts always give the same UUID.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def key_of(*parts: object) -> str:
 
 
 def checked_key(key: str, what: str) -> str:
-    """Give a key in its usual writing.
+    """Return a key in canonical form.
 
     Raises
     ------
@@ -336,7 +336,7 @@ class StopRecord:
 
 
 def record_json(record: Any) -> dict[str, Any]:
-    """Give any record as JSON values.
+    """Return any record as JSON values.
 
     Raises
     ------
@@ -358,7 +358,7 @@ def record_json(record: Any) -> dict[str, Any]:
 
 
 def content_sha256(record: Any) -> str:
-    """Hash a record's content: equal records have equal hashes.
+    """Return the SHA-256 of a record's content: equal records have equal hashes.
 
     Examples
     --------

@@ -245,7 +245,7 @@ class DetectionFilter:
     best: bool = False
 
     def keeps(self, fruit: DetectionView) -> bool:
-        """Say whether a fruit belongs into the list."""
+        """Return whether a fruit belongs into the list."""
         record, length = fruit.record, fruit.record.length_m
         wanted = (
             (self.row, fruit.row),
@@ -400,7 +400,7 @@ class Standing(NamedTuple):
 def standings(
     candidates: Mapping[str, Candidate], picked_s: Mapping[str, float], links: Iterable[LinkRecord]
 ) -> dict[str, Standing]:
-    """Give each detection its group, named by the view that stands, and when it was picked.
+    """Return for each detection its group, named by the view that stands, and when it was picked.
 
     A rejected view stands only where all are rejected, one without a length only where none
     has one; then the highest view score counts, then the view that comes first.

@@ -132,7 +132,7 @@ def _increment(
 ) -> NDArray[np.float64]:
     luck = s.spreads.fruit_day * rng.standard_normal(len(rate))
     step = np.maximum(rate + s.spreads.day * rng.standard_normal() + luck, 0.0)
-    return np.asarray(step * Curve(s.full_m).slowness(length), np.float64)
+    return np.asarray(step * Curve(s.full_m).rate_share(length), np.float64)
 
 
 def _measured(

@@ -1,4 +1,4 @@
-"""Five keypoints from a whole fruit's mask and a word on which end bears the stalk.
+"""Five keypoints from a whole fruit's mask and its ends, or a word on which end bears the stalk.
 
 Photos whose fruit somebody only boxed become keypoint labels by it. They are pseudo-labels: the
 axis is that of the outline, not of the body.
@@ -13,9 +13,11 @@ import numpy as np
 from cucumbervision.geometry.curve import points_along
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Callable
 
-__all__ = ["DIRECTIONS", "keypoints_of_mask"]
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["DIRECTIONS", "keypoints_between", "keypoints_of_mask"]
 
 DIRECTIONS = {
     "right": (1.0, 0.0),
@@ -32,6 +34,7 @@ DIRECTIONS = {
 LEAST_PIXELS = 80
 LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
 SAMPLES = 400
+FADE = 4  # in the middle of the fruit a sixteenth of an end's shift is left
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
@@ -71,16 +74,10 @@ def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> NDArray[np.float64]
     """
     if stem not in DIRECTIONS:
         raise ValueError(f"{stem!r} is no direction: one of {', '.join(DIRECTIONS)}")
-    pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
-    if len(pixels) < LEAST_PIXELS:
+    axis = _axis(mask)
+    if axis is None:
         return None
-    middle = pixels.mean(axis=0)
-    spread, axes = np.linalg.eigh(np.cov((pixels - middle).T))
-    if spread[1] < LEAST_SLIMNESS**2 * spread[0]:
-        return None
-    frame = axes.T[::-1]
-    along, across = ((pixels - middle) @ frame.T).T
-    curve = np.polynomial.Polynomial.fit(along, across, 3)
+    middle, frame, along, curve = axis
     s = np.linspace(along.min(), along.max(), SAMPLES)
     line = middle + np.stack([s, curve(s)], axis=1) @ frame
     inside = _inside(mask, line)
@@ -94,6 +91,75 @@ def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> NDArray[np.float64]
         return None
     points = points_along(line if towards > 0 else line[::-1], SHARES)
     return np.column_stack([points, np.full(len(points), 2.0)])
+
+
+def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> NDArray[np.float64] | None:
+    """Return keypoints along the axis of an outline from one known end to the other.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        A whole fruit; its stalk may be in it.
+    ends_px : array_like, shape (2, 2)
+        u, v of the blossom end and of the stem end, pixels.
+
+    Returns
+    -------
+    ndarray of float64, shape (5, 3), or None
+        u, v in pixels and visibility 2 of KP0 (blossom end) to KP4 (stem end), evenly along the
+        line; None where the outline is too small, too round or bent too much.
+
+    Notes
+    -----
+    The line is that of `keypoints_of_mask` between the feet of both ends, shifted so that it meets
+    them; what shifts it fades from each end to the other.
+
+    Examples
+    --------
+    >>> mask = np.zeros((40, 100), bool)
+    >>> mask[15:25, 10:91] = True
+    >>> keypoints_between(mask, [[90, 20], [18, 20]])[:, 0].round().tolist()
+    [90.0, 72.0, 54.0, 36.0, 18.0]
+    """
+    ends = np.asarray(ends_px, np.float64)
+    axis = _axis(mask)
+    if axis is None:
+        return None
+    middle, frame, _, curve = axis
+    first, last = (ends - middle) @ frame[0]
+    s = np.linspace(first, last, SAMPLES)
+    line = middle + np.stack([s, curve(s)], axis=1) @ frame
+    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    line += (1 - share) ** FADE * (ends[0] - line[0]) + share**FADE * (ends[1] - line[-1])
+    # At the very ends the line may run along the outline.
+    if not _inside(mask, line[SAMPLES // 10 : -SAMPLES // 10]).all():
+        return None
+    points = points_along(line, SHARES)
+    return np.column_stack([points, np.full(len(points), 2.0)])
+
+
+def _axis(
+    mask: NDArray[np.bool_],
+) -> (
+    tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    ]
+    | None
+):
+    """Return the pixels' middle, their principal axes, their places along and the axis across."""
+    pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
+    if len(pixels) < LEAST_PIXELS:
+        return None
+    middle = pixels.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov((pixels - middle).T))
+    if spread[1] < LEAST_SLIMNESS**2 * spread[0]:
+        return None
+    frame = axes.T[::-1]
+    along, across = ((pixels - middle) @ frame.T).T
+    return middle, frame, along, np.polynomial.Polynomial.fit(along, across, 3)
 
 
 def _inside(mask: NDArray[np.bool_], line: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -18,7 +18,11 @@ from cucumbervision_lab.datasets.derive import (
     write_windows,
 )
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.datasets.mask_axis import DIRECTIONS, keypoints_of_mask
+from cucumbervision_lab.datasets.mask_axis import (
+    DIRECTIONS,
+    keypoints_between,
+    keypoints_of_mask,
+)
 from cucumbervision_lab.datasets.sheets import write_sheets
 from cucumbervision_lab.detection.photo_audit import audited
 from cucumbervision_lab.synthesis.generate import generate, parse_options
@@ -90,12 +94,12 @@ def _build(
 
 
 def _photos(source: Source, data: Path, folder: Path) -> DataSet:
-    """Gather real pictures, without those of test scenes, and draw masks where there are boxes."""
+    """Gather real pictures, without those of test scenes, and draw masks where there are none."""
     from cucumbervision.perception.sam import Segmenter
 
     place = data / source.folder
     if source.kind == "photos":
-        found = audited(place)
+        found = audited(place, outlines=True)
         pictures = [p for p in found.pictures if p.extras["fully_labelled"]]
     else:
         found = read_coco(place)
@@ -164,6 +168,10 @@ def _with_points(label: Label) -> Label:
     hidden = (label.hidden_share or 0.0) > _MOST_HIDDEN
     if mask is None or label.keypoints is not None or label.ignore or label.cut_off or hidden:
         return label
+    ends = label.extras.get("ends_px")
+    points = None if ends is None else keypoints_between(mask, ends)
+    if points is not None:
+        return replace(label, keypoints=points)
     told = label.extras.get("stem")
     for stem in [told] if told in DIRECTIONS else ["right", "up"]:
         points = keypoints_of_mask(mask, stem)

@@ -131,6 +131,8 @@ def write_sheets(
     rng = np.random.default_rng(seed)
     row: list[int] = []
     sheets = []
+    sources = "; ".join(sorted({picture.source for picture in pictures}))
+    licences = "; ".join(sorted({picture.licence for picture in pictures}))
     (out / "images").mkdir(parents=True, exist_ok=True)
     for number in range(count):
         grid = GRIDS[int(rng.integers(len(GRIDS)))]
@@ -140,8 +142,6 @@ def write_sheets(
         color, labels = _laid_out(dataset, chosen, grid, side_px)
         file = f"images/{split}-{number:05d}.jpg"
         write_jpeg(out / file, color)
-        sources = sorted({picture.source for picture in chosen})
-        licences = sorted({picture.licence for picture in chosen})
         sheets.append(
             LabelledPicture(
                 file,
@@ -150,8 +150,8 @@ def write_sheets(
                 tuple(labels),
                 scene=f"sheet-{split}-{number:05d}",
                 split=split,
-                source="; ".join(sources),
-                licence="; ".join(licences),
+                source=sources,
+                licence=licences,
             )
         )
         if progress is not None:

@@ -10,12 +10,13 @@ from typing import Any
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.plan import parse_plan
 
-__all__ = ["KINDS", "Recipe", "Schedule", "Source", "read_recipe"]
+__all__ = ["KINDS", "ORIGINAL", "Recipe", "Schedule", "Source", "read_recipe"]
 
 KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets")
 """What a source can be made of; see `Source`."""
 
-_DERIVED = ("windows", "sheets")
+ORIGINAL = ("photos", "set", "drawn")
+"""Those that are not made of others."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def _check(sources: tuple[Source, ...]) -> None:
         for other in (*source.of, *source.paste):
             if other not in known:
                 raise ValueError(f"{source.name}: no source before it is called {other!r}")
-        if source.kind in (*_DERIVED, "montage") and not source.of:
+        if source.kind not in ORIGINAL and not source.of:
             raise ValueError(f"{source.name}: say of which source it is made")
         known.add(source.name)
     if not sum(source.weight for source in sources) > 0:

@@ -15,7 +15,7 @@ from cucumbervision_lab.datasets.yolo import write_yolo
 from cucumbervision_lab.training.curve import Curve
 from cucumbervision_lab.training.learn_from import DATA_CARD, TASKS, write_data_file
 from cucumbervision_lab.training.plan import RunState
-from cucumbervision_lab.training.recipe import Recipe
+from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source
 from cucumbervision_lab.training.sources import build_sources
 from cucumbervision_lab.training.train import (
     NETWORK,
@@ -168,24 +168,36 @@ def write_mixture(recipe: Recipe, built: Mapping[str, Path], task: str, run: Pat
     """
     yaml = import_module("yaml")
     values: dict[str, Any] = {"train": [], "weights": [], "val": []}
-    cards = []
+    cards = ["# Mixture", "", "| source | of the pictures seen |", "|---|--:|"]
+    cards += [f"| {one.name} | {one.weight:.0%} |" for one in recipe.sources if one.weight]
     for source in recipe.sources:
         if not (source.weight or source.validate):
             continue
-        dataset = read_coco(built[source.name])
-        splits = [s for s in ("train", "val") if dataset.in_split(s)]
         folder = run / "data" / source.name
-        one = write_yolo(dataset, folder, TASKS[task], splits=splits).data_yaml
-        head = yaml.safe_load(one.read_text(encoding="utf-8"))
+        _write_source(source, built[source.name], task, folder)
+        head = yaml.safe_load((folder / "data.yaml").read_text(encoding="utf-8"))
         values |= {key: head[key] for key in head if key not in (*values, "path", "test")}
-        if source.weight and "train" in splits:
+        if source.weight and "train" in head:
             values["train"].append(str(folder / "images" / "train"))
             values["weights"].append(source.weight)
-        if source.validate and "val" in splits:
+        if source.validate and "val" in head:
             values["val"].append(str(folder / "images" / "val"))
-        cards.append(dataset_card(dataset, f"{source.name} ({source.weight:.0%} of those seen)"))
+        if source.kind in ORIGINAL:
+            cards.append("\n#" + (folder / DATA_CARD).read_text(encoding="utf-8"))
     run.mkdir(parents=True, exist_ok=True)
     (run / DATA_CARD).write_text("\n".join(cards), encoding="utf-8")
     mixture = run / "mixture.yaml"
     mixture.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
     return write_data_file(mixture, task, run)
+
+
+def _write_source(source: Source, built: Path, task: str, folder: Path) -> None:
+    """Write one source as Ultralytics reads it, with its card, unless it is there already."""
+    card = folder / DATA_CARD
+    labels = built / "annotations.json"
+    if card.is_file() and card.stat().st_mtime >= labels.stat().st_mtime:
+        return
+    dataset = read_coco(built)
+    splits = [split for split in ("train", "val") if dataset.in_split(split)]
+    write_yolo(dataset, folder, TASKS[task], splits=splits)
+    card.write_text(dataset_card(dataset, source.name), encoding="utf-8")

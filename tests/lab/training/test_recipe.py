@@ -106,7 +106,9 @@ def test_mixture_names_folders_and_weights(built: dict[str, Path], tmp_path: Pat
     assert [Path(folder).parents[1].name for folder in values["val"]] == ["photos", "near", "far"]
     assert len(list(Path(values["train"][0]).iterdir())) == 11
     card = (tmp_path / "data.md").read_text()
-    assert "photos (40% of those seen)" in card
+    assert "| photos | 40% |" in card
+    assert "## photos" in card
+    assert "## near" not in card  # its pictures are those of photos
     assert "CC0-1.0" in card
 
 

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.records import Masks, Record
 
 
 class MakeRecord(Protocol):
@@ -19,7 +19,7 @@ def make_record() -> MakeRecord:
     def make(case: str = "a", /, **changes: Any) -> Record:
         one = Record(
             case=case,
-            suite=Suite.PAPER,
+            suite="paper",
             masks=Masks.EXACT,
             fruit=case,
             centreline_m=0.20,

@@ -1,25 +1,23 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.accuracy.groups import CoverageRow
-from cucumbervision.accuracy.records import Record
-from cucumbervision.accuracy.tables import Truth
+from cucumbervision.accuracy.records import readings_frame
+from cucumbervision.measurement.result import LengthDefinition
 
 pytest.importorskip("matplotlib")
 
 from cucumbervision.accuracy import plots
 
 if TYPE_CHECKING:
+    import pandas as pd
     from numpy.typing import NDArray
     from tests.accuracy.conftest import MakeRecord
 
-Plot = Callable[[Sequence[Record], Truth], bytes]
 # Three hues that no other of these methods, nor text or grid, has.
 COLOURS = {"M6": (0xD5, 0x5E, 0x00), "M5": (0x00, 0x72, 0xB2), "M1": (0xE6, 0x9F, 0x00)}
 
@@ -49,9 +47,9 @@ def _hue(rgb: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float3
 
 
 @pytest.fixture
-def records(make_record: MakeRecord) -> list[Record]:
+def readings(make_record: MakeRecord) -> pd.DataFrame:
     # M6 is right; M5 reads a tenth of the truth at tilts beyond 30 degrees; M1 refuses.
-    return [
+    records = [
         make_record(
             f"c{k}",
             tilt_deg=10.0 * k,
@@ -65,12 +63,13 @@ def records(make_record: MakeRecord) -> list[Record]:
         )
         for k in range(7)
     ]
+    return readings_frame(records)
 
 
 def test_tracking_puts_a_right_length_on_the_truth_and_a_short_one_below(
-    records: list[Record],
+    readings: pd.DataFrame,
 ) -> None:
-    png = plots.tracking(records, Truth.CENTRELINE)
+    png = plots.tracking(readings, LengthDefinition.CENTRELINE)
     m5 = pixels(png, "M5")
     right = m5[m5[:, 1] > 0.7 * picture(png).shape[1]]
     m6 = pixels(png, "M6")
@@ -80,10 +79,10 @@ def test_tracking_puts_a_right_length_on_the_truth_and_a_short_one_below(
     assert right[:, 0].min() > star[:, 0].max()  # lower in the picture
 
 
-def test_errors_spread_from_right_to_wrong(records: list[Record]) -> None:
+def test_errors_spread_from_right_to_wrong(readings: pd.DataFrame) -> None:
     # A right length lies at the left, at a thousandth of a centimetre; a refused one at its whole
     # length, 10 to 22 cm.
-    png = plots.error_spread(records, Truth.CENTRELINE)
+    png = plots.error_spread(readings, LengthDefinition.CENTRELINE)
     m6, m1 = pixels(png, "M6"), pixels(png, "M1")
     assert len(m6)
     assert len(m1)
@@ -91,41 +90,18 @@ def test_errors_spread_from_right_to_wrong(records: list[Record]) -> None:
     assert np.median(m1[:, 1]) > 0.75 * picture(png).shape[1]
 
 
-@pytest.mark.parametrize("plot", [plots.error_against_tilt, plots.error_against_hidden])
-def test_an_error_that_grows_with_tilt_climbs(plot: Plot, records: list[Record]) -> None:
-    png = plot(records, Truth.CENTRELINE)
-    m5 = pixels(png, "M5")
-    inside = m5[m5[:, 1] < 0.8 * picture(png).shape[1]]  # the legend stands outside
-    third = np.quantile(inside[:, 1], [0.1, 0.9])
-    left, right = inside[inside[:, 1] < third[0]], inside[inside[:, 1] > third[1]]
-    assert right[:, 0].mean() < left[:, 0].mean()  # higher in the picture
-
-
-def test_each_method_has_a_panel_of_its_own(records: list[Record]) -> None:
-    png = plots.predicted_against_truth(records, Truth.CENTRELINE)
+def test_each_method_has_a_panel_of_its_own(readings: pd.DataFrame) -> None:
+    png = plots.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     columns = {method: pixels(png, method)[:, 1] for method in COLOURS}
     assert columns["M1"].max() < columns["M5"].min()
     assert columns["M5"].max() < columns["M6"].min()
 
 
-def test_what_was_refused_stands_on_the_bottom_line(records: list[Record]) -> None:
-    png = plots.predicted_against_truth(records, Truth.CENTRELINE)
+def test_what_was_refused_stands_on_the_bottom_line(readings: pd.DataFrame) -> None:
+    png = plots.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     m1, m6 = pixels(png, "M1"), pixels(png, "M6")
     assert np.ptp(m1[:, 0]) < 20  # one marker high
     assert m1[:, 0].min() > m6[:, 0].max()
-
-
-def test_coverage_is_told_apart_by_colour(make_record: MakeRecord) -> None:
-    right = CoverageRow("tilt (°)", "0 to 15", 10, 10, 9, 0.555, 0.997, 5.0, True)
-    wrong = CoverageRow("tilt (°)", "15 to 30", 10, 10, 2, 0.025, 0.556, 5.0, False)
-    both = plots.coverage_by_group([right, wrong])
-    assert len(pixels(both, "M5"))
-    assert len(pixels(both, "M6"))
-    assert not len(pixels(plots.coverage_by_group([right]), "M6"))
-    # The right one is drawn first, further up, and its bar lies further to the right.
-    blue, orange = pixels(both, "M5"), pixels(both, "M6")
-    assert blue[:, 0].max() < orange[:, 0].min()
-    assert blue[:, 1].mean() > orange[:, 1].mean()
 
 
 def test_every_drawn_method_has_its_own_look() -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
-from cucumbervision.accuracy.records import append_record
+from cucumbervision.accuracy.page import write_report
+from cucumbervision.accuracy.records import append_record, readings_frame
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
 
@@ -24,10 +25,11 @@ __all__ = ["RECORDS", "SCORES", "write_own_report"]
 
 RECORDS = "records.jsonl"
 SCORES = "scores.json"
+TITLE = "Your own fruit"
 
 
 def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
-    """Write the benchmark's report over one's own fruit, its records and its scores.
+    """Write the report over one's own fruit, its records and its scores.
 
     `out` gets `scores.json` (what the command prints), `records.jsonl`, and the report.
 
@@ -38,8 +40,6 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
     MissingExtraError
         If what draws the page is not installed; scores and records are written before it.
     """
-    from cucumbervision.accuracy.report import SUMMARY, write_report
-
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / RECORDS).unlink(missing_ok=True)
@@ -51,17 +51,36 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
         head = {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores}
         text = json.dumps(head, indent=1, ensure_ascii=False)
         (out / SCORES).write_text(text + "\n", encoding="utf-8")
-        write_report(
-            found.records,
-            out,
-            title="Lengths against one's own ground truth",
-            notes={SUMMARY: "\n\n".join(found.notes)},
-            provenance=provenance,
-        )
+        _write_page(found, out, provenance)
     except OSError as error:
         raise CucumberVisionError(
             f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
         ) from error
+
+
+def _write_page(found: OwnTruth, out: Path, provenance: dict[str, Any]) -> None:
+    if not found.records:
+        raise CucumberVisionError(
+            "there is nothing to report", source=out, remedy="measure at least one fruit first"
+        )
+    readings = readings_frame(found.records)
+    from cucumbervision.accuracy.length_report import GLOSSARY, glance_table, reading_section
+
+    count, fruit = readings["case"].nunique(), readings["fruit"].nunique()
+    intro = (
+        "Fruit measured by hand, held against what this program read from their captures.",
+        f"{count} measurements of {fruit} fruit.",
+    )
+    write_report(
+        out,
+        "Lengths against one's own ground truth",
+        glance_table([(TITLE, "–", readings)]),
+        [reading_section(TITLE, intro, readings)],
+        notes=[("", "\n\n".join(found.notes))],
+        provenance=provenance,
+        glossary=GLOSSARY,
+        numbers={"records": count},
+    )
 
 
 def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:

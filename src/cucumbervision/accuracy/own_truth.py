@@ -1,4 +1,4 @@
-"""One's own ground truth: match it with a run, refuse what cannot be, and score every method."""
+"""Hand-measured lengths against a run: matched, checked, and every method scored."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.accuracy.measured import REPORTED, Reading
-from cucumbervision.accuracy.records import Masks, Record, Suite
-from cucumbervision.accuracy.statistics import Metrics, bootstrap_mean, percent_errors, score
+from cucumbervision.accuracy.records import Masks, Record
+from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.errors import TruthError
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
@@ -111,7 +111,7 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
 
 
 def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
-    """Find the reading of each hand-measured fruit.
+    """Return the reading of each hand-measured fruit.
 
     A fruit that the run missed gets a reading without any length.
 
@@ -151,28 +151,27 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
     return pairs
 
 
-def comparable(method: str, kind: LengthDefinition, reading: Reading) -> bool:
-    """Say whether a method's length is to be held against this kind of truth.
+def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
+    """Return whether a method's length is to be held against this kind of truth.
 
     M6's three lengths go with their own kind, M1 to M5 with any: theirs is none of the three. The
     reported length goes with any kind unless it names another one.
 
     Examples
     --------
-    >>> reading = Reading("a", 1, {}, kind="thread")
     >>> chord = LengthDefinition.CHORD
-    >>> comparable("M5", chord, reading), comparable("M6", chord, reading)
+    >>> comparable("M5", chord, "thread"), comparable("M6", chord, "thread")
     (True, False)
-    >>> comparable("reported", chord, reading)
+    >>> comparable("reported", chord, "thread")
     False
     """
     if method == REPORTED:
-        return reading.kind not in {str(k) for k in LengthDefinition} or reading.kind == str(kind)
+        return reported_kind not in {str(k) for k in LengthDefinition} or reported_kind == str(kind)
     return KIND_OF.get(method, kind) is kind
 
 
 def own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured) -> list[Record]:
-    """Give the benchmark's records, one a fruit of a capture.
+    """Return records as a benchmark keeps them, one a fruit of a capture.
 
     What a hand cannot know (bend, hidden share) is None or NaN; the tilt is that of the measured
     line, where the run's JSON has it.
@@ -196,9 +195,9 @@ def score_methods(records: Sequence[Record]) -> list[MethodScore]:
             chosen = [
                 (r.lengths_m[method], true, r.fruit)
                 for r in records
-                if (true := _truth_m(r, kind)) is not None
+                if (true := getattr(r, f"{kind}_m")) is not None
                 and method in r.lengths_m
-                and comparable(method, kind, _as_reading(r))
+                and comparable(method, kind, r.details["reported_kind"])
             ]
             if chosen:
                 scores.append(_score(method, kind, chosen))
@@ -213,7 +212,8 @@ def _score(
     fruit = [name for _, _, name in chosen]
     low, high = math.nan, math.nan
     if len(set(fruit)) >= LEAST_FRUIT:
-        low, high = bootstrap_mean(percent_errors(lengths, truth), fruit)
+        found = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
+        low, high = found.low, found.high
     return MethodScore(method, kind, score(lengths, truth), low, high, len(set(fruit)))
 
 
@@ -228,7 +228,7 @@ def _record(same: Sequence[tuple[TrueLength, Reading]], simulated: dict[str, boo
     }
     return Record(
         case=f"{one.capture}#{reading.fruit or one.specimen}",
-        suite=Suite.OWN,
+        suite="own",
         masks=Masks.PERCEIVED,
         fruit=one.specimen,
         centreline_m=by_kind.get(LengthDefinition.CENTRELINE),
@@ -242,15 +242,6 @@ def _record(same: Sequence[tuple[TrueLength, Reading]], simulated: dict[str, boo
         lengths_m=dict(reading.lengths_m),
         details=details,
     )
-
-
-def _as_reading(record: Record) -> Reading:
-    return Reading(record.case, 0, {}, kind=record.details["reported_kind"])
-
-
-def _truth_m(record: Record, kind: LengthDefinition) -> float | None:
-    value: float | None = getattr(record, f"{kind}_m")
-    return value
 
 
 def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:

@@ -1,30 +1,26 @@
-"""The report's plots, as PNG bytes: matplotlib without a screen, colours for every eye."""
+"""Plots of lengths against the truth, as PNG bytes: matplotlib without a screen."""
 
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.accuracy.tables import Truth, is_scored, methods_against, readings, truth_m
+from cucumbervision.accuracy.length_tables import against, shown_methods
 from cucumbervision.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
+    import pandas as pd
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    from cucumbervision.accuracy.groups import CoverageRow
-    from cucumbervision.accuracy.records import Record
+    from cucumbervision.measurement.result import LengthDefinition
 
 __all__ = [
+    "STYLES",
     "as_png",
-    "coverage_by_group",
-    "error_against_hidden",
-    "error_against_tilt",
     "error_spread",
+    "method_style",
     "new_figure",
     "predicted_against_truth",
     "tracking",
@@ -46,17 +42,18 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "rectangle": ("#AAAAAA", "s", "-."),
     "oracle": ("#000000", ".", "--"),
 }
-_SMALLEST_CM, _SMALLEST_PERCENT = 0.001, 0.01  # what a logarithmic axis starts at
+_OTHERS = ("skan", "PlantCV", "rectangle", "oracle")
+_SMALLEST_CM = 0.001  # what a logarithmic axis starts at
 
 
-def predicted_against_truth(records: Sequence[Record], truth: Truth) -> bytes:
+def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
     """Plot each method's lengths against the truth, one small picture a method, with y = x.
 
     Parameters
     ----------
-    records : sequence of Record
-        Of one suite and one kind of masks.
-    truth : Truth
+    readings : DataFrame
+        Of one suite and one kind of masks, as `readings_frame` gives them.
+    truth : LengthDefinition
         What to hold them against.
 
     Returns
@@ -69,21 +66,21 @@ def predicted_against_truth(records: Sequence[Record], truth: Truth) -> bytes:
     MissingExtraError
         If matplotlib is not installed.
     """
-    methods = _plotted(records, truth)
+    scored = against(readings, truth)
+    methods = shown_methods(scored, truth)
     columns = min(4, len(methods))
     lines = -(-len(methods) // columns)
     figure = new_figure(2.6 * lines + 0.5)
     axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-    reads = {method: readings(records, method, truth) for method in methods}
-    top = 100 * max(max(r.truth_m.max(), np.nan_to_num(r.lengths_m).max()) for r in reads.values())
+    drawn = scored[scored["method"].isin(methods)]
+    top = 100 * float(drawn[["true_m", "length_m"]].max().max())
     for ax, method in zip(axes.flat, methods, strict=False):
-        read, (colour, marker, _) = reads[method], _style(method)
-        refused = ~np.isfinite(read.lengths_m)
+        read, (colour, marker, _) = drawn[drawn["method"] == method], method_style(method)
+        refused = int(read["length_m"].isna().sum())
         ax.plot([0, top], [0, top], color="black", linewidth=0.8)
-        lengths_cm = 100 * np.nan_to_num(read.lengths_m)
-        ax.scatter(100 * read.truth_m, lengths_cm, s=16, c=colour, marker=marker, alpha=0.7)
-        title = f"{method}: {refused.sum()} not measured" if refused.any() else method
-        ax.set_title(title, fontsize=10)
+        lengths_cm = 100 * read["length_m"].fillna(0)
+        ax.scatter(100 * read["true_m"], lengths_cm, s=16, c=colour, marker=marker, alpha=0.7)
+        ax.set_title(f"{method}: {refused} not measured" if refused else method, fontsize=10)
         ax.set_xlim(0, 1.03 * top)
         ax.set_ylim(-0.03 * top, 1.03 * top)
         ax.grid(alpha=0.3)
@@ -94,27 +91,34 @@ def predicted_against_truth(records: Sequence[Record], truth: Truth) -> bytes:
     return as_png(figure)
 
 
-def tracking(records: Sequence[Record], truth: Truth) -> bytes:
+def tracking(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
     """Plot the truth and each method's length, capture by capture from short to long.
 
     Parameters
     ----------
-    records, truth
+    readings, truth
         As for `predicted_against_truth`.
     """
-    known = [r for r in records if truth_m(r, truth) is not None]
-    known.sort(key=lambda r: (truth_m(r, truth) or 0.0, r.case))
+    scored = against(readings, truth)
+    methods = [m for m in shown_methods(scored, truth) if m not in _OTHERS]
+    known = scored.groupby("case")["true_m"].first().reset_index().sort_values(["true_m", "case"])
+    lengths = scored.pivot(index="case", columns="method", values="length_m").loc[known["case"]]
     figure = new_figure(4.6)
     ax = figure.subplots()
     place = np.arange(1, len(known) + 1)
-    true_cm = [100 * (truth_m(r, truth) or 0.0) for r in known]
-    ax.step(place, true_cm, where="mid", color="black", linewidth=1.4, label=f"true {truth}")
-    for method in _plotted(known, truth, own_tools_only=True):
-        lengths = [r.lengths_m.get(method) for r in known]
-        shown = [np.nan if length is None else 100 * length for length in lengths]
-        colour, marker, _ = _style(method)
+    ax.step(
+        place,
+        100 * known["true_m"],
+        where="mid",
+        color="black",
+        linewidth=1.4,
+        label=f"true {truth}",
+    )
+    for method in methods:
+        colour, marker, _ = method_style(method)
         size = 9 if marker == "*" else 5
-        ax.plot(place, shown, marker, color=colour, markersize=size, alpha=0.8, label=method)
+        read = 100 * lengths[method]
+        ax.plot(place, read, marker, color=colour, markersize=size, alpha=0.8, label=method)
     ax.set_xlabel("capture, ordered by true length")
     ax.set_ylabel("length (cm)")
     ax.set_ylim(bottom=0)
@@ -123,21 +127,22 @@ def tracking(records: Sequence[Record], truth: Truth) -> bytes:
     return as_png(figure)
 
 
-def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
+def error_spread(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
     """Plot each method's absolute errors as a box and every capture as a dot.
 
     Parameters
     ----------
-    records, truth
+    readings, truth
         As for `predicted_against_truth`. What was not measured has its whole length as error.
     """
-    methods = _plotted(records, truth)
+    scored = against(readings, truth)
+    methods = shown_methods(scored, truth)
     figure = new_figure(0.5 * len(methods) + 1.4)
     ax = figure.subplots()
     rng = np.random.default_rng(0)
     for k, method in enumerate(reversed(methods)):
-        errors = np.maximum(readings(records, method, truth).errors_cm, _SMALLEST_CM)
-        colour, _, _ = _style(method)
+        errors = scored.loc[scored["method"] == method, "error_cm"].clip(lower=_SMALLEST_CM)
+        colour, _, _ = method_style(method)
         jitter = k + rng.uniform(-0.25, 0.25, len(errors))
         size = 24 if len(errors) <= FEW_CAPTURES else 9
         ax.scatter(errors, jitter, s=size, c=colour, alpha=0.6, linewidths=0, zorder=3)
@@ -160,120 +165,13 @@ def error_spread(records: Sequence[Record], truth: Truth) -> bytes:
     return as_png(figure)
 
 
-def error_against_tilt(records: Sequence[Record], truth: Truth) -> bytes:
-    """Plot each method's mean relative error by tilt.
-
-    Parameters
-    ----------
-    records, truth
-        As for `predicted_against_truth`.
-    """
-    return _error_against(
-        records, truth, lambda r: abs(r.tilt_deg), np.arange(0, 61, 7.5), "tilt of the fruit (°)"
-    )
-
-
-def error_against_hidden(records: Sequence[Record], truth: Truth) -> bytes:
-    """Plot each method's mean relative error by hidden share.
-
-    Parameters
-    ----------
-    records, truth
-        As for `predicted_against_truth`.
-    """
-    edges = np.array([0, 0.01, 10, 20, 30, 40, 50, 60])
-    label = "hidden share of the fruit (%)"
-    return _error_against(records, truth, lambda r: 100 * r.hidden_share, edges, label)
-
-
-def coverage_by_group(rows: Sequence[CoverageRow], level: float = 0.9) -> bytes:
-    """Plot how often the interval holds the truth, by group, with binomial 95 % bars.
-
-    Parameters
-    ----------
-    rows : sequence of CoverageRow
-        From `groups.coverage_rows`, at least one.
-    level : float
-        What the interval claims.
-    """
-    figure = new_figure(0.3 * len(rows) + 1.2)
-    ax = figure.subplots()
-    for k, row in enumerate(reversed(rows)):
-        share, colour = row.hits / row.count, "#0072B2" if row.as_stated else "#D55E00"
-        ax.plot([100 * row.low, 100 * row.high], [k, k], color=colour, linewidth=2)
-        ax.plot(100 * share, k, "o" if row.as_stated else "D", color=colour)
-    labels = [
-        f"{row.group} (n = {row.count})"
-        if row.factor == row.group
-        else f"{row.factor}: {row.group} (n = {row.count})"
-        for row in reversed(rows)
-    ]
-    ax.set_yticks(range(len(rows)), labels, fontsize=9)
-    ax.axvline(100 * level, color="black", linewidth=1, linestyle="--")
-    ax.set_xlim(min(100 * min(row.low for row in rows), 100 * level - 10) - 2, 101)
-    ax.set_xlabel(f"intervals that hold the truth (%); {100 * level:.0f} % is stated")
-    ax.grid(alpha=0.3, axis="x")
-    return as_png(figure)
-
-
-def _error_against(
-    records: Sequence[Record],
-    truth: Truth,
-    value: Callable[[Record], float],
-    edges: NDArray[Any],
-    label: str,
-) -> bytes:
-    figure = new_figure(4.6)
-    ax = figure.subplots()
-    known = [r for r in records if truth_m(r, truth) is not None]
-    for method in _plotted(known, truth):
-        run = [r for r in known if is_scored(r, method, truth)]
-        percent = readings(run, method, truth).errors_percent
-        where = np.array([value(r) for r in run])
-        # The last edge belongs to the last group.
-        group = np.minimum(np.digitize(where, edges), len(edges) - 1)
-        group[where > edges[-1]] = 0
-        full = [k for k in range(1, len(edges)) if (group == k).any()]
-        means = [max(percent[group == k].mean(), _SMALLEST_PERCENT) for k in full]
-        middles = [where[group == k].mean() for k in full]
-        colour, marker, line = _style(method)
-        wide = 2.4 if method.startswith("M6") else 1.2
-        ax.plot(
-            middles,
-            means,
-            color=colour,
-            marker=marker,
-            linestyle=line,
-            linewidth=wide,
-            label=method,
-        )
-    ax.set_xlim(left=-1)
-    ax.set_yscale("log")
-    ax.set_yticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
-    ax.set_xlabel(label)
-    ax.set_ylabel(f"mean error against the {truth} (%)")
-    ax.grid(alpha=0.3, which="both")
-    ax.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return as_png(figure)
-
-
-def _plotted(records: Sequence[Record], truth: Truth, *, own_tools_only: bool = False) -> list[str]:
-    """Give the methods to draw: M6 only by its own kind, no selectors."""
-    methods = methods_against(records, truth)
-    aside = {"reported", *(m for m in methods if m.startswith("selector"))}
-    if f"M6 {truth}" in methods:
-        aside.add("M6")
-    if own_tools_only:
-        aside |= {"skan", "PlantCV", "rectangle", "oracle"}
-    return [method for method in methods if method not in aside]
-
-
-def _style(method: str) -> tuple[str, str, str]:
+def method_style(method: str) -> tuple[str, str, str]:
+    """Return a method's colour, marker and line."""
     return STYLES.get(method) or STYLES.get(method.split()[0]) or ("#777777", ".", "-")
 
 
 def new_figure(height_in: float) -> Figure:
-    """Start a figure of the report's width.
+    """Return an empty figure of the report's width.
 
     Raises
     ------
@@ -288,7 +186,7 @@ def new_figure(height_in: float) -> Figure:
 
 
 def as_png(figure: Figure) -> bytes:
-    """Draw a figure as PNG, the same bytes for the same figure."""
+    """Return a figure drawn as PNG, the same bytes for the same figure."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""One line a measured fruit: what a benchmark stores, so that it can resume and be read again."""
+"""Measured fruit with their true lengths: lines of a file, and a data frame of readings."""
 
 from __future__ import annotations
 
@@ -7,22 +7,20 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-__all__ = ["Masks", "Record", "Suite", "append_record", "read_records"]
+    import pandas as pd
 
+__all__ = ["Masks", "Record", "append_record", "read_records", "readings_frame"]
 
-class Suite(StrEnum):
-    """Which part of the benchmark a capture belongs to."""
-
-    PAPER = "paper"
-    VALIDATION = "validation"
-    STRESS = "stress"
-    OWN = "own"
+_NUMBERS = (
+    *("centreline_m", "thread_m", "chord_m", "distance_m", "tilt_deg", "bend_radius_m"),
+    *("hidden_share", "fill", "depth_scale", "length_m"),
+)
 
 
 class Masks(StrEnum):
@@ -35,20 +33,20 @@ class Masks(StrEnum):
 
 @dataclass(frozen=True)
 class Record:
-    """One fruit of one capture, measured by everybody under the same conditions.
+    """One fruit of one capture, measured by every method under the same conditions.
 
     Parameters
     ----------
     case : str
         The capture's name, unique within the suite.
-    suite : Suite
-        The part of the benchmark.
+    suite : str
+        Which part of a benchmark, or 'own': a grower's own fruit.
     masks : Masks
         Whose masks and keypoints.
     fruit : str
         The fruit; captures of one fruit are no independent samples.
     centreline_m, thread_m, chord_m : float or None
-        True lengths in metres; None where only another was measured by hand.
+        True lengths in metres; None where it is not known.
     distance_m : float
         Distance of the fruit's middle from the camera, metres.
     tilt_deg : float
@@ -64,15 +62,15 @@ class Record:
     depth_scale : float
         The camera's true depth scale: what it reads over what is.
     lengths_m : dict of str to float or None
-        What each read, metres; None where it refused. Keys: 'M1' … 'M5', 'M6' (centreline),
-        'M6 thread', 'M6 chord', 'oracle', and other people's tools by name.
+        What each method read, metres; None where it refused, no key where it was not run. Keys:
+        'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord', 'oracle', 'reported', and other
+        people's tools by name.
     details : dict
-        What else was noted: 'm6_sd_m', 'm6_tilt_deg', 'm6_hidden_share', 'selected'
-        (the selector's method), 'paper_selected', 'flags'.
+        What else was noted, by name.
     """
 
     case: str
-    suite: Suite
+    suite: str
     masks: Masks
     fruit: str
     centreline_m: float | None
@@ -87,11 +85,6 @@ class Record:
     depth_scale: float = 1.0
     lengths_m: dict[str, float | None] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def key(self) -> tuple[str, str, str]:
-        """What tells one record from another: suite, case, masks."""
-        return str(self.suite), self.case, str(self.masks)
 
 
 def append_record(path: Path, record: Record) -> None:
@@ -112,7 +105,7 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
     --------
     >>> import tempfile, pathlib
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.jsonl"
-    >>> one = Record("a", Suite.PAPER, Masks.EXACT, "f1", 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0)
+    >>> one = Record("a", "paper", Masks.EXACT, "f1", 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0)
     >>> append_record(path, one)
     >>> read_records([path]) == [one]
     True
@@ -123,8 +116,7 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
         for number, line in enumerate(lines, 1):
             try:
                 values = json.loads(line)
-                values.update(suite=Suite(values["suite"]), masks=Masks(values["masks"]))
-                records.append(Record(**values))
+                records.append(Record(**values | {"masks": Masks(values["masks"])}))
             except (ValueError, TypeError, KeyError) as error:
                 if number == len(lines):
                     continue
@@ -134,3 +126,48 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
                     remedy="delete the line, or the file, and run again",
                 ) from None
     return records
+
+
+def readings_frame(records: Iterable[Record]) -> pd.DataFrame:
+    """Return records as a data frame of readings, one row a record and method.
+
+    Parameters
+    ----------
+    records : iterable of Record
+        At least one with a method that was run.
+
+    Returns
+    -------
+    DataFrame
+        The columns of `Record` but `lengths_m` and `details`, unknown numbers as NaN; `method`
+        and `length_m` (metres, NaN where it refused); and a column for each name in any record's
+        `details`.
+
+    Raises
+    ------
+    MissingExtraError
+        If pandas is not installed.
+
+    Examples
+    --------
+    >>> read = {"M1": 0.19, "M6": None}
+    >>> one = Record("a", "paper", Masks.EXACT, "f1", 0.2, None, None, 0.5, 0.0, None, 0.0, 1.0,
+    ...     lengths_m=read)
+    >>> readings_frame([one])[["case", "method", "length_m", "centreline_m", "thread_m"]]
+      case method  length_m  centreline_m  thread_m
+    0    a     M1      0.19           0.2       NaN
+    1    a     M6       NaN           0.2       NaN
+    """
+    try:
+        import pandas as pd
+    except ModuleNotFoundError:
+        raise MissingExtraError("pandas", "report") from None
+    rows = []
+    for record in records:
+        shared = {**vars(record), **record.details}
+        del shared["lengths_m"], shared["details"]
+        rows += [
+            shared | {"method": method, "length_m": length_m}
+            for method, length_m in record.lengths_m.items()
+        ]
+    return pd.DataFrame(rows).astype(dict.fromkeys(_NUMBERS, float))

@@ -14,13 +14,18 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Comparison",
+    "Estimate",
     "Metrics",
     "binomial_interval",
-    "bootstrap_mean",
     "compare",
+    "estimate",
     "percent_errors",
+    "resample_weights",
     "score",
+    "share",
 ]
+
+_FEWEST_GROUPS = 2
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class Metrics:
 
 
 def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> NDArray[np.float64]:
-    """Give each absolute relative error in percent; 100 where a length is NaN.
+    """Compute each absolute relative error in percent; 100 where a length is NaN.
 
     Parameters
     ----------
@@ -75,7 +80,7 @@ def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> NDArray[np.float
 
 
 def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
-    """Give the paper's metrics (Eqs. 7 to 10), refusing being no way out.
+    """Compute the paper's metrics (Eqs. 7 to 10); what was not measured counts as 100 % error.
 
     Parameters
     ----------
@@ -172,54 +177,121 @@ def compare(
     return Comparison(p_value, alpha / comparisons, float(np.median(difference)))
 
 
-def bootstrap_mean(
+@dataclass(frozen=True)
+class Estimate:
+    """A figure, its interval, and what it rests on.
+
+    Parameters
+    ----------
+    value : float
+        The figure; NaN where there is nothing to judge.
+    low, high : float
+        Its bootstrap interval, whole groups drawn anew; NaN below two groups.
+    count : int
+        How many values it is of.
+    groups : int
+        Of how many groups (fruit, scenes) these are.
+    """
+
+    value: float
+    low: float
+    high: float
+    count: int
+    groups: int
+
+
+def estimate(
     values: ArrayLike,
     groups: Sequence[Hashable] | None = None,
+    quantile: float | None = None,
     level: float = 0.95,
-    resamples: int = 10_000,
-    seed: int = 0,
-) -> tuple[float, float]:
-    """Give the percentile bootstrap interval of a mean.
+    resamples: int = 2000,
+) -> Estimate:
+    """Compute a mean, or a quantile, with its percentile bootstrap interval.
 
     Parameters
     ----------
     values : array_like of float, shape (N,)
-        One value a capture.
+        One a capture, a fruit or a detection.
     groups : sequence of hashable, optional
-        The fruit of each capture: whole fruit are then drawn with replacement, as captures of
-        one fruit are no independent samples.
+        The fruit or the scene of each: whole groups are drawn with replacement, as values of one
+        group are no independent samples. Without it each value is its own group.
+    quantile : float, optional
+        0 to 1; the mean without it.
     level : float
         Level of the interval.
     resamples : int
         Number of resamples.
-    seed : int
-        Seed of chance.
-
-    Returns
-    -------
-    low, high : float
 
     Examples
     --------
-    >>> low, high = bootstrap_mean([1.0, 1.0, 9.0, 9.0], groups=["a", "a", "b", "b"])
-    >>> low, high
-    (1.0, 9.0)
+    >>> found = estimate([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
+    >>> found.value, found.low, found.high, found.count, found.groups
+    (5.0, 1.0, 9.0, 4, 2)
+    >>> estimate([3.0, 1.0, 2.0], ["a", "a", "a"], quantile=0.5)
+    Estimate(value=2.0, low=nan, high=nan, count=3, groups=1)
     """
     data = np.asarray(values, float)
-    names = list(range(len(data))) if groups is None else list(groups)
+    if not data.size:
+        return Estimate(np.nan, np.nan, np.nan, 0, 0)
+    names = range(len(data)) if groups is None else groups
     index = {name: k for k, name in enumerate(dict.fromkeys(names))}
     member = np.array([index[name] for name in names])
-    total = np.bincount(member, data, len(index))
-    size = np.bincount(member, minlength=len(index)).astype(float)
-    drawn = np.random.default_rng(seed).integers(len(index), size=(resamples, len(index)))
-    means = total[drawn].sum(axis=1) / size[drawn].sum(axis=1)
-    tail = 100 * (1 - level) / 2
-    low, high = np.percentile(means, [tail, 100 - tail])
-    return float(low), float(high)
+    value = float(data.mean() if quantile is None else np.quantile(data, quantile))
+    if len(index) < _FEWEST_GROUPS:
+        return Estimate(value, np.nan, np.nan, len(data), len(index))
+    weights = resample_weights(len(index), resamples)
+    if quantile is None:
+        sums = weights @ np.bincount(member, data, len(index))
+        drawn = sums / (weights @ np.bincount(member, minlength=len(index)))
+    else:
+        order = np.argsort(data, kind="stable")
+        data, member = data[order], member[order]
+        drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
+    low, high = np.percentile(drawn, [50 * (1 - level), 50 * (1 + level)])
+    return Estimate(value, float(low), float(high), len(data), len(index))
+
+
+def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
+    """Compute a share with its interval by group.
+
+    Where all are hits, or none, drawing groups anew shows no spread; the interval is then the
+    exact one of as many independent trials as there are groups.
+
+    Examples
+    --------
+    >>> found = share([True] * 6, ["a", "b", "c", "d", "e", "e"])
+    >>> found.value, round(found.low, 3), found.high
+    (1.0, 0.478, 1.0)
+    """
+    found = estimate(np.asarray(hits, float), groups)
+    if found.groups < _FEWEST_GROUPS or found.value not in (0.0, 1.0):
+        return found
+    low, high = binomial_interval(int(found.value) * found.groups, found.groups)
+    return Estimate(found.value, low, high, found.count, found.groups)
+
+
+def resample_weights(groups: int, resamples: int, seed: int = 0) -> NDArray[np.float64]:
+    """Return how often each group is drawn in each resample, shape (resamples, groups)."""
+    drawn = np.random.default_rng(seed).integers(groups, size=(resamples, groups))
+    drawn += groups * np.arange(resamples)[:, None]
+    counts = np.bincount(drawn.ravel(), minlength=resamples * groups)
+    return np.asarray(counts.reshape(resamples, groups), float)
+
+
+def _weighted_quantile(
+    data: NDArray[np.float64], weights: NDArray[np.float64], quantile: float
+) -> float:
+    """Return the quantile of sorted data counted by whole weights, as numpy's linear one."""
+    upto = np.cumsum(weights)
+    place = quantile * (upto[-1] - 1)
+    first, second = np.searchsorted(upto, [np.floor(place), np.ceil(place)], side="right")
+    part = place - np.floor(place)
+    return float((1 - part) * data[first] + part * data[second])
 
 
 def binomial_interval(hits: int, count: int, level: float = 0.95) -> tuple[float, float]:
-    """Give the exact (Clopper–Pearson) interval of a share.
+    """Compute the exact (Clopper–Pearson) interval of a share.
 
     Examples
     --------

@@ -239,7 +239,7 @@ def _entry(
         (one, reading, length)
         for one, reading in pairs
         if one.kind is kind
-        and comparable(method, kind, reading)
+        and comparable(method, kind, reading.kind)
         and method not in reading.fell_back
         and (length := reading.lengths_m.get(method))
     ]

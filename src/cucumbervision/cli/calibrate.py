@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.accuracy.page import Table
+    from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
 
 __all__ = ["calibrate"]
 
@@ -36,14 +42,86 @@ def calibrate(
     level: Annotated[float, typer.Option(min=0.5, max=0.99, help="Level of the intervals.")] = 0.90,
 ) -> None:
     """Fit corrections to hand-measured fruit, or the depth scale to a bar of known length."""
-    from cucumbervision.cli.truth_console import calibrate_and_show
+    from cucumbervision.accuracy.measured import read_measured
+    from cucumbervision.accuracy.truth import read_truth
+    from cucumbervision.calibration.calibration_file import write_site_calibration
+    from cucumbervision.calibration.site_calibration import calibrate_depth, calibrate_lengths
+    from cucumbervision.errors import CalibrationError
 
-    calibrate_and_show(
-        measurements,
-        truth,
-        out,
-        name=name or out.stem,
-        reference_m=reference_length,
-        method=method,
-        level=level,
+    measured = read_measured(measurements)
+    if reference_length is not None:
+        site = calibrate_depth(measured, reference_length, name or out.stem, truth, method)
+    elif truth is None:
+        raise CalibrationError(
+            "there is nothing to calibrate with",
+            source="calibrate",
+            remedy="give a CSV of hand-measured lengths, or --reference-length in metres",
+        )
+    else:
+        site = calibrate_lengths(measured, read_truth(truth), name or out.stem, level)
+    write_site_calibration(out, site)
+    _show(site, out)
+
+
+def _show(site: SiteCalibration, out: Path) -> None:
+    from cucumbervision.cli.figures import figures_console, print_table
+
+    console = figures_console()
+    if site.depth_scale is not None:
+        scale = site.depth_scale
+        console.print(
+            f"Depth scale {scale.value:.5f} ± {scale.standard_error:.5f} (standard error) from "
+            f"{scale.captures} captures of a bar of {scale.reference_length_m:g} m by "
+            f"{scale.method}; depth is divided by it.",
+            soft_wrap=True,
+        )
+    if site.corrections:
+        print_table(console, _corrections_table(site.corrections))
+        for entry in site.corrections:
+            console.print(
+                f"{entry.method} ({entry.truth_kind}): {entry.reason}; interval: "
+                f"{entry.interval.reason}",
+                soft_wrap=True,
+                markup=False,
+            )
+    console.print(f"{site.tag} is in {out}", soft_wrap=True, markup=False)
+
+
+def _corrections_table(entries: Sequence[CorrectionEntry]) -> Table:
+    from cucumbervision.accuracy.page import Column, Table
+
+    columns = (
+        Column("truth"),
+        Column("method"),
+        Column("correction"),
+        Column("fruit"),
+        Column("captures"),
+        Column("error before %"),
+        Column("after %"),
+        Column("rest sd %"),
+        Column("interval ± %"),
     )
+    rows = tuple(
+        (
+            str(entry.truth_kind),
+            entry.method,
+            _formula(entry),
+            entry.fruit,
+            entry.captures,
+            entry.error_before_percent,
+            entry.error_after_percent,
+            entry.residual_sd_percent,
+            None if entry.interval.half_width is None else 100 * entry.interval.half_width,
+        )
+        for entry in entries
+    )
+    return Table("Corrections, tried on fruit left out of the fit", columns, rows)
+
+
+def _formula(entry: CorrectionEntry) -> str:
+    from cucumbervision.calibration.corrections import Form
+
+    if entry.form is Form.NONE:
+        return "none"
+    offset = f" {100 * entry.offset_m:+.2f} cm" if entry.form is Form.SCALE_OFFSET else ""
+    return f"x {entry.scale:.4f}{offset}"

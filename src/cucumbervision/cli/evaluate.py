@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.accuracy.own_truth import MethodScore
+    from cucumbervision.accuracy.page import Table
 
 __all__ = ["app"]
 
@@ -37,6 +43,54 @@ def lengths(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the report.")],
 ) -> None:
     """Hold every method against hand-measured lengths: a table here, a report in the folder."""
-    from cucumbervision.cli.truth_console import evaluate_and_show
+    from cucumbervision.accuracy.measured import read_measured
+    from cucumbervision.accuracy.own_report import write_own_report
+    from cucumbervision.accuracy.own_truth import evaluate_lengths
+    from cucumbervision.accuracy.truth import read_truth
+    from cucumbervision.cli.figures import figures_console, print_table
 
-    evaluate_and_show(measurements, truth, out)
+    measured, table = read_measured(measurements), read_truth(truth)
+    found = evaluate_lengths(measured, table)
+    console = figures_console()
+    print_table(console, _scores_table(found.scores))
+    for note in found.notes:
+        console.print(note, soft_wrap=True, markup=False)
+    write_own_report(found, out, measured, table)
+    console.print(f"The report is in {out}/", soft_wrap=True, markup=False)
+
+
+def _scores_table(scores: Sequence[MethodScore]) -> Table:
+    from cucumbervision.accuracy.page import Column, Table
+
+    columns = (
+        Column("truth"),
+        Column("method"),
+        Column("captures"),
+        Column("fruit"),
+        Column("measured %", 0),
+        Column("MAE cm"),
+        Column("MAPE %"),
+        Column("95 % by fruit, from"),
+        Column("to"),
+        Column("median %"),
+        Column("worst %"),
+        Column("bias %", 2, signed=True),
+    )
+    rows = tuple(
+        (
+            str(one.kind),
+            one.method,
+            one.metrics.count,
+            one.fruit,
+            100 * one.metrics.measured,
+            one.metrics.mae_cm,
+            one.metrics.mape_percent,
+            one.low_percent,
+            one.high_percent,
+            one.metrics.median_percent,
+            one.metrics.worst_percent,
+            one.metrics.bias_percent,
+        )
+        for one in scores
+    )
+    return Table("Errors against hand-measured lengths", columns, rows)

@@ -131,7 +131,7 @@ def write_hand_lengths(
     lengths: Mapping[str, tuple[float | None, float | None]],
     kind: LengthDefinition,
 ) -> int:
-    """Write lengths by hand as the table that `evaluation.truth.read_truth` reads.
+    """Write lengths by hand as the table that `accuracy.truth.read_truth` reads.
 
     Parameters
     ----------

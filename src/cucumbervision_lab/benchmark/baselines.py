@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 __all__ = [
-    "OUTSIDERS",
-    "Outsider",
-    "available_outsiders",
+    "BASELINES",
+    "Baseline",
+    "available_baselines",
     "lifted_length",
     "min_area_rect_length",
     "plantcv_length",
     "skan_length",
 ]
 
-Outsider = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
+Baseline = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
 
 HALF_WINDOW_PX = 2  # depth of a path's pixel: median of a 5x5 window, as M4 reads its keypoints
 SMOOTH_PX = 41  # longest window of the smoothing along the path
@@ -174,25 +174,25 @@ def min_area_rect_length(
     return float((max(sides) + 1) * np.median(readings) / focal_px)
 
 
-OUTSIDERS: dict[str, Outsider] = {
+BASELINES: dict[str, Baseline] = {
     "skan": skan_length,
     "PlantCV": plantcv_length,
     "rectangle": min_area_rect_length,
 }
 
 
-def available_outsiders() -> dict[str, Outsider]:
-    """Give those of `OUTSIDERS` whose packages are installed.
+def available_baselines() -> dict[str, Baseline]:
+    """Give those of `BASELINES` whose packages are installed.
 
     Examples
     --------
-    >>> "rectangle" in available_outsiders()
+    >>> "rectangle" in available_baselines()
     True
     """
     needs = {"skan": ("skan", "skimage"), "PlantCV": ("plantcv",)}
     return {
         name: function
-        for name, function in OUTSIDERS.items()
+        for name, function in BASELINES.items()
         if all(find_spec(package) for package in needs.get(name, ()))
     }
 

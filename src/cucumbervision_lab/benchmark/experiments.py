@@ -7,20 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.page import Cell, Table
+from cucumbervision.accuracy.records import Masks
 from cucumbervision.accuracy.statistics import score
-from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.geometry.camera import scale_error_tilted
 from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision_lab.benchmark.protocol import CAMERA
+from cucumbervision_lab.benchmark.cases import CAMERA, Suite
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    import pandas as pd
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
@@ -62,14 +64,14 @@ def wrong_intrinsics() -> Table:
             formula = 100 * scale_error_tilted(CAMERA.fx_px, focal, tilt)
             read = np.nan if found.length_m is None else 100 * (found.length_m / 0.20 - 1)
             rows.append((name, tilt, round(formula, 1), _line_error(tube, wrong), round(read, 1)))
-    return _table(
+    return Table.of(
         "Wrong intrinsics",
+        ("taken for the colour stream's", "tilt [deg]", "formula [%]", "axis [%]", "M6 [%]"),
+        tuple(rows),
         "A straight fruit of 20 cm, exact depth, deprojected with another stream's or another "
         "size's focal length. The sign and the size follow from the two focal lengths, so no "
         "constant can correct it; the reader refuses such intrinsics. The formula is a thin "
         "line's; M6 errs more, because the fruit grows thicker too, before the same depth.",
-        ("taken for the colour stream's", "tilt [deg]", "formula [%]", "axis [%]", "M6 [%]"),
-        tuple(rows),
     )
 
 
@@ -101,91 +103,91 @@ def carrot_intrinsics(folder: Path) -> Table:
             errors.append(100 * (scaled / right - 1))
     formula = 100 * (own.fx_px / 640.0 - 1)
     row = (len(errors), round(float(np.mean(errors)), 1), round(float(np.std(errors)), 2))
-    return _table(
+    return Table.of(
         "Wrong intrinsics on real frames",
-        "Ten RealSense frames of one carrot lying across the view, by M3, with f = 640 px in "
-        "place of the colour stream's.",
         ("frames", "error, mean [%]", "sd [%]", "formula for no tilt [%]"),
         ((*row, round(formula, 1)),),
+        "Ten RealSense frames of one carrot lying across the view, by M3, with f = 640 px in "
+        "place of the colour stream's.",
     )
 
 
 def burst_sizes(
-    measure: Callable[[int], Sequence[Record]], sizes: Sequence[int] = (1, 3, 5, 9)
+    measure: Callable[[int], pd.DataFrame], sizes: Sequence[int] = (1, 3, 5, 9)
 ) -> Table:
-    """Compare bursts; `measure` gives the records of the same cases for a burst size."""
+    """Compare bursts; `measure` gives the readings of the same cases for a burst size."""
     rows: list[tuple[Cell, ...]] = []
     for size in sizes:
-        records = measure(size)
-        rows.append((size, len(records), *(_mape(records, name) for name in ("M3", "M5", "M6"))))
-    return _table(
+        readings = measure(size)
+        rows.append(
+            (
+                size,
+                readings["case"].nunique(),
+                *(_mape(readings, name) for name in ("M3", "M5", "M6")),
+            )
+        )
+    return Table.of(
         "Burst size",
-        "The same captures with exact masks. Most of the sensor's noise is fixed in space, so "
-        "more frames help little beyond filling holes.",
         ("frames", "captures", "M3 MAPE [%]", "M5 MAPE [%]", "M6 MAPE [%]"),
         tuple(rows),
+        "The same captures with exact masks. Most of the sensor's noise is fixed in space, so "
+        "more frames help little beyond filling holes.",
     )
 
 
-def sam_prompts(measure: Callable[[str], Sequence[Record]]) -> Table:
-    """Compare SAM's prompts; `measure` gives perceived records of the same cases for a prompt."""
+def sam_prompts(measure: Callable[[str], pd.DataFrame]) -> Table:
+    """Compare SAM's prompts; `measure` gives readings on perceived masks for a prompt."""
     rows: list[tuple[Cell, ...]] = []
     for prompt in ("box+point", "box", "point"):
-        records = measure(prompt)
-        failed = sum(bool(r.details.get("mask_failure")) for r in records)
-        overlap = np.mean([float(r.details.get("mask_iou", 0.0)) for r in records])
-        rows.append((prompt, len(records), failed, round(float(overlap), 3), _mape(records, "M6")))
-    return _table(
+        readings = measure(prompt)
+        captures = readings.drop_duplicates("case")
+        failed = int((captures["mask_failure"] != "").sum())
+        overlap = round(float(captures["mask_iou"].mean()), 3)
+        rows.append((prompt, len(captures), failed, overlap, _mape(readings, "M6")))
+    return Table.of(
         "SAM's prompt",
-        "MobileSAM, prompted by the exact box of the visible fruit.",
         ("prompt", "captures", "masks refused", "mask IoU, mean", "M6 MAPE [%]"),
         tuple(rows),
+        "MobileSAM, prompted by the exact box of the visible fruit.",
     )
 
 
-def selectors(records: Sequence[Record]) -> Table:
+def selectors(readings: pd.DataFrame) -> Table:
     """Compare the selectors on the paper's captures, by kind of mask."""
     rows: list[tuple[Cell, ...]] = []
     for masks in Masks:
-        some = [r for r in records if r.masks is masks and r.suite is not Suite.STRESS]
-        if some:
+        some = readings[(readings["masks"] == masks) & (readings["suite"] != Suite.STRESS)]
+        if len(some):
+            count = len(some[["suite", "case"]].drop_duplicates())
             for name in ("selector paper", "selector best"):
-                rows.append((name.split()[1], str(masks), len(some), _mape(some, name)))
-    return _table(
+                rows.append((name.split()[1], str(masks), count, _mape(some, name)))
+    return Table.of(
         "Selector",
-        "Raw length of the chosen method against the centreline.",
         ("selector", "masks", "captures", "MAPE [%]"),
         tuple(rows),
+        "Raw length of the chosen method against the centreline.",
     )
 
 
-def length_conventions(records: Sequence[Record]) -> Table:
+def length_conventions(readings: pd.DataFrame) -> Table:
     """Say by how much thread and chord differ from the centreline, by size."""
     rows: list[tuple[Cell, ...]] = []
-    fruit = {r.fruit: r for r in records if r.thread_m and r.centreline_m and r.chord_m}
+    known = readings.dropna(subset=["thread_m", "centreline_m", "chord_m"])
+    fruit = known.drop_duplicates("fruit", keep="last")
     for low, high in SIZES_M:
-        some = [r for r in fruit.values() if low <= (r.centreline_m or 0) < high]
-        if not some:
-            continue
-        thread = [100 * ((r.thread_m or 0) / (r.centreline_m or 1) - 1) for r in some]
-        chord = [100 * ((r.chord_m or 0) / (r.centreline_m or 1) - 1) for r in some]
-        name = f"{100 * low:.0f} to {100 * high:.0f} cm"
-        rows.append(
-            (name, len(some), round(float(np.mean(thread)), 1), round(float(np.mean(chord)), 1))
-        )
-    return _table(
+        some = fruit[fruit["centreline_m"].between(low, high, inclusive="left")]
+        if len(some):
+            more = 100 * (some[["thread_m", "chord_m"]].div(some["centreline_m"], axis=0) - 1)
+            means = [round(float(x), 1) for x in more.mean()]
+            rows.append((f"{100 * low:.0f} to {100 * high:.0f} cm", len(some), *means))
+    return Table.of(
         "Thread, centreline, chord",
-        "What people lay along a fruit differs by more than any good method errs: say which.",
         ("centreline", "fruit", "thread, mean [%]", "chord, mean [%]"),
         tuple(rows),
+        "What people lay along a fruit differs by more than any good method errs: say which.",
     )
 
 
-def _mape(records: Sequence[Record], name: str) -> float:
-    lengths = [np.nan if (x := r.lengths_m.get(name)) is None else x for r in records]
-    truth = [r.centreline_m or np.nan for r in records]
-    return round(score(lengths, truth).mape_percent, 2) if records else float("nan")
-
-
-def _table(title: str, comment: str, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Table:
-    return Table.of(title, heads, rows, comment)
+def _mape(readings: pd.DataFrame, method: str) -> float:
+    read = readings[readings["method"] == method]
+    return round(score(read["length_m"], read["centreline_m"]).mape_percent, 2)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from cucumbervision.measurement.intervals import (
     RAW_FEATURES,
@@ -15,41 +16,41 @@ from cucumbervision.measurement.intervals import (
     raw_features,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+__all__ = ["KEYS", "TRUTH_OF", "fit_interval_models", "reading_features", "with_intervals"]
 
-    from cucumbervision.accuracy.records import Record
+TRUTH_OF = {
+    **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),
+    "M6 thread": "thread_m",
+    "M6 chord": "chord_m",
+}
+"""The column of the true length that the interval of each method's reading is to cover."""
 
-__all__ = ["KEYS", "fit_interval_models", "record_features", "record_truth_m", "with_intervals"]
-
-KEYS = ("M1", "M2", "M3", "M4", "M5", "M6", "M6 thread", "M6 chord")
-
-
-def record_truth_m(record: Record, key: str) -> float | None:
-    """Give the true length that a key's interval is to cover."""
-    if key == "M6 thread":
-        return record.thread_m
-    return record.chord_m if key == "M6 chord" else record.centreline_m
+KEYS = tuple(TRUTH_OF)
 
 
-def record_features(record: Record, key: str) -> dict[str, float] | None:
-    """Give what was known of one reading at run time; None where nothing was read."""
-    length = record.lengths_m.get(key)
-    if length is None:
-        return None
-    if key.startswith("M6"):
-        found: dict[str, float] | None = record.details.get("m6_features")
-        return found
-    return raw_features(length, record.distance_m, record.fill)
-
-
-def fit_interval_models(records: Sequence[Record], level: float = 0.90) -> IntervalModels:
-    """Fit one model a key on the records, depth scale known.
+def reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
+    """Return what was known of one reading at run time; None where nothing was read.
 
     Parameters
     ----------
-    records : sequence of Record
-        Of calibration fruit, which no test ever sees.
+    reading : Series
+        A row of `readings_frame`, of one of `KEYS`.
+    """
+    if np.isnan(reading["length_m"]):
+        return None
+    if reading["method"].startswith("M6"):
+        found = reading.get("m6_features")
+        return found if isinstance(found, dict) else None
+    return raw_features(reading["length_m"], reading["distance_m"], reading["fill"])
+
+
+def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> IntervalModels:
+    """Fit one model a method on readings, depth scale known.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        Of calibration fruit, which no test ever sees, as `readings_frame` gives them.
     level : float
         Level of the intervals.
 
@@ -59,46 +60,43 @@ def fit_interval_models(records: Sequence[Record], level: float = 0.90) -> Inter
         If there are too few fruit for the level.
     """
     models = {}
-    for key in KEYS:
+    for key, truth in TRUTH_OF.items():
         names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
-        errors, columns, fruit = _training(records, key, names)
-        features = {name: columns[:, k] for k, name in enumerate(names)}
+        rows = readings[(readings["method"] == key) & readings[truth].notna()]
+        known = [one for one in rows.apply(reading_features, axis=1).items() if one[1] is not None]
+        rows = rows.loc[[label for label, _ in known]]
+        errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
+        features = {name: np.array([said[name] for _, said in known]) for name in names}
         edges = TUBE_EDGES if key.startswith("M6") else ()
+        fruit = rows["fruit"].to_numpy()
         models[key] = fit_interval_model(key, errors, features, fruit, level, edges)
-    return IntervalModels(level, models, len({record.fruit for record in records}))
+    return IntervalModels(level, models, readings["fruit"].nunique())
 
 
-def _training(records: Sequence[Record], key: str, names: Sequence[str]) -> tuple[Any, Any, Any]:
-    errors, rows, fruit = [], [], []
-    for record in records:
-        length, truth = record.lengths_m.get(key), record_truth_m(record, key)
-        features = record_features(record, key)
-        if length is None or truth is None or features is None:
-            continue
-        errors.append(np.log(length / truth))
-        rows.append([features[name] for name in names])
-        fruit.append(record.fruit)
-    return np.array(errors), np.array(rows).reshape(len(rows), len(names)), np.array(fruit)
-
-
-def with_intervals(record: Record, book: IntervalModels) -> dict[str, Any]:
-    """Give a record's intervals by key, with the depth scale known and unknown.
+def with_intervals(
+    readings: pd.DataFrame, book: IntervalModels, *, scale_known: bool = True
+) -> pd.DataFrame:
+    """Return readings with `low_m` and `high_m`, NaN where there is no interval.
 
     With the scale unknown the camera reads every length times its own scale error, and the
     interval allows for it.
 
-    Returns
-    -------
-    dict
-        key: {'known': [low_m, high_m], 'unknown': [low_m, high_m]}.
+    Parameters
+    ----------
+    readings : DataFrame
+        As `readings_frame` gives them, with distinct row labels.
+    book : IntervalModels
+        The models.
+    scale_known : bool
+        Whether the depth scale is exact, as after a calibration.
     """
-    found: dict[str, Any] = {}
-    for key in KEYS:
-        features, length = record_features(record, key), record.lengths_m.get(key)
-        if features is None or length is None:
-            continue
-        known = book.interval(key, length, features, scale_known=True)
-        unknown = book.interval(key, length * record.depth_scale, features, scale_known=False)
-        if known and unknown:
-            found[key] = {"known": list(known), "unknown": list(unknown)}
-    return found
+    ends = {}
+    for label, reading in readings[readings["method"].isin(KEYS)].iterrows():
+        features = reading_features(reading)
+        if features is not None:
+            scale = 1.0 if scale_known else reading["depth_scale"]
+            length_m = reading["length_m"] * scale
+            found = book.interval(reading["method"], length_m, features, scale_known=scale_known)
+            ends[label] = found or (np.nan, np.nan)
+    found = pd.DataFrame.from_dict(ends, "index", columns=["low_m", "high_m"], dtype=float)
+    return readings.join(found)

@@ -1,4 +1,4 @@
-"""Measure one simulated case by everybody, under the same conditions."""
+"""Measure one simulated case by every method, under the same conditions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from cucumbervision.measurement.result import Method
 from cucumbervision.measurement.selector import Selector, choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_iou
-from cucumbervision_lab.benchmark.disturb import disturb_mask, draw_disturbance
-from cucumbervision_lab.benchmark.oracle import oracle_length_m
-from cucumbervision_lab.benchmark.simulate import Simulated, simulate
+from cucumbervision_lab.benchmark.cases import Simulated, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,13 +21,186 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.sam import Segmenter
-    from cucumbervision_lab.benchmark.protocol import Case
+    from cucumbervision_lab.benchmark.cases import Case
+    from cucumbervision_lab.synthesis.scene import FruitTruth
 
-__all__ = ["CaseOptions", "fruit_lengths", "measure_case"]
+__all__ = [
+    "CaseOptions",
+    "Disturbance",
+    "disturb_mask",
+    "draw_disturbance",
+    "end_shift_px",
+    "fruit_lengths",
+    "measure_case",
+    "oracle_length_m",
+]
+
+CORRELATION_PX = 12.0
+
+
+class Disturbance:
+    """A smooth random field by which an outline is moved outward or inward.
+
+    Parameters
+    ----------
+    shift_px : ndarray of float32, shape (H, W)
+        Outward shift at each pixel.
+    """
+
+    def __init__(self, shift_px: NDArray[np.float32]) -> None:
+        self.shift_px = shift_px
+
+    def at(self, u_px: float, v_px: float) -> float:
+        """Give the shift at a position, the nearest pixel's; positions outside are clamped."""
+        height, width = self.shift_px.shape
+        column, row = round(np.clip(u_px, 0, width - 1)), round(np.clip(v_px, 0, height - 1))
+        return float(self.shift_px[row, column])
+
+
+def draw_disturbance(
+    shape: tuple[int, int], rms_px: float, rng: np.random.Generator
+) -> Disturbance:
+    """Draw a field of the given RMS, smooth over a dozen pixels.
+
+    Examples
+    --------
+    >>> field = draw_disturbance((240, 320), 1.5, np.random.default_rng(0))
+    >>> bool(abs(field.shift_px.std() - 1.5) < 1e-3)
+    True
+    """
+    import cv2
+
+    noise = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), CORRELATION_PX)
+    return Disturbance(np.asarray(noise * np.float32(rms_px / noise.std())))
+
+
+def disturb_mask(mask: NDArray[np.bool_], disturbance: Disturbance) -> NDArray[np.bool_]:
+    """Move a mask's outline by a field.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        The exact mask.
+    disturbance : Disturbance
+        The field, of the same size.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        The pixels whose signed distance inside the outline exceeds minus the shift there.
+
+    Examples
+    --------
+    >>> mask = np.zeros((40, 40), bool)
+    >>> mask[10:30, 10:30] = True
+    >>> grown = disturb_mask(mask, Disturbance(np.full((40, 40), 2.0, np.float32)))
+    >>> int(np.flatnonzero(grown[20])[0])
+    8
+    """
+    import cv2
+
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # A pixel's centre is half a pixel from the border between it and its neighbour.
+    signed = np.where(mask, inside - 0.5, 0.5 - outside)
+    return np.asarray(signed > -disturbance.shift_px)
+
+
+BACK_SHARE = 0.12  # of the axis: where the walk to the end begins
+
+STEP_PX, BEYOND_PX = 0.25, 25.0
+
+SHORTEST_COS = 0.3  # an end that points along the view tells nothing of its own length
+
+
+def oracle_length_m(
+    truth: FruitTruth, mask: NDArray[np.bool_], camera: Intrinsics, rng: np.random.Generator
+) -> float:
+    """Give the true centreline, wrong only by the mask's outline at both ends.
+
+    Each end is wrong by as many pixels as the mask's outline lies beyond (or short of) the exact
+    one along the axis, plus the pixel grid's own rounding, drawn evenly from half a pixel either
+    way; pixels become metres at the end's depth and slant. A hidden end is known.
+
+    Parameters
+    ----------
+    truth : FruitTruth
+        The fruit.
+    mask : ndarray of bool, shape (H, W)
+        The mask that the methods were given.
+    camera : Intrinsics
+        The camera.
+    rng : numpy.random.Generator
+        For the grid's rounding.
+    """
+    length = truth.centreline_m
+    for axis in (truth.axis_m, truth.axis_m[::-1]):
+        back = axis[max(1, round(BACK_SHARE * len(axis)))]
+        tip = axis[0]
+        run = tip - back
+        cosine = max(float(np.hypot(run[0], run[1]) / np.linalg.norm(run)), SHORTEST_COS)
+        back_px, tip_px = camera.project([back, tip])
+        shift = end_shift_px(truth.visible, mask, back_px, tip_px)
+        if shift is None:
+            continue
+        pixels = shift + float(rng.uniform(-0.5, 0.5))
+        length += pixels * float(tip[2]) / camera.fx_px / cosine
+    return length
+
+
+def end_shift_px(
+    exact: NDArray[np.bool_],
+    mask: NDArray[np.bool_],
+    back_px: NDArray[np.float64],
+    tip_px: NDArray[np.float64],
+) -> float | None:
+    """Give how far a mask reaches beyond the exact one, walking from inside over the tip.
+
+    Parameters
+    ----------
+    exact, mask : ndarray of bool, shape (H, W)
+        The visible fruit, and its mask.
+    back_px, tip_px : ndarray of float, shape (2,)
+        A point of the axis inside, and the end; u, v.
+
+    Returns
+    -------
+    float or None
+        Pixels; None where either does not show the end.
+
+    Examples
+    --------
+    >>> exact = np.zeros((20, 60), bool)
+    >>> exact[8:13, 10:40] = True
+    >>> mask = exact.copy()
+    >>> mask[8:13, 40:43] = True
+    >>> end_shift_px(exact, mask, np.array([30.0, 10.0]), np.array([39.5, 10.0]))
+    3.0
+    """
+    way = tip_px - back_px
+    reach = float(np.linalg.norm(way))
+    if reach < 1:
+        return None
+    steps = np.arange(0, reach + BEYOND_PX, STEP_PX)
+    line = back_px + steps[:, None] * way / reach
+    u, v = np.floor(line + 0.5).astype(int).T
+    inside = (u >= 0) & (u < exact.shape[1]) & (v >= 0) & (v < exact.shape[0])
+    u, v = u[inside], v[inside]
+    ends = []
+    for picture in (exact, mask):
+        seen = np.flatnonzero(picture[v, u])
+        # The end shows if the outline crosses the line near the tip, not far short of it.
+        if not len(seen) or steps[seen[-1]] < 0.5 * reach:
+            return None
+        ends.append(float(steps[seen[-1]]))
+    return ends[1] - ends[0]
+
 
 OUTLINE_RMS_PX = 1.5
+
 NO_RECORD_BELOW_PX = 30  # a fruit of which fewer pixels show is no capture of a fruit
 
 
@@ -41,7 +212,7 @@ class CaseOptions:
     ----------
     masks : tuple of Masks
         Whose masks.
-    outsiders : bool
+    baselines : bool
         Whether other people's tools run too.
     frames : int
         Size of the burst.
@@ -50,7 +221,7 @@ class CaseOptions:
     """
 
     masks: tuple[Masks, ...] = (Masks.EXACT, Masks.DISTURBED)
-    outsiders: bool = False
+    baselines: bool = False
     frames: int = 5
     prompt: str = "box+point"
 
@@ -80,7 +251,7 @@ def measure_case(
     records = []
     for kind in options.masks:
         instance = _instance(taken, kind, case, segmenter)
-        records.append(_record(case, taken, kind, instance, options.outsiders))
+        records.append(_record(case, taken, kind, instance, options.baselines))
     return records
 
 
@@ -110,7 +281,7 @@ def _instance(taken: Simulated, kind: Masks, case: Case, segmenter: Segmenter | 
 
 
 def _record(
-    case: Case, taken: Simulated, kind: Masks, instance: Instance, outsiders: bool
+    case: Case, taken: Simulated, kind: Masks, instance: Instance, baselines: bool
 ) -> Record:
     truth, capture = taken.truth, taken.capture
     measured = measure_fruit(capture, instance)
@@ -118,8 +289,8 @@ def _record(
     if instance.mask is not None:
         rng = np.random.default_rng(case.capture_seed + 5)
         lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
-        if outsiders:
-            lengths.update(_outsiders(capture, instance.mask))
+        if baselines:
+            lengths.update(_baselines(capture, instance.mask))
     return Record(
         case=case.name,
         suite=case.suite,
@@ -182,10 +353,10 @@ def fruit_lengths(
     return lengths, chosen
 
 
-def _outsiders(capture: Capture, mask: NDArray[np.bool_]) -> dict[str, float | None]:
-    from cucumbervision_lab.benchmark.baselines import available_outsiders
+def _baselines(capture: Capture, mask: NDArray[np.bool_]) -> dict[str, float | None]:
+    from cucumbervision_lab.benchmark.baselines import available_baselines
 
-    tools = available_outsiders()
+    tools = available_baselines()
     return {name: tool(capture.depth_m, mask, capture.intrinsics) for name, tool in tools.items()}
 
 

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from cucumbervision.accuracy.page import Table
 
 __all__ = ["benchmark"]
 
@@ -35,10 +40,60 @@ def benchmark(
     The paper's 48 captures and five validation fruit, with exact, disturbed and perceived masks,
     and a stress set of independent fruit: tilted, bent, half hidden, far, wet, in the sun.
     """
-    from cucumbervision_lab.benchmark.benchmark import BenchmarkPlan
-    from cucumbervision_lab.cli.benchmark_console import learn, run_and_report
+    from cucumbervision.cli.figures import figures_console, print_table
+    from cucumbervision_lab.benchmark import run
+    from cucumbervision_lab.cli.screen import part_bars
 
+    console = figures_console()
     if learn_intervals is not None:
-        learn(learn_intervals, out, learn_fruit, workers)
+        with part_bars() as report:
+            book = run.learn_intervals(learn_intervals, out, learn_fruit, workers, report)
+        for key, model in book.models.items():
+            band = model.bands[""]
+            console.print(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
+        console.print(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
-    run_and_report(BenchmarkPlan(quick, stress, workers, data=data), out)
+    plan = run.BenchmarkPlan(quick, stress, workers, data=data)
+    with part_bars() as report:
+        readings, experiments = run.run_benchmark(plan, out, report)
+    for table in _summary_tables(readings):
+        print_table(console, table)
+    if not quick:
+        from cucumbervision_lab.benchmark.report import write_benchmark_report
+
+        origin = run.provenance(plan)
+        written = write_benchmark_report(readings, out, experiments=experiments, provenance=origin)
+        console.print(f"The report is {written}", soft_wrap=True, markup=False)
+
+
+def _summary_tables(readings: pd.DataFrame) -> list[Table]:
+    """Return one table a suite and kind of mask: every method against the centreline."""
+    from cucumbervision.accuracy.length_tables import against, method_metrics
+    from cucumbervision.accuracy.page import Column, Table
+    from cucumbervision.measurement.result import LengthDefinition
+    from cucumbervision_lab.benchmark.report import parts_of
+
+    columns = (
+        Column("method"),
+        Column("measured %", 0),
+        Column("MAPE %"),
+        Column("median %"),
+        Column("worst %", 1),
+        Column("bias %", 2, signed=True),
+    )
+    tables = []
+    for suite, masks, part in parts_of(readings):
+        title = f"{suite} captures, {masks} masks ({part['case'].nunique()})"
+        rows = tuple(
+            (
+                method,
+                100 * m.measured,
+                m.mape_percent,
+                m.median_percent,
+                m.worst_percent,
+                m.bias_percent,
+            )
+            for method, m in method_metrics(against(part, LengthDefinition.CENTRELINE)).items()
+        )
+        tables.append(Table(f"{title}: error against the centreline", columns, rows))
+    return tables

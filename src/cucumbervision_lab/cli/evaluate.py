@@ -50,8 +50,11 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Hold the networks against labelled pictures: precision, recall, keypoints, masks, lengths."""
-    from cucumbervision_lab.cli.detection_console import evaluate_models_and_show
-    from cucumbervision_lab.detection.run import DetectionPlan
+    from cucumbervision.cli.figures import figures_console, print_table
+    from cucumbervision_lab.cli.screen import part_bars
+    from cucumbervision_lab.detection.figures import summarise
+    from cucumbervision_lab.detection.report import main_tables, write_detection_report
+    from cucumbervision_lab.detection.run import DetectionPlan, evaluate_detection
 
     plan = DetectionPlan(
         data,
@@ -66,7 +69,14 @@ def evaluate_models(
         tuple(captures or ()),
         photos,
     )
-    evaluate_models_and_show(plan, out)
+    with part_bars() as report:
+        result = evaluate_detection(plan, report)
+    summary = summarise(result)
+    console = figures_console()
+    for table in main_tables(summary, plan.confidence, result.photos):
+        print_table(console, table)
+    page = write_detection_report(result, summary, out)
+    console.print(f"The report is {page}", soft_wrap=True, markup=False)
 
 
 def evaluate_photos(
@@ -89,8 +99,23 @@ def evaluate_photos(
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:
     """Hold the networks against audited real photos: recall and precision, each test apart."""
-    from cucumbervision_lab.cli.detection_console import evaluate_photos_and_show
+    from cucumbervision.cli.figures import figures_console, print_table
+    from cucumbervision_lab.cli.screen import part_bars
+    from cucumbervision_lab.detection.report import photo_tables, write_photo_report
+    from cucumbervision_lab.detection.run import evaluate_real_photos
 
-    evaluate_photos_and_show(
-        folder, out, (seg, pose), runtime=runtime.value, confidence=confidence, split=split
-    )
+    with part_bars() as report:
+        result = evaluate_real_photos(
+            folder,
+            seg,
+            pose,
+            runtime=runtime.value,
+            confidence=confidence,
+            split=split,
+            report=report,
+        )
+    console = figures_console()
+    for table in photo_tables(result):
+        print_table(console, table)
+    file = write_photo_report(result, out)
+    console.print(f"The figures are in {file}", soft_wrap=True, markup=False)

@@ -10,7 +10,9 @@ from rich.console import Console
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["screen", "show", "ticking"]
+    from rich.progress import TaskID
+
+__all__ = ["part_bars", "screen", "show", "ticking"]
 
 
 @contextmanager
@@ -21,6 +23,28 @@ def ticking(what: str, total: int | None = None) -> Iterator[Callable[[int], Non
     with progress_bar(Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task(what, total=total)
         yield lambda count: bar.advance(task, count)
+
+
+@contextmanager
+def part_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each part of a long run, on a terminal only.
+
+    Yields
+    ------
+    callable
+        Takes a part's name, how many of it were just finished and how many it has.
+    """
+    from cucumbervision.cli.console import progress_bar
+
+    tasks: dict[str, TaskID] = {}
+    with progress_bar(Console(stderr=True)) as bar:
+
+        def report(name: str, count: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=total)
+            bar.advance(tasks[name], count)
+
+        yield report
 
 
 def screen(width: int = 120) -> Console:

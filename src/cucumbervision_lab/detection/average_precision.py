@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision_lab.detection.estimates import LEVEL, Estimate, scene_weights
+from cucumbervision.accuracy.statistics import Estimate, resample_weights
 from cucumbervision_lab.detection.pictures import Stage, import_pycocotools
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def average_precision(
         return AveragePrecision(nothing, nothing)
     of_frame = np.array([scenes[name] for name in kept])
     drawn = np.array(
-        [_precisions(tally, w[of_frame]) for w in scene_weights(len(scenes), _RESAMPLES)]
+        [_precisions(tally, w[of_frame]) for w in resample_weights(len(scenes), _RESAMPLES)]
     )
     values = _precisions(tally, np.ones(len(frames)))
     with_fruit = len(set(of_frame[tally.required > 0].tolist()))
@@ -103,7 +103,7 @@ def average_precision(
     def one(value: float, resampled: NDArray[np.float64]) -> Estimate:
         low = high = math.nan
         if len(scenes) > 1:
-            low, high = np.nanpercentile(resampled, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
+            low, high = np.nanpercentile(resampled, [2.5, 97.5])
         return Estimate(float(value), float(low), float(high), count, with_fruit)
 
     return AveragePrecision(one(values[0], drawn[:, 0]), one(values.mean(), drawn.mean(axis=1)))

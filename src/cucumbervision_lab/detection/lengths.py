@@ -7,24 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.accuracy.records import Masks, Record, Suite
-from cucumbervision.accuracy.statistics import score
-from cucumbervision.accuracy.tables import Truth, methods_against, readings, truth_m
-from cucumbervision.measurement.result import Method
+from cucumbervision.accuracy.length_tables import against
+from cucumbervision.accuracy.records import Masks, Record
+from cucumbervision.accuracy.statistics import Estimate, estimate, score
+from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, decode_rle
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths
-from cucumbervision_lab.detection.estimates import Estimate, estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
+
+    import pandas as pd
 
     from cucumbervision.accuracy.statistics import Metrics
     from cucumbervision.capture.frames import Capture
-    from cucumbervision_lab.detection.pictures import Frame
+    from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
-__all__ = ["GROUPS", "LengthScore", "group_of", "length_records", "length_scores"]
+__all__ = ["GROUPS", "LengthScore", "length_records", "length_scores"]
 
 GROUPS = ("whole, in sight", "whole, partly hidden", "cut by the picture's edge")
 _IN_SIGHT = 0.10
@@ -41,7 +42,7 @@ class LengthScore:
         One of `GROUPS`, or 'whole'.
     masks : Masks
         Whose masks.
-    truth : Truth
+    truth : LengthDefinition
         Which true length.
     method : str
         Its name in `Record.lengths_m`.
@@ -57,7 +58,7 @@ class LengthScore:
 
     group: str
     masks: Masks
-    truth: Truth
+    truth: LengthDefinition
     method: str
     missed: int
     metrics: Metrics
@@ -111,7 +112,8 @@ def _record(
     fruit = frame.true[number]
     lengths: dict[str, float | None] = dict.fromkeys(map(str, _READ))
     details: dict[str, Any] = {"scene": frame.scene, "missed": instance is None}
-    details["cut_off"] = bool(fruit.cut_off)
+    details |= {"cut_off": bool(fruit.cut_off), "group": _group_of(fruit)}
+    details["selected"] = None
     if instance is not None:
         measured = measure_fruit(capture, instance)
         lengths.update(fruit_lengths(measured, capture)[0])
@@ -119,7 +121,7 @@ def _record(
         details["flags"] = list(measured.flags)
     return Record(
         case=f"{frame.name}#{number}",
-        suite=Suite.OWN,
+        suite="detection",
         masks=masks,
         fruit=f"{frame.name}#{number}",
         centreline_m=fruit.centreline_m,
@@ -135,51 +137,41 @@ def _record(
     )
 
 
-def group_of(record: Record) -> str:
-    """Say which of `GROUPS` a fruit belongs to; one of unknown hidden share is in sight."""
-    if record.details.get("cut_off"):
+def _group_of(fruit: TrueFruit) -> str:
+    """Return which of `GROUPS` a fruit belongs to; one of unknown hidden share is in sight."""
+    if fruit.cut_off:
         return GROUPS[2]
-    return GROUPS[1] if record.hidden_share > _IN_SIGHT else GROUPS[0]
+    return GROUPS[1] if fruit.hidden_share > _IN_SIGHT else GROUPS[0]
 
 
-def length_scores(records: Sequence[Record], truth: Truth) -> list[LengthScore]:
+def length_scores(readings: pd.DataFrame, truth: LengthDefinition) -> list[LengthScore]:
     """Score every method by group of fruit and kind of masks.
 
     Parameters
     ----------
-    records : sequence of Record
-        From `length_records`.
-    truth : Truth
+    readings : DataFrame
+        Of `length_records`, as `readings_frame` gives them.
+    truth : LengthDefinition
         What to hold them against.
     """
+    scored = against(readings, truth)
     scores = []
     for group in ("whole", *GROUPS):
+        inside = scored["group"] != GROUPS[2] if group == "whole" else scored["group"] == group
         for masks in (Masks.EXACT, Masks.PERCEIVED):
-            some = [
-                r
-                for r in records
-                if r.masks is masks
-                and truth_m(r, truth) is not None
-                and (group_of(r) == group or (group == "whole" and group_of(r) != GROUPS[2]))
-            ]
-            scores += [_score(some, group, masks, truth, m) for m in methods_against(some, truth)]
+            chosen = scored[inside & (scored["masks"] == masks)]
+            for method, part in chosen.groupby("method", observed=True):
+                known = part[part["length_m"].notna()]
+                scores.append(
+                    LengthScore(
+                        group,
+                        masks,
+                        truth,
+                        str(method),
+                        int(part["missed"].sum()),
+                        score(part["length_m"], part["true_m"]),
+                        estimate(part["error_percent"], part["scene"].tolist()),
+                        estimate(known["error_percent"], known["scene"].tolist()),
+                    )
+                )
     return scores
-
-
-def _score(
-    records: Sequence[Record], group: str, masks: Masks, truth: Truth, method: str
-) -> LengthScore:
-    read = readings(records, method, truth)
-    percent = read.errors_percent
-    scenes = [str(r.details["scene"]) for r in records]
-    known = np.isfinite(read.lengths_m)
-    return LengthScore(
-        group,
-        masks,
-        truth,
-        method,
-        sum(bool(r.details["missed"]) for r in records),
-        score(read.lengths_m, read.truth_m),
-        estimate(percent, scenes),
-        estimate(percent[known], [s for s, k in zip(scenes, known, strict=True) if k]),
-    )

@@ -1,27 +1,138 @@
-"""Fruit by fruit and detection by detection: what became of each at one confidence."""
+"""What became of every fruit and detection at one confidence, and recall and precision by group."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.perception.boxes import box_iou
-from cucumbervision_lab.detection.matching import Matches, match_boxes
+from cucumbervision.accuracy.statistics import Estimate, share
+from cucumbervision.perception.boxes import box_iou, box_ious, share_inside
 from cucumbervision_lab.detection.pictures import Stage, code_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision_lab.detection.pictures import Frame, SeenFruit
 
-__all__ = ["EndRow", "FoundRow", "FruitRow", "end_rows", "found_rows", "fruit_rows", "matches_of"]
+__all__ = [
+    "IN_IGNORED",
+    "MIN_IOU",
+    "EndRow",
+    "FoundRow",
+    "FruitRow",
+    "GroupScore",
+    "Matches",
+    "end_rows",
+    "found_rows",
+    "fruit_rows",
+    "group_scores",
+    "match_boxes",
+    "matches_of",
+    "overall",
+]
+
+MIN_IOU = 0.5
+
+IN_IGNORED = 0.5
+
+"""A detection of which at least this share lies in regions not to be judged is not counted."""
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What became of the detections and of the true fruit of one picture.
+
+    Parameters
+    ----------
+    pairs : tuple of (int, int)
+        True fruit and the detection that hit it.
+    missed : tuple of int
+        True fruit that nothing hit.
+    false : tuple of int
+        Detections that hit nothing.
+    neutral : tuple of int
+        Detections that are neither right nor wrong.
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+    missed: tuple[int, ...]
+    false: tuple[int, ...]
+    neutral: tuple[int, ...]
+
+
+def match_boxes(
+    found: ArrayLike,
+    required: ArrayLike,
+    optional: ArrayLike = (),
+    ignored: ArrayLike = (),
+) -> Matches:
+    """Match detections one to one with true boxes, best detection first, as COCO does.
+
+    Parameters
+    ----------
+    found : array_like of float, shape (N, 4)
+        Detections x1, y1, x2, y2, best first.
+    required : array_like of float, shape (M, 4)
+        True boxes that are to be found.
+    optional : array_like of float, shape (K, 4)
+        Boxes that may be found, once each.
+    ignored : array_like of float, shape (L, 4)
+        Regions in which nothing is judged.
+
+    Returns
+    -------
+    Matches
+        A hit has an IoU of at least 0.5. A detection without a hit is neutral where at least half
+        of its area lies in ignored regions, otherwise false.
+
+    Examples
+    --------
+    >>> found = [[0, 0, 10, 40], [1, 0, 11, 40], [50, 50, 60, 60], [90, 90, 99, 99]]
+    >>> match_boxes(found, [[0, 0, 10, 40]], ignored=[[40, 40, 70, 70]])
+    Matches(pairs=((0, 0),), missed=(), false=(1, 3), neutral=(2,))
+    """
+    boxes, needed, allowed = _boxes(found), _boxes(required), _boxes(optional)
+    overlaps = box_ious(boxes, np.concatenate([needed, allowed]))
+    inside = share_inside(boxes, _boxes(ignored))
+    count, taken = len(needed), np.zeros(len(needed) + len(allowed), bool)
+    pairs: list[tuple[int, int]] = []
+    false: list[int] = []
+    neutral: list[int] = []
+    for k in range(len(boxes)):
+        hit = _best(overlaps[k], taken, count)
+        if hit is not None:
+            taken[hit] = True
+        if hit is not None and hit < count:
+            pairs.append((hit, k))
+        elif hit is not None or inside[k] >= IN_IGNORED:
+            neutral.append(k)
+        else:
+            false.append(k)
+    missed = tuple(np.flatnonzero(~taken[:count]).tolist())
+    return Matches(tuple(sorted(pairs)), missed, tuple(false), tuple(neutral))
+
+
+def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> int | None:
+    """Give the free box with the largest overlap, those that are required first."""
+    free = np.where(taken, 0.0, overlaps)
+    for part, start in ((free[:required], 0), (free[required:], required)):
+        if part.size and part.max() >= MIN_IOU:
+            return start + int(part.argmax())
+    return None
+
+
+def _boxes(values: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(values, np.float64).reshape(-1, 4)
+
 
 BLOSSOM, STEM = 0, 4
+
 EDGE_PX = 1.5  # a box that comes as near to the border is cut by it
 
 
@@ -280,3 +391,116 @@ def _ends(
 def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
     inside = np.concatenate([box[:2] + 0.5, (frame.width - 0.5, frame.height - 0.5) - box[2:]])
     return bool(inside.min() < EDGE_PX)
+
+
+ALL = "all"
+
+_DISTANCE_M = (0.0, 0.45, 0.6, 0.75, 0.9, math.inf)
+
+_LONG_PX = (0.0, 50.0, 100.0, 200.0, 300.0, 450.0, math.inf)
+
+_HIDDEN = (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.01)
+
+
+@dataclass(frozen=True)
+class GroupScore:
+    """Recall and precision of one group.
+
+    Parameters
+    ----------
+    factor, group : str
+        By what, and which.
+    middle : float
+        Where to plot it: the mean of the fruit's own values; NaN where there is no scale.
+    recall : Estimate
+        Of the fruit of this group.
+    precision : Estimate, optional
+        Of the detections of this group, neutral ones left out; None where detections that hit
+        nothing have no such property.
+    """
+
+    factor: str
+    group: str
+    middle: float
+    recall: Estimate
+    precision: Estimate | None
+
+
+def overall(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> GroupScore:
+    """Give recall and precision of everything."""
+    return GroupScore(ALL, ALL, math.nan, _recall(fruit), _precision(found))
+
+
+def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[GroupScore]:
+    """Give recall and precision by each factor.
+
+    Parameters
+    ----------
+    fruit : sequence of FruitRow
+        For recall: by the fruit's own distance, size, hidden share and whether it is cut off.
+    found : sequence of FoundRow
+        For precision: by distance and size of the detection and whether its box reaches the
+        picture's border. How much of a false detection is hidden nobody can say.
+
+    Returns
+    -------
+    list of GroupScore
+        Groups without any fruit or detection are left out.
+    """
+    scores = _by_scale(
+        "distance (m)", _DISTANCE_M, fruit, found, lambda r: r.distance_m, lambda r: r.distance_m
+    )
+    scores += _by_scale(
+        "longer side of the box (px)",
+        _LONG_PX,
+        fruit,
+        found,
+        lambda r: r.long_px,
+        lambda r: r.long_px,
+    )
+    scores += _by_scale("hidden share (%)", _HIDDEN, fruit, found, lambda r: r.hidden_share, None)
+    for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
+        own = [r for r in fruit if r.cut_off is cut]
+        seen = [r for r in found if r.cut_off is cut]
+        if own or seen:
+            score = GroupScore("edge", name, math.nan, _recall(own), _precision(seen))
+            scores.append(score)
+    return scores
+
+
+def _by_scale(
+    factor: str,
+    edges: Sequence[float],
+    fruit: Sequence[FruitRow],
+    found: Sequence[FoundRow],
+    of_fruit: Callable[[FruitRow], float],
+    of_found: Callable[[FoundRow], float] | None,
+) -> list[GroupScore]:
+    scores = []
+    for low, high in pairwise(edges):
+        own = [r for r in fruit if low <= of_fruit(r) < high]
+        seen = [r for r in found if of_found is not None and low <= of_found(r) < high]
+        if not own and not seen:
+            continue
+        middle = sum(map(of_fruit, own)) / len(own) if own else math.nan
+        precision = None if of_found is None else _precision(seen)
+        name = _name(low, high, 100.0 if of_found is None else 1.0)
+        scores.append(GroupScore(factor, name, middle, _recall(own), precision))
+    return scores
+
+
+def _name(low: float, high: float, scale: float) -> str:
+    if high > 1 and scale > 1:
+        return f"{scale * low:g} or more"
+    if math.isinf(high):
+        return f"{low:g} or more"
+    return f"under {scale * high:g}" if low == 0 else f"{scale * low:g} to {scale * high:g}"
+
+
+def _recall(rows: Sequence[FruitRow]) -> Estimate:
+    return share([r.found for r in rows], [r.scene for r in rows])
+
+
+def _precision(rows: Sequence[FoundRow]) -> Estimate:
+    judged = [r for r in rows if r.outcome != "neutral"]
+    return share([r.outcome == "hit" for r in judged], [r.scene for r in judged])

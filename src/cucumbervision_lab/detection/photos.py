@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.files import read_color
-from cucumbervision_lab.detection.groups import GroupScore, overall
-from cucumbervision_lab.detection.outcomes import FoundRow, FruitRow, found_rows, fruit_rows
+from cucumbervision_lab.detection.outcomes import (
+    EndRow,
+    FoundRow,
+    FruitRow,
+    GroupScore,
+    end_rows,
+    found_rows,
+    fruit_rows,
+    overall,
+)
 from cucumbervision_lab.detection.picture_result import detect_picture
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
@@ -53,6 +61,9 @@ class PhotoResult:
         Of the tests named apart: 'first audit', 'trial board', 'on the plant', ...
     small : tuple of (str, GroupScore)
         Small fruit: of all photos and of the tests, at half their size.
+    ends : tuple of EndRow
+        The ends of fruit that the pose network found and whose ends were read; in percent of the
+        straight line between them.
     """
 
     confidence: float
@@ -64,6 +75,7 @@ class PhotoResult:
     found: tuple[FoundRow, ...]
     tests: Scores = ()
     small: Scores = ()
+    ends: tuple[EndRow, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +130,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
         true = tuple(
             TrueFruit(
                 label.box,
+                keypoints=_keypoints(label.extras.get("ends_px")),
                 ignore=label.ignore,
                 optional=label.extras["kind"] == "zucchini",
                 cut_off=label.cut_off,
@@ -128,6 +141,15 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
         extras = picture.extras
         photos.append(Photo(truth, data.path(picture), extras["setting"], extras["test"]))
     return photos, len(load_audit().in_split(split)) - len(photos)
+
+
+def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:
+    """Return the two ends as the first and last of five keypoints, the others unlabelled."""
+    if ends_px is None:
+        return None
+    blossom, stem = np.asarray(ends_px, np.float64)
+    line = np.linspace(blossom, stem, 5)
+    return np.column_stack([line, [2.0, 0.0, 0.0, 0.0, 2.0]])
 
 
 def evaluate_photos(
@@ -188,7 +210,7 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
     Returns
     -------
     truth : Frame
-        With the boxes where they lie now.
+        With the boxes where they lie now, and no keypoints.
     color : ndarray of uint8, shape (H, W, 3)
 
     Examples
@@ -211,7 +233,7 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
     out[top : top + rows, left : left + columns] = inner
     gain = np.tile([columns / width, rows / height], 2)
     true = tuple(
-        replace(one, box=(one.box + 0.5) * gain + np.tile([left, top], 2) - 0.5)
+        replace(one, box=(one.box + 0.5) * gain + np.tile([left, top], 2) - 0.5, keypoints=None)
         for one in truth.true
     )
     return replace(truth, true=true), out
@@ -253,6 +275,7 @@ def score_photos(
         + _by_name(frames, settings, confidence),
         tuple(fruit_rows(frames, confidence)),
         tuple(found_rows(frames, confidence)),
+        ends=tuple(end_rows(frames, confidence)),
     )
 
 

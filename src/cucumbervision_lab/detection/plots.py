@@ -12,9 +12,8 @@ from cucumbervision.accuracy.plots import as_png, new_figure
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision_lab.detection.estimates import Estimate
-    from cucumbervision_lab.detection.groups import GroupScore
-    from cucumbervision_lab.detection.outcomes import EndRow
+    from cucumbervision.accuracy.statistics import Estimate
+    from cucumbervision_lab.detection.outcomes import EndRow, GroupScore
     from cucumbervision_lab.detection.overlaps import OverlapRow
 
 __all__ = ["end_error_plot", "overlap_plot", "recall_plot"]

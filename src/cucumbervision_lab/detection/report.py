@@ -2,52 +2,54 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
-from cucumbervision.accuracy.report import HTML_NAME, render_page
-from cucumbervision.accuracy.sections import Picture, Section
+from cucumbervision.accuracy.page import HTML_NAME, Picture, Section, render_page
+from cucumbervision.accuracy.records import readings_frame
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.fields import defused
 from cucumbervision.pipeline.tables import write_json
 from cucumbervision_lab.detection import plots
-from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
-from cucumbervision_lab.detection.overlaps import OverlapRow
-from cucumbervision_lab.detection.tables import (
+from cucumbervision_lab.detection.figures import (
     end_table,
     false_table,
     group_table,
     length_table,
     overall_table,
     overlap_table,
+    photo_end_table,
     photo_table,
     precision_table,
+    score_ends,
 )
+from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
+from cucumbervision_lab.detection.overlaps import OverlapRow
 from cucumbervision_lab.detection.worst_cases import KINDS, draw_sheet, worst_cases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy.records import Record
-    from cucumbervision.accuracy.table import Table
-    from cucumbervision_lab.detection.groups import GroupScore
+    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.statistics import Estimate
+    from cucumbervision_lab.detection.figures import EndScore, Summary
     from cucumbervision_lab.detection.lengths import LengthScore
+    from cucumbervision_lab.detection.outcomes import GroupScore
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
-    from cucumbervision_lab.detection.summary import Summary
 
 __all__ = [
     "JSON_NAME",
     "card_numbers",
     "main_tables",
+    "photo_tables",
     "write_detection_report",
     "write_photo_report",
 ]
@@ -109,10 +111,10 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
         On real photos.
     """
     tables = [precision_table(summary), overall_table(summary, confidence)]
-    tables += [end_table(summary)] if summary.ends else []
+    tables += [end_table(summary.ends, summary.swapped)] if summary.ends else []
     tables += [overlap_table(summary)] if summary.overlaps else []
     tables += [length_table(summary, "centreline", "whole")] if summary.lengths else []
-    tables += [photo_table(photos)] if photos else []
+    tables += photo_tables(photos) if photos else []
     return tables
 
 
@@ -162,11 +164,13 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
         numbers = _numbers(result, summary)
         write_json(out / JSON_NAME, numbers)
         write_json(out / CARD_NAME, card_numbers(numbers))
-        _write_rows(out / "fruit.csv", FruitRow, summary.fruit)
-        _write_rows(out / "detections.csv", FoundRow, summary.found)
-        _write_rows(out / "ends.csv", EndRow, summary.end_rows)
-        _write_rows(out / "masks.csv", OverlapRow, result.overlaps)
-        _write_lengths(out / "lengths.csv", result.records)
+        _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
+        _write_rows(out / "detections.csv", summary.found, FoundRow)
+        _write_rows(out / "ends.csv", summary.end_rows, EndRow)
+        _write_rows(out / "masks.csv", result.overlaps, OverlapRow)
+        if result.records:
+            lengths = readings_frame(result.records)[list(_LENGTH_COLUMNS)]
+            _write_csv(out / "lengths.csv", lengths)
         if result.photos:
             _write_photo_rows(result.photos, out)
         page = _page(result, summary)
@@ -176,6 +180,11 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
             f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
         ) from error
     return out / HTML_NAME
+
+
+def photo_tables(photos: PhotoResult) -> list[Table]:
+    """Return the tables of what was found on real photos: shares, and ends where they were read."""
+    return [photo_table(photos)] + ([photo_end_table(photos)] if photos.ends else [])
 
 
 def write_photo_report(photos: PhotoResult, out: Path) -> Path:
@@ -211,8 +220,8 @@ def write_photo_report(photos: PhotoResult, out: Path) -> Path:
 
 
 def _write_photo_rows(photos: PhotoResult, out: Path) -> None:
-    _write_rows(out / "photo_fruit.csv", FruitRow, photos.fruit)
-    _write_rows(out / "photo_detections.csv", FoundRow, photos.found)
+    _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
+    _write_rows(out / "photo_detections.csv", photos.found, FoundRow)
 
 
 def _page(result: DetectionResult, summary: Summary) -> str:
@@ -226,7 +235,7 @@ def _page(result: DetectionResult, summary: Summary) -> str:
     sections += _overlap_sections(result)
     sections += _length_sections(summary)
     if photos is not None:
-        sections.append(Section("Real photos", (), (photo_table(photos), false_table(photos))))
+        sections.append(Section("Real photos", (), (*photo_tables(photos), false_table(photos))))
     sections += _worst_sections(result, summary)
     notes = [("", _intro(result))]
     return render_page(
@@ -321,8 +330,8 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
             {
                 "stage": str(one.stage),
                 "of": one.judged.name.lower(),
-                "map50": one.found.at_50.as_json(),
-                "map50_95": one.found.at_50_95.as_json(),
+                "map50": _estimate(one.found.at_50),
+                "map50_95": _estimate(one.found.at_50_95),
             }
             for one in summary.precisions
         ],
@@ -330,21 +339,15 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
         "groups": [
             {"factor": one.factor, "group": one.group, **_scores(one)} for one in summary.groups
         ],
-        "ends": {
-            one.ends: {
-                "median_percent": one.median_percent.as_json(),
-                "p90_percent": one.p90_percent.as_json(),
-            }
-            for one in summary.ends
-        },
-        "ends_swapped": summary.swapped.as_json(),
+        "ends": _end_numbers(summary.ends),
+        "ends_swapped": _estimate(summary.swapped),
         "masks": [
             {
                 "pictures": one.pictures,
                 "box": one.prompt_box,
                 "masks": one.masks,
-                "mean_iou": one.mean.as_json(),
-                "median_iou": one.median.as_json(),
+                "mean_iou": _estimate(one.mean),
+                "median_iou": _estimate(one.median),
                 "refused": one.refused,
             }
             for one in summary.overlaps
@@ -354,6 +357,21 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
     }
 
 
+def _end_numbers(ends: Sequence[EndScore]) -> dict[str, Any]:
+    return {
+        one.ends: {
+            "median_percent": _estimate(one.median_percent),
+            "p90_percent": _estimate(one.p90_percent),
+        }
+        for one in ends
+    }
+
+
+def _estimate(one: Estimate) -> dict[str, Any]:
+    interval = {"value": one.value, "low": one.low, "high": one.high}
+    return {**json_value(interval), "n": one.count, "scenes": one.groups}
+
+
 def _length_numbers(one: LengthScore) -> dict[str, Any]:
     return {
         "truth": str(one.truth),
@@ -361,56 +379,39 @@ def _length_numbers(one: LengthScore) -> dict[str, Any]:
         "masks": str(one.masks),
         "method": one.method,
         "missed": one.missed,
-        "error_percent": one.error_percent.as_json(),
-        "error_of_measured_percent": one.measured_percent.as_json(),
+        "error_percent": _estimate(one.error_percent),
+        "error_of_measured_percent": _estimate(one.measured_percent),
         **json_value(asdict(one.metrics)),
     }
 
 
 def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
+    ends, swapped = score_ends(photos.ends)
     return {
         "photos": photos.photos,
         "scenes": photos.scenes,
         "missing": photos.missing,
         "scores": {name: _scores(one) for name, one in photos.scores},
         "tests": {name: _scores(one) for name, one in photos.tests},
+        "ends": _end_numbers(ends),
+        "ends_swapped": _estimate(swapped),
         "half_size": {name: _scores(one) for name, one in photos.small},
         "false": [json_value(asdict(r)) for r in photos.found if r.outcome == "false"],
     }
 
 
 def _scores(one: GroupScore) -> dict[str, Any]:
-    precision = None if one.precision is None else one.precision.as_json()
-    return {"recall": one.recall.as_json(), "precision": precision}
+    precision = None if one.precision is None else _estimate(one.precision)
+    return {"recall": _estimate(one.recall), "precision": precision}
 
 
-def _write_rows(path: Path, kind: type, rows: Iterable[Any]) -> None:
-    """Write dataclasses as CSV, one a line; what is not known stays empty."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        names = [one.name for one in fields(kind)]
-        writer.writerow(names)
-        for row in rows:
-            writer.writerow([_cell(getattr(row, name)) for name in names])
+def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
+    """Write dataclasses as CSV, one a line."""
+    names = [one.name for one in fields(kind)]
+    _write_csv(path, pd.DataFrame([asdict(row) for row in rows], columns=names))
 
 
-def _write_lengths(path: Path, records: Sequence[Record]) -> None:
-    """Write one line a fruit, kind of masks and method."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(_LENGTH_COLUMNS)
-        for r in records:
-            details = r.details
-            for method, length in r.lengths_m.items():
-                line = [r.fruit, details["scene"], str(r.masks), method, length, r.centreline_m]
-                line += [r.thread_m, r.chord_m, details["missed"], r.hidden_share]
-                line += [details["cut_off"], r.distance_m, details.get("selected")]
-                writer.writerow([_cell(value) for value in line])
-
-
-def _cell(value: Any) -> Any:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return ""
-    if isinstance(value, str):
-        return defused(value)
-    return round(value, 6) if isinstance(value, float) else value
+def _write_csv(path: Path, frame: pd.DataFrame) -> None:
+    """Write a frame as CSV; what is not known stays empty, and no text becomes a formula."""
+    texts = frame.map(lambda cell: defused(cell) if isinstance(cell, str) else cell)
+    texts.round(6).to_csv(path, index=False, lineterminator="\r\n")

@@ -27,12 +27,12 @@ from cucumbervision_lab.detection.picture_result import (
     found_by_fruit,
     open_networks,
 )
-from cucumbervision_lab.detection.pictures import import_pycocotools
-from cucumbervision_lab.detection.truth import (
+from cucumbervision_lab.detection.pictures import (
     DRAWN,
     HeldOut,
     capture_of,
     frame_of,
+    import_pycocotools,
     read_held_out,
     spread,
 )

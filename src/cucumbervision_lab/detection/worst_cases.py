@@ -11,17 +11,16 @@ import numpy as np
 from cucumbervision.capture.files import read_color
 from cucumbervision.perception.masks import decode_rle
 from cucumbervision_lab.detection.outcomes import matches_of
-from cucumbervision_lab.detection.pictures import Stage
-from cucumbervision_lab.detection.truth import DRAWN
+from cucumbervision_lab.detection.pictures import DRAWN, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
+    from cucumbervision_lab.detection.figures import Summary
     from cucumbervision_lab.detection.pictures import Code, Frame
     from cucumbervision_lab.detection.run import DetectionResult
-    from cucumbervision_lab.detection.summary import Summary
 
 __all__ = ["KINDS", "WorstCase", "draw_sheet", "worst_cases"]
 

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.records import Masks, Record, readings_frame
+from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.experiments import (
     burst_sizes,
     carrot_intrinsics,
@@ -53,9 +54,9 @@ def test_the_carrot_reads_45_percent_long(shared_data: Path) -> None:
 def test_bursts_are_scored_by_size() -> None:
     asked: list[int] = []
 
-    def measure(size: int) -> list[Record]:
+    def measure(size: int) -> pd.DataFrame:
         asked.append(size)
-        return [record()]
+        return readings_frame([record()])
 
     table = burst_sizes(measure, sizes=(1, 5))
     assert asked == [1, 5]
@@ -63,23 +64,24 @@ def test_bursts_are_scored_by_size() -> None:
 
 
 def test_prompts_count_refused_masks() -> None:
-    answers: Callable[[str], list[Record]] = lambda prompt: [  # noqa: E731
-        record(),
-        record(
+    def measure(prompt: str) -> pd.DataFrame:
+        refused = record(
+            case="d",
             lengths_m={"M6": None},
             details={"mask_iou": 0.0, "mask_failure": "mask-small" if prompt == "point" else ""},
-        ),
-    ]
-    rows = {row[0]: row[1:] for row in sam_prompts(answers).rows}
+        )
+        return readings_frame([record(), refused])
+
+    rows = {row[0]: row[1:] for row in sam_prompts(measure).rows}
     assert rows["box"] == (2, 0, 0.475, 50.0)
     assert rows["point"] == (2, 1, 0.475, 50.0)
 
 
 def test_selectors_are_compared_by_masks() -> None:
-    rows = selectors([record(), record(suite=Suite.STRESS)]).rows
+    rows = selectors(readings_frame([record(), record(suite=Suite.STRESS)])).rows
     assert rows == (("paper", "exact", 1, 5.0), ("best", "exact", 1, 0.0))
 
 
 def test_conventions_count_each_fruit_once() -> None:
-    rows = length_conventions([record(), record(case="again")]).rows
+    rows = length_conventions(readings_frame([record(), record(case="again")])).rows
     assert rows == (("18 to 45 cm", 1, 10.0, -5.0),)

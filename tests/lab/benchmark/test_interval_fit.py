@@ -1,22 +1,21 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+import pandas as pd
 import pytest
 
-from cucumbervision.accuracy.records import Masks, Record, Suite
+from cucumbervision.accuracy.records import Masks, Record, readings_frame
 from cucumbervision.measurement.intervals import TUBE_FEATURES
+from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.interval_fit import (
     KEYS,
+    TRUTH_OF,
     fit_interval_models,
-    record_features,
-    record_truth_m,
     with_intervals,
 )
 
 
-def drawn(count: int, seed: int) -> list[Record]:
+def drawn(count: int, seed: int) -> pd.DataFrame:
     """Fruit of 20 cm whose M6 errs by 1 %, twice as much behind leaves, and M1 by -40 %."""
     rng = np.random.default_rng(seed)
     records = []
@@ -46,21 +45,17 @@ def drawn(count: int, seed: int) -> list[Record]:
                 details={"m6_features": features},
             )
         )
-    return records
+    return readings_frame(records)
 
 
-def test_learnt_intervals_cover_other_fruit_known_scale_or_not() -> None:
-    book = fit_interval_models(drawn(1200, 1))
-    others = drawn(1500, 2)
+@pytest.mark.parametrize("scale_known", [True, False])
+def test_learnt_intervals_cover_other_fruit(scale_known: bool) -> None:
+    book, others = fit_interval_models(drawn(1200, 1)), drawn(1500, 2)
+    found = with_intervals(others, book, scale_known=scale_known)
     for key in ("M1", "M6", "M6 thread", "M6 chord"):
-        for scale in ("known", "unknown"):
-            covered = []
-            for record in others:
-                low, high = with_intervals(record, book)[key][scale]
-                truth = record_truth_m(record, key)
-                assert truth is not None
-                covered.append(low <= truth <= high)
-            assert np.mean(covered) == pytest.approx(0.90, abs=0.035), (key, scale)
+        own = found[found["method"] == key]
+        covered = own[TRUTH_OF[key]].between(own["low_m"], own["high_m"])
+        assert covered.mean() == pytest.approx(0.90, abs=0.035), key
 
 
 def test_hidden_fruit_get_wider_intervals() -> None:
@@ -73,11 +68,11 @@ def test_hidden_fruit_get_wider_intervals() -> None:
     assert wide[1] - wide[0] > 1.5 * (narrow[1] - narrow[0])
 
 
-def test_what_was_not_measured_teaches_nothing() -> None:
-    record = drawn(1, 3)[0]
-    refused = replace(record, lengths_m=dict.fromkeys(KEYS))
-    assert record_features(refused, "M6") is None
-    assert with_intervals(refused, fit_interval_models(drawn(200, 4))) == {}
+def test_what_was_not_measured_has_no_interval() -> None:
+    readings = drawn(1, 3)
+    found = with_intervals(readings.assign(length_m=np.nan), fit_interval_models(drawn(200, 4)))
+    assert found["low_m"].isna().all()
+    assert len(found) == len(KEYS)
 
 
 def test_too_few_fruit_are_refused() -> None:

@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.accuracy.conftest import make_record
 
-from cucumbervision.accuracy.records import Masks, Suite
-from cucumbervision_lab.benchmark.paper_tables import (
-    paper_sections,
+from cucumbervision.accuracy.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.cases import Suite
+from cucumbervision_lab.benchmark.paper import (
+    paper_section,
     paper_table,
     paper_validation_table,
 )
@@ -28,15 +29,15 @@ def test_the_papers_own_rows_give_its_own_means() -> None:
 
 def test_the_paper_stands_beside_its_protocol_alone(make_record: MakeRecord) -> None:
     stress = make_record(suite=Suite.STRESS, lengths_m={"M1": 0.11})
-    assert paper_table([stress]) is None
+    assert paper_table(readings_frame([stress])) is None
     disturbed = make_record(masks=Masks.DISTURBED, lengths_m={"M1": 0.11, "M6 thread": 0.22})
-    table = paper_table([stress, disturbed])
+    table = paper_table(readings_frame([stress, disturbed]))
     assert table is not None
     rows = {(row[0], row[1]): row[2:] for row in table.rows}
     # Half of 22 cm: 11 cm, 50 %. One truth only has no R².
     here = rows["M1", "here, disturbed outlines"]
     assert here[:3] == pytest.approx((11.0, 11.0, 50.0))
-    assert here[3] == "50.00 to 50.00"
+    assert here[3] is None  # one capture has no interval
     assert here[4] == pytest.approx(11.0)
     assert rows["M1", "the paper"][:3] == (1.63, 2.26, 9.68)
     assert rows["M2", "the paper"] == (0.83, 1.12, 5.31, "3.97 to 6.60", 0.59, 0.95)
@@ -48,10 +49,14 @@ def test_the_paper_stands_beside_its_protocol_alone(make_record: MakeRecord) -> 
 
 
 def test_the_section_stands_only_where_the_protocol_was_measured(make_record: MakeRecord) -> None:
-    assert paper_sections([make_record(suite=Suite.STRESS)], "Note.") == []
+    stress = make_record(suite=Suite.STRESS, lengths_m={"M1": 0.2})
+    assert paper_section(readings_frame([stress])) is None
     records = [make_record(lengths_m={"M1": 0.2})]
-    (section,) = paper_sections(records, "Why.\n\nAnd.")
-    assert section.intro == ("Why.", "And.")
+    section = paper_section(readings_frame(records))
+    assert section is not None
+    assert "4.13 %" in section.intro[1]
     assert len(section.entries) == 1
-    both = paper_sections([*records, make_record(suite=Suite.VALIDATION)], "")
-    assert len(both[0].entries) == 2
+    records.append(make_record("v", suite=Suite.VALIDATION, lengths_m={"M1": 0.2}))
+    both = paper_section(readings_frame(records))
+    assert both is not None
+    assert len(both.entries) == 2

@@ -62,7 +62,7 @@ def test_perfect_detections(judged: Judged) -> None:
     found = average_precision([frame([true(A), true(B)], [seen(A, 0.9), seen(B, 0.2)])], judged)
     assert found.at_50.value == pytest.approx(1.0)
     assert found.at_50_95.value == pytest.approx(1.0)
-    assert (found.at_50.count, found.at_50.scenes) == (2, 1)
+    assert (found.at_50.count, found.at_50.groups) == (2, 1)
     assert math.isnan(found.at_50.low)  # one scene has no spread
 
 

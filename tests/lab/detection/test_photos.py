@@ -13,6 +13,7 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.capture.files import write_png
 from cucumbervision.perception.instances import Instance
+from cucumbervision_lab.detection.figures import false_table, photo_end_table, photo_table
 from cucumbervision_lab.detection.photos import (
     Photo,
     PhotoResult,
@@ -22,8 +23,8 @@ from cucumbervision_lab.detection.photos import (
 )
 from cucumbervision_lab.detection.picture_result import Networks
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
-from cucumbervision_lab.detection.tables import false_table, photo_table
 
+ENDS = ("blossom end", "stem end")
 SPOTS = [np.array([0.0, 30 * k, 90, 30 * k + 20]) for k in range(8)]
 
 
@@ -53,7 +54,7 @@ def test_recall_and_precision_of_photos() -> None:
     scores = dict(found.scores)
     whole = scores["all"]
     # Four cucumbers, one missed; five judged detections, two of them on nothing.
-    assert (whole.recall.value, whole.recall.count, whole.recall.scenes) == (0.75, 4, 2)
+    assert (whole.recall.value, whole.recall.count, whole.recall.groups) == (0.75, 4, 2)
     assert whole.precision is not None
     assert (whole.precision.value, whole.precision.count) == (0.6, 5)
     assert (found.photos, found.scenes, found.missing) == (4, 3, 2)
@@ -105,6 +106,23 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
         *("half size: all", "half size: negatives", "half size: on the plant"),
         *("where: none", "where: plant"),
     ]
+
+
+def test_ends_on_photos_are_held_against_the_straight_line_between_them() -> None:
+    line = np.linspace([10.0, 10.0], [110.0, 10.0], 5)
+    true = TrueFruit(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
+    points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
+    seen = SeenFruit(SPOTS[0], 0.9, keypoints=points)
+    frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(seen,), kept=(seen,))
+    found = score_photos([frame], ["trial"], 0.25)
+    (row,) = found.ends
+    assert (row.length_px, row.blossom_percent, row.stem_percent, row.swapped) == (
+        100.0,
+        3.0,
+        3.0,
+        False,
+    )
+    assert [r[0] for r in photo_end_table(found).rows] == ["all", "in sight", *ENDS]
 
 
 @pytest.mark.realdata

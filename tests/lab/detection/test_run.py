@@ -33,13 +33,13 @@ from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.average_precision import Judged
+from cucumbervision_lab.detection.figures import summarise
 from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, Kind
 from cucumbervision_lab.detection.photos import score_photos
 from cucumbervision_lab.detection.picture_result import shipped
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
 from cucumbervision_lab.detection.report import write_detection_report
 from cucumbervision_lab.detection.run import DetectionPlan, DetectionResult, evaluate_detection
-from cucumbervision_lab.detection.summary import summarise
 from cucumbervision_lab.detection.worst_cases import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
@@ -189,7 +189,7 @@ def test_average_precision_and_recall(result: DetectionResult) -> None:
     assert keypoints.at_50_95.value == pytest.approx(expected * passed / 10)
     assert 5 <= passed <= 9
     for _, one in summary.overall:
-        assert (one.recall.value, one.recall.count, one.recall.scenes) == (1.0, 2, 2)
+        assert (one.recall.value, one.recall.count, one.recall.groups) == (1.0, 2, 2)
         assert one.precision is not None
         assert one.precision.value == pytest.approx(2 / 3)
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision_lab.benchmark.baselines import (
-    OUTSIDERS,
-    Outsider,
-    available_outsiders,
+    BASELINES,
+    Baseline,
+    available_baselines,
     lifted_length,
     min_area_rect_length,
     plantcv_length,
@@ -33,12 +33,12 @@ SKELETONS = [
     pytest.param(
         skan_length,
         id="skan",
-        marks=pytest.mark.skipif("skan" not in available_outsiders(), reason="no skan"),
+        marks=pytest.mark.skipif("skan" not in available_baselines(), reason="no skan"),
     ),
     pytest.param(
         plantcv_length,
         id="plantcv",
-        marks=pytest.mark.skipif("PlantCV" not in available_outsiders(), reason="no PlantCV"),
+        marks=pytest.mark.skipif("PlantCV" not in available_baselines(), reason="no PlantCV"),
     ),
 ]
 
@@ -51,7 +51,7 @@ def view(tube: Tube, **turn: float) -> tuple[NDArray[np.float32], NDArray[np.boo
 @pytest.mark.parametrize("measure", SKELETONS)
 @pytest.mark.parametrize("roll_deg", [0.0, 22.5, 90.0])
 def test_a_skeleton_of_a_straight_fruit_ends_between_cap_centre_and_tip(
-    measure: Outsider, roll_deg: float
+    measure: Baseline, roll_deg: float
 ) -> None:
     # The silhouette is a stadium, whose medial axis runs from cap centre to cap centre; thinning
     # may leave a spur to the tip, or stop SHORT_M before the cap's centre. Its pixels show the
@@ -65,7 +65,7 @@ def test_a_skeleton_of_a_straight_fruit_ends_between_cap_centre_and_tip(
 
 
 @pytest.mark.parametrize("measure", SKELETONS)
-def test_a_skeleton_follows_a_bend(measure: Outsider) -> None:
+def test_a_skeleton_follows_a_bend(measure: Baseline) -> None:
     # Arc of radius R: the body's arc between the cap centres is 0.30 - 2 r; its chord
     # 2 R sin(arc / 2R) is 5 cm shorter, so whoever measures straight falls below the bound.
     bend_m, arc_m = 0.12, 0.30 - 2 * RADIUS_M
@@ -78,7 +78,7 @@ def test_a_skeleton_follows_a_bend(measure: Outsider) -> None:
 
 
 @pytest.mark.parametrize("measure", SKELETONS)
-def test_of_a_fruit_cut_in_two_the_longer_part_counts(measure: Outsider) -> None:
+def test_of_a_fruit_cut_in_two_the_longer_part_counts(measure: Baseline) -> None:
     # Hidden from 2 to 6 cm right of the middle: left of it 12 cm are seen, right of it 4 cm. What
     # joined the two would read more than the left part's 12 cm.
     depth, mask, camera = view(arc_tube(0.2, RADIUS_M))
@@ -90,7 +90,7 @@ def test_of_a_fruit_cut_in_two_the_longer_part_counts(measure: Outsider) -> None
 
 
 @pytest.mark.parametrize("measure", SKELETONS)
-def test_a_skeleton_is_lifted_by_depth(measure: Outsider) -> None:
+def test_a_skeleton_is_lifted_by_depth(measure: Baseline) -> None:
     # Tilted by 40 degrees the picture shows cos 40° = 77 % of the length. Lifted, at least the
     # run between the cap centres less the nearer surface and the far cap's hidden part (r sin 40°)
     # must come out.
@@ -111,9 +111,9 @@ def test_the_rectangle_reads_silhouette_times_median_depth(roll_deg: float) -> N
     assert 0.2 * (DISTANCE_M - RADIUS_M) / DISTANCE_M - PIXEL_M < length < 0.2 + 2 * PIXEL_M
 
 
-@pytest.mark.parametrize("name", OUTSIDERS)
+@pytest.mark.parametrize("name", BASELINES)
 def test_nobody_measures_nothing(name: str) -> None:
-    measure = available_outsiders().get(name)
+    measure = available_baselines().get(name)
     if measure is None:
         pytest.skip(f"no {name}")
     depth, mask, camera = view(arc_tube(0.2, RADIUS_M))

@@ -11,7 +11,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.detection.truth import capture_of, frame_of, read_held_out, spread
+from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out, spread
 
 BOX = np.array([9.5, 9.5, 29.5, 19.5])
 

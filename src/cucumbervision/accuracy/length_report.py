@@ -1,0 +1,217 @@
+"""What a report says of one set of readings: which tables, which plots, which words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cucumbervision.accuracy import plots
+from cucumbervision.accuracy.length_tables import (
+    accuracy_table,
+    against,
+    comparison_table,
+    factors_of,
+    fruit_table,
+    group_table,
+    truths_of,
+)
+from cucumbervision.accuracy.page import Cell, Column, Picture, Section, Table
+from cucumbervision.accuracy.statistics import score
+from cucumbervision.measurement.result import LengthDefinition
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    import pandas as pd
+
+__all__ = [
+    "GLOSSARY",
+    "GROUPED_CAPTURES",
+    "accuracy_entries",
+    "fruit_entries",
+    "glance_table",
+    "group_entries",
+    "main_truths",
+    "plot_entries",
+    "reading_section",
+]
+
+TRACKED_CAPTURES = 120  # beyond, one cannot tell captures apart
+GROUPED_CAPTURES = 10  # fewer are shown one by one, and neither tested nor grouped
+GLOSSARY = (
+    ("centreline", "Length of the fruit's central axis, from the stem's attachment to the tip."),
+    (
+        "thread",
+        "Length of a thread laid along the outer side of the bend from end to end, over the round "
+        "ends: what people measure by hand, and the paper's ground truth. It is 5 to over 15 % "
+        "more than the centreline, so a method can be right about one and wrong about the other.",
+    ),
+    ("chord", "Straight from end to end, as a caliper measures."),
+    (
+        "M1 to M5",
+        "The paper's five methods, rebuilt as it describes them: scan line, principal axis of the "
+        "box, principal axis of the mask, keypoints, spline along the mask.",
+    ),
+    (
+        "M6",
+        "This program's own method: a tube with round ends, fitted to depth and outline together. "
+        "It gives all three lengths ('M6' is its centreline).",
+    ),
+    (
+        "skan, PlantCV, rectangle",
+        "Other people's tools on the same mask and depth: the longest path and the longest segment "
+        "of the mask's skeleton, lifted into space, and the long side of its smallest rectangle.",
+    ),
+    (
+        "oracle",
+        "Not a method: it knows the true tube and errs only by what the outline says about the two "
+        "ends. Nobody can be expected to do better on the same masks.",
+    ),
+    ("MAE, RMSE", "Mean absolute error, and root mean square error, which weighs large ones more."),
+    ("MAPE", "Mean absolute error in percent of the true length."),
+    ("bias", "Mean signed error of the fruit measured; negative means read too short."),
+    ("R², Pearson r", "How well lengths follow the truth: 1 is perfect. R² also counts a bias."),
+    (
+        "95 % by capture, by fruit",
+        "Range of the MAPE if captures, or whole fruit, are drawn again at random (bootstrap).",
+    ),
+)
+
+
+def reading_section(title: str, intro: Sequence[str], readings: pd.DataFrame) -> Section:
+    """Return a section over readings: accuracy, fruit by fruit, plots, and groups.
+
+    Parameters
+    ----------
+    title : str
+        Its head.
+    intro : sequence of str
+        Paragraphs before the tables.
+    readings : DataFrame
+        As `readings_frame` gives them, of one suite and one kind of masks.
+    """
+    truths = main_truths(readings)
+    entries = [
+        *accuracy_entries(readings),
+        *fruit_entries(readings, truths),
+        *plot_entries(readings, truths),
+        *group_entries(readings, truths),
+    ]
+    return Section(title, tuple(intro), tuple(entries))
+
+
+def glance_table(parts: Iterable[tuple[str, str, pd.DataFrame]]) -> Table:
+    """Sum parts up: M6 beside the oracle and the paper's M5.
+
+    Parameters
+    ----------
+    parts : iterable of (str, str, DataFrame)
+        Each part's name, its outlines in words, and its readings.
+    """
+    columns = (
+        Column("part"),
+        Column("outlines"),
+        Column("measurements"),
+        Column("fruit"),
+        Column("M6 centreline MAPE (%)"),
+        Column("worst (%)", 1),
+        Column("measured (%)", 1),
+        Column("oracle MAPE (%)"),
+        Column("M6 thread MAPE (%)"),
+        Column("M5 against centreline, MAPE (%)"),
+        Column("M5 against thread, MAPE (%)"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for name, outlines, readings in parts:
+        scored = {
+            truth: against(readings, truth)
+            for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
+        }
+        mape = {
+            (truth, str(method)): float(percent.mean())
+            for truth, frame in scored.items()
+            for method, percent in frame.groupby("method", observed=True)["error_percent"]
+        }
+        read = scored[LengthDefinition.CENTRELINE].query("method == 'M6'")
+        tube = score(read["length_m"], read["true_m"]) if len(read) else None
+        rows.append(
+            (
+                name,
+                outlines,
+                readings["case"].nunique(),
+                readings["fruit"].nunique(),
+                tube.mape_percent if tube else None,
+                tube.worst_percent if tube else None,
+                100 * tube.measured if tube else None,
+                mape.get((LengthDefinition.CENTRELINE, "oracle")),
+                mape.get((LengthDefinition.THREAD, "M6 thread")),
+                mape.get((LengthDefinition.CENTRELINE, "M5")),
+                mape.get((LengthDefinition.THREAD, "M5")),
+            )
+        )
+    comment = "Mean error in percent of the true length; a fruit not measured counts as 100 %."
+    return Table("At a glance", columns, tuple(rows), comment)
+
+
+def main_truths(readings: pd.DataFrame) -> list[LengthDefinition]:
+    """Return the truths to go into detail with: the chord only where nothing else is known."""
+    known = truths_of(readings)
+    return [truth for truth in known if truth is not LengthDefinition.CHORD] or known
+
+
+def accuracy_entries(readings: pd.DataFrame) -> list[Table | Picture]:
+    """Return each truth's table of accuracy and, with enough captures, of comparisons."""
+    entries: list[Table | Picture] = []
+    for truth in truths_of(readings):
+        entries.append(accuracy_table(readings, truth))
+        tested = (
+            truth is not LengthDefinition.CHORD and readings["case"].nunique() >= GROUPED_CAPTURES
+        )
+        test = comparison_table(readings, truth) if tested else None
+        entries += [test] if test else []
+    return entries
+
+
+def fruit_entries(
+    readings: pd.DataFrame, truths: Sequence[LengthDefinition]
+) -> list[Table | Picture]:
+    """Return tables fruit by fruit; none where there are too many."""
+    if readings["case"].nunique() > TRACKED_CAPTURES:
+        return []
+    return [fruit_table(readings, truth) for truth in truths]
+
+
+def plot_entries(
+    readings: pd.DataFrame, truths: Sequence[LengthDefinition]
+) -> list[Table | Picture]:
+    """Return the plots that suit so many captures."""
+    captures = readings["case"].nunique()
+    pictures: list[Table | Picture] = []
+    for truth in truths:
+        tracked = f"Capture by capture: the black steps are the true {truth}."
+        if captures >= GROUPED_CAPTURES:
+            caption = f"Measured against true {truth}; on the line, both are the same."
+            pictures.append(Picture(caption, plots.predicted_against_truth(readings, truth)))
+        if captures <= TRACKED_CAPTURES:
+            pictures.append(Picture(tracked, plots.tracking(readings, truth)))
+        if captures >= GROUPED_CAPTURES:
+            caption = (
+                f"Absolute errors against the {truth}: the box holds the middle half, the whiskers "
+                "90 of 100, the black bar is the median, each dot a capture."
+            )
+            pictures.append(Picture(caption, plots.error_spread(readings, truth)))
+    return pictures
+
+
+def group_entries(
+    readings: pd.DataFrame, truths: Sequence[LengthDefinition]
+) -> list[Table | Picture]:
+    """Return a table a factor that tells the readings apart; none for few captures."""
+    if readings["case"].nunique() < GROUPED_CAPTURES:
+        return []
+    entries: list[Table | Picture] = []
+    for truth in truths:
+        scored = against(readings, truth)
+        entries += [
+            group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])
+        ]
+    return entries

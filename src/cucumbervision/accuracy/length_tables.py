@@ -1,0 +1,485 @@
+"""From readings to tables: accuracy, which method errs less, fruit one by one, and by groups."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from cucumbervision.accuracy.page import Cell, Column, Table
+from cucumbervision.accuracy.statistics import Estimate, Metrics, compare, estimate, score
+from cucumbervision.measurement.result import LengthDefinition
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = [
+    "DESCRIPTIONS",
+    "PAPER_METHODS",
+    "TRUTHS",
+    "Factor",
+    "accuracy_table",
+    "against",
+    "comparison_table",
+    "factors_of",
+    "fruit_table",
+    "group_table",
+    "length_and_error",
+    "method_metrics",
+    "shown_methods",
+    "span_text",
+    "truths_of",
+]
+
+TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
+"""Kinds of true length, in the order of every report."""
+
+DESCRIPTIONS = {
+    "M1": "scan line",
+    "M2": "box PCA",
+    "M3": "mask PCA",
+    "M4": "keypoints",
+    "M5": "medial arc spline",
+    "M6": "swept tube, centreline",
+    "M6 thread": "swept tube, thread",
+    "M6 chord": "swept tube, chord",
+    "skan": "longest skeleton path",
+    "PlantCV": "longest skeleton segment",
+    "rectangle": "smallest rectangle",
+    "selector best": "what this program reports",
+    "selector paper": "what the paper's selector reports",
+    "reported": "what the run reported",
+    "oracle": "the true tube, ends by the outline",
+}
+"""Methods in the order of every table; others stand before the oracle."""
+
+PAPER_METHODS = ("M1", "M2", "M3", "M4", "M5")
+_COUNT_OF_RESAMPLES = 10_000
+_RESAMPLED_VALUES = 5_000_000  # bounds the memory of a bootstrap over thousands of captures
+
+
+def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
+    """Return the readings that can be held against one kind of true length, with their errors.
+
+    M1 to M5 and other people's tools are held against every kind: they do not say which they
+    measure. M6's own kinds and the oracle's are held against their own; M6's centreline also
+    against the thread, since that is what the paper would do. What a run reported is held against
+    the kind that it names, if it names one.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        As `readings_frame` gives them.
+    truth : LengthDefinition
+        The kind of true length.
+
+    Returns
+    -------
+    DataFrame
+        With `true_m` (metres), `error_cm` and `error_percent` (absolute; what was not measured
+        counts as a length of 0), and `method` as an ordered category.
+
+    Examples
+    --------
+    >>> from cucumbervision.accuracy.records import Masks, Record, readings_frame
+    >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22, "oracle": 0.2}
+    >>> one = Record("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
+    ...     1.0, lengths_m=read)
+    >>> frame = readings_frame([one])
+    >>> against(frame, LengthDefinition.THREAD).method.tolist()
+    ['M6', 'M1', 'M6 thread']
+    >>> scored = against(frame, LengthDefinition.CENTRELINE)
+    >>> scored.set_index("method").error_percent.round(1).to_dict()
+    {'M6': 5.0, 'M1': 50.0, 'oracle': 0.0}
+    >>> len(against(frame, LengthDefinition.CHORD))
+    0
+    """
+    method, true = readings["method"], readings[f"{truth}_m"]
+    others = tuple(
+        f" {kind}" for kind in (LengthDefinition.THREAD, LengthDefinition.CHORD) if kind != truth
+    )
+    fits = true.notna() & ~method.str.endswith(others)
+    if truth is not LengthDefinition.CENTRELINE:
+        fits &= method != "oracle"
+    if truth is LengthDefinition.CHORD:
+        fits &= ~method.isin(["M6", "selector best"])
+    if "reported_kind" in readings:
+        kind = readings["reported_kind"]
+        fits &= (method != "reported") | (kind == truth) | ~kind.isin([str(k) for k in TRUTHS])
+    scored = readings[fits].copy()
+    scored["true_m"] = true[fits]
+    scored["error_cm"] = 100 * (scored["length_m"].fillna(0) - scored["true_m"]).abs()
+    scored["error_percent"] = scored["error_cm"] / scored["true_m"]
+    order = {name: k for k, name in enumerate(DESCRIPTIONS)}
+    last = len(order) - 1.5
+    found = sorted(scored["method"].unique(), key=lambda name: (order.get(name, last), name))
+    scored["method"] = pd.Categorical(scored["method"], found, ordered=True)
+    return scored
+
+
+def truths_of(readings: pd.DataFrame) -> list[LengthDefinition]:
+    """Return the kinds of true length that are known of any fruit."""
+    return [truth for truth in TRUTHS if readings[f"{truth}_m"].notna().any()]
+
+
+def shown_methods(scored: pd.DataFrame, truth: LengthDefinition) -> list[str]:
+    """Return the methods to show one by one: M6 by its own kind, no selectors, not 'reported'."""
+    methods = list(scored["method"].cat.categories)
+    doubled = "M6" if f"M6 {truth}" in methods else None
+    return [m for m in methods if m not in ("reported", doubled) and not m.startswith("selector")]
+
+
+def method_metrics(scored: pd.DataFrame) -> dict[str, Metrics]:
+    """Compute each method's metrics on the captures that it was run on, in the tables' order."""
+    return {
+        str(method): score(part["length_m"], part["true_m"])
+        for method, part in scored.groupby("method", observed=True)
+    }
+
+
+_ACCURACY = (
+    Column("method"),
+    Column("captures"),
+    Column("fruit"),
+    Column("measured (%)", 1),
+    Column("MAE (cm)"),
+    Column("RMSE (cm)"),
+    Column("MAPE (%)"),
+    Column("95 % by capture (%)"),
+    Column("95 % by fruit (%)"),
+    Column("median error (%)"),
+    Column("worst error (%)", 1),
+    Column("R²", 3),
+    Column("Pearson r", 4),
+    Column("bias (%)", 2, signed=True),
+    Column("what it is"),
+)
+_LOWEST_IS_BEST = (4, 5, 6, 9, 10)
+
+
+def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
+    """Return every method's accuracy; the best of all but the oracle in bold.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        Of one suite and one kind of masks.
+    truth : LengthDefinition
+        What to hold them against.
+    """
+    scored = against(readings, truth)
+    rows: list[tuple[Cell, ...]] = []
+    for method, part in scored.groupby("method", observed=True):
+        m, percent, fruit = (
+            score(part["length_m"], part["true_m"]),
+            part["error_percent"],
+            part["fruit"],
+        )
+        resamples = int(np.clip(_RESAMPLED_VALUES / len(part), 1000, _COUNT_OF_RESAMPLES))
+        rows.append(
+            (
+                str(method),
+                m.count,
+                fruit.nunique(),
+                100 * m.measured,
+                m.mae_cm,
+                m.rmse_cm,
+                m.mape_percent,
+                span_text(estimate(percent, resamples=resamples)),
+                span_text(estimate(percent, fruit.tolist(), resamples=resamples)),
+                m.median_percent,
+                m.worst_percent,
+                m.r2,
+                m.pearson_r,
+                m.bias_percent,
+                DESCRIPTIONS.get(str(method), ""),
+            )
+        )
+    ranked = [k for k, row in enumerate(rows) if row[0] != "oracle"]
+    bold = frozenset(
+        (min(ranked, key=lambda k: rows[k][column]), column)  # type: ignore[arg-type,return-value]
+        for column in _LOWEST_IS_BEST
+        if len(ranked) > 1
+    )
+    comment = (
+        f"Errors against the true {truth}. A fruit that a method did not measure counts as 100 % "
+        "error. Captures of one fruit resemble each other, so the interval by fruit is the "
+        "honest one."
+    )
+    return Table(f"Accuracy against the {truth}", _ACCURACY, tuple(rows), comment, bold)
+
+
+def comparison_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table | None:
+    """Test M5 against M1 to M4, as the paper does, and M6 against every method but the oracle.
+
+    Returns
+    -------
+    Table or None
+        None where neither was run beside another on at least five captures.
+    """
+    scored = against(readings, truth)
+    errors = scored.pivot(index=["fruit", "case"], columns="method", values="error_cm")
+    methods = [str(name) for name in errors.columns]
+    own = next((m for m in (f"M6 {truth}", "M6") if m in methods), None)
+    ours = ("oracle", "reported")
+    rivals = [m for m in methods if m not in ours and not m.startswith(("M6", "selector"))]
+    rows = _tests(errors, "M5", [m for m in PAPER_METHODS[:4] if m in methods])
+    rows += _tests(errors, own, rivals) if own else []
+    if not rows:
+        return None
+    columns = (
+        Column("method"),
+        Column("against"),
+        Column("captures"),
+        Column("median difference (cm)", 3, signed=True),
+        Column("p"),
+        Column("level (0.05 / tests)", 4),
+        Column("differ"),
+        Column("fruit"),
+        Column("p by fruit"),
+    )
+    comment = (
+        "Wilcoxon's signed-rank test of the absolute errors, two-sided, Bonferroni's correction. "
+        "A negative difference means that the first errs less. The test takes captures for "
+        "independent, which captures of one fruit are not; 'p by fruit' therefore tests each "
+        "fruit's mean error (with seven fruit it cannot fall below 0.016)."
+    )
+    return Table(f"Who errs less, against the {truth}", columns, tuple(rows), comment)
+
+
+def _tests(errors: pd.DataFrame, first: str, others: Sequence[str]) -> list[tuple[Cell, ...]]:
+    rows: list[tuple[Cell, ...]] = []
+    for second in others:
+        both = errors[[first, second]].dropna() if first in errors else errors[:0]
+        if len(both) < 5:
+            continue
+        by_fruit = both.groupby(level="fruit").mean()
+        result = compare(both[first], both[second], len(others))
+        fruit = compare(by_fruit[first], by_fruit[second], len(others))
+        rows.append(
+            (
+                first,
+                second,
+                len(both),
+                result.median_difference,
+                _p_text(result.p_value),
+                result.alpha,
+                result.significant,
+                len(by_fruit),
+                _p_text(fruit.p_value),
+            )
+        )
+    return rows
+
+
+def fruit_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
+    """Return each capture as the paper's validation table: length and signed error a method."""
+    scored = against(readings, truth)
+    methods = [
+        str(m)
+        for m in scored["method"].cat.categories
+        if m not in ("oracle", "reported") and not m.startswith("selector")
+    ]
+    columns = (
+        Column("fruit"),
+        Column(f"true {truth} (cm)"),
+        *(Column(f"{method} (cm)") for method in methods),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for case, part in scored.groupby("case", sort=False):
+        fruit, true_m = part["fruit"].iloc[0], float(part["true_m"].iloc[0])
+        lengths = part.set_index("method")["length_m"]
+        cells = [length_and_error(lengths.get(method, np.nan), true_m) for method in methods]
+        rows.append((fruit if fruit == case else f"{fruit} ({case})", 100 * true_m, *cells))
+    found = method_metrics(scored)
+    rows.append(("MAE (cm)", None, *[found[m].mae_cm for m in methods]))
+    rows.append(("MAPE (%)", None, *[found[m].mape_percent for m in methods]))
+    comment = "Length read and, in brackets, read less true, both in cm."
+    return Table(f"Fruit by fruit, against the {truth}", columns, tuple(rows), comment)
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Something that lengths may depend on, and its groups.
+
+    Parameters
+    ----------
+    head : str
+        What it is, with its unit.
+    groups : mapping of str to Series of bool
+        By label with its bounds, which rows belong to it; groups may overlap.
+    comment : str
+        What is counted how.
+    """
+
+    head: str
+    groups: Mapping[str, pd.Series[bool]]
+    comment: str = ""
+
+
+_LOWER = "The lower bound belongs to the group, the upper to the next."
+_TINY, _STRAIGHT_CM = 1e-9, 1e6
+_HIDDEN = {
+    "0": (-_TINY, _TINY),
+    "above 0 to 20": (_TINY, 20.0),
+    "20 to 40": (20.0, 40.0),
+    "40 to 60": (40.0, 60 + _TINY),
+    "above 60": (60 + _TINY, np.inf),
+}
+
+
+def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
+    """Return the factors that tell readings apart: at least two of their groups have any.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows with the columns of `readings_frame`.
+    true_m : Series of float
+        True length of each row, metres.
+    """
+
+    def banded(
+        head: str, values: pd.Series[float], bands: Mapping[str, tuple[float, float]], comment: str
+    ) -> Factor:
+        groups = {
+            label: values.between(low, high, inclusive="left")
+            for label, (low, high) in bands.items()
+        }
+        return Factor(head, groups, comment)
+
+    hidden = 100 * frame["hidden_share"]
+    ends_seen = frame.get("ends_seen", pd.Series(False, frame.index)).fillna(False).astype(bool)
+    factors = [
+        banded(
+            "true length (cm)",
+            100 * true_m,
+            {
+                "small: below 10": (0, 10),
+                "medium: 10 to 18": (10, 18),
+                "large: 18 and more": (18, np.inf),
+            },
+            _LOWER,
+        ),
+        banded(
+            "tilt (°)",
+            frame["tilt_deg"].abs(),
+            {
+                "0 to 15": (0, 15),
+                "15 to 30": (15, 30),
+                "30 to 45": (30, 45),
+                "45 to 60": (45, 60 + _TINY),
+                "above 60": (60 + _TINY, np.inf),
+                "30 to 60, together": (30, 60 + _TINY),
+            },
+            f"Angle of the fruit's chord out of the picture plane. {_LOWER}",
+        ),
+        banded(
+            "distance (cm)",
+            100 * frame["distance_m"],
+            {
+                "below 50": (0, 50),
+                "50 to 70": (50, 70),
+                "70 to 90": (70, 90),
+                "90 and more": (90, np.inf),
+            },
+            f"From the camera to the fruit's middle. {_LOWER}",
+        ),
+        banded(
+            "radius of the bend (cm)",
+            (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM),
+            {
+                "straight": (_STRAIGHT_CM, np.inf),
+                "30 and more": (30, _STRAIGHT_CM),
+                "15 to 30": (15, 30),
+                "below 15": (0, 15),
+            },
+            f"The smaller, the more bent. {_LOWER}",
+        ),
+        banded("hidden share of the fruit (%)", hidden, _HIDDEN, _LOWER),
+        banded(
+            "hidden share (%), both ends in sight",
+            hidden.where(ends_seen),
+            _HIDDEN,
+            f"Only fruit whose two ends nothing hides. {_LOWER}",
+        ),
+        Factor(
+            "condition",
+            {str(name): frame["condition"] == name for name in frame["condition"].unique()},
+        ),
+    ]
+    return [f for f in factors if sum(inside.any() for inside in f.groups.values()) > 1]
+
+
+def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -> Table:
+    """Return each method's MAPE by group, and M6's median, worst and share measured.
+
+    The selectors are left out: what they choose is in the table already.
+
+    Parameters
+    ----------
+    scored : DataFrame
+        From `against`.
+    factor : Factor
+        From `factors_of`, of the same rows.
+    truth : LengthDefinition
+        What they are held against.
+    """
+    methods = shown_methods(scored, truth)
+    own = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
+    columns = [Column(factor.head), Column("captures"), Column("fruit")]
+    columns += [Column(f"{method} MAPE (%)") for method in methods]
+    if own in methods:
+        columns += [Column(f"{own} median (%)"), Column(f"{own} worst (%)", 1)]
+        columns += [Column(f"{own} measured (%)", 1)]
+    rows: list[tuple[Cell, ...]] = []
+    for label, chosen in factor.groups.items():
+        inside = scored[chosen]
+        if inside.empty:
+            continue
+        mape = inside.groupby("method", observed=True)["error_percent"].mean()
+        row: list[Cell] = [label, inside["case"].nunique(), inside["fruit"].nunique()]
+        row += [float(mape[m]) if m in mape else None for m in methods]
+        if own in methods:
+            read = inside[inside["method"] == own]
+            percent = read["error_percent"]
+            worst: list[Cell] = [float(percent.median()), float(percent.max())]
+            measured = 100 * float(read["length_m"].notna().mean())
+            row += [*worst, measured] if len(read) else [None] * 3
+        rows.append(tuple(row))
+    title = f"By {factor.head}, against the {truth}"
+    return Table(title, tuple(columns), tuple(rows), factor.comment)
+
+
+def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:
+    """Return an interval as text; None where there is none.
+
+    Examples
+    --------
+    >>> span_text((1.0, 2.345))
+    '1.00 to 2.35'
+    """
+    if isinstance(interval, Estimate):
+        interval = None if np.isnan(interval.low) else (interval.low, interval.high)
+    return None if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}"
+
+
+def length_and_error(length_m: float, true_m: float) -> str:
+    """Return a length and, in brackets, its signed error, in cm.
+
+    Examples
+    --------
+    >>> length_and_error(0.2359, 0.2570), length_and_error(np.nan, 0.2)
+    ('23.59 (−2.11)', 'not measured')
+    """
+    if np.isnan(length_m):
+        return "not measured"
+    error = f"{100 * (length_m - true_m):+.2f}".replace("-", "−")
+    return f"{100 * length_m:.2f} ({error})"
+
+
+def _p_text(p_value: float) -> str:
+    return "< 0.0001" if p_value < 1e-4 else f"{p_value:.4f}"

@@ -1,0 +1,419 @@
+"""The benchmark's captures: the paper's, simulated, and a stress set beyond them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.frames import Capture, fuse_burst
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision_lab.synthesis.appearance import Assets, random_style
+from cucumbervision_lab.synthesis.bodies import Tube, random_fruit, rotation, variety_of
+from cucumbervision_lab.synthesis.color_camera import Exposure, expose
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane
+from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, View, render, truth_of
+from cucumbervision_lab.synthesis.shading import shade
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = [
+    "CAMERA",
+    "Case",
+    "Simulated",
+    "Suite",
+    "build_fruit",
+    "build_scene",
+    "paper_cases",
+    "simulate",
+    "stress_cases",
+    "validation_cases",
+]
+
+
+class Suite(StrEnum):
+    """Which part of the benchmark a capture belongs to."""
+
+    PAPER = "paper"
+    VALIDATION = "validation"
+    STRESS = "stress"
+
+
+CAMERA = Intrinsics(1280, 720, 910.22, 910.39, 642.8, 358.5)  # the paper's, table 2
+
+# Seven cucumbers in three sizes over the paper's range, by thread (cm), and its five validation
+# specimens.
+PAPER_THREADS_CM = (6.9, 8.2, 9.1, 12.6, 13.8, 23.6, 25.0)
+
+PAPER_CAPTURES = 48
+
+VALIDATION_THREADS_CM = (25.70, 14.72, 15.52, 23.92, 38.00)
+
+FRAME_SHARE = 0.86  # of the picture's height and width that a fruit may take
+
+PROTOCOL_DISTANCE_M = (0.40, 0.90)
+
+STRESS_DISTANCE_M = (0.30, 1.20)
+
+STRESS_LENGTH_M = (0.069, 0.38)
+
+STRESS_TILT_DEG = (0.0, 60.0)
+
+STRESS_HIDDEN = (0.0, 0.60)
+
+SHARE_HIDDEN, SHARE_END_HIDDEN = 0.6, 0.2
+
+SHARE_STRAIGHT = 0.2
+
+TIGHTEST_BEND_M = 0.15
+
+
+@dataclass(frozen=True)
+class Case:
+    """One capture to simulate; everything in it follows from these numbers.
+
+    Parameters
+    ----------
+    name : str
+        Unique within the suite.
+    suite : Suite
+        The part of the benchmark.
+    fruit : str
+        The fruit; captures of one fruit share `fruit_seed` and so its shape.
+    fruit_seed : int
+        Seed of the fruit's shape.
+    capture_seed : int
+        Seed of pose, surroundings and noise.
+    length_m : float
+        Thread length for the paper's suites, centreline for the stress set, metres.
+    by_thread : bool
+        Whether `length_m` is the thread.
+    bend_radius_m : float or None
+        Radius of the bend, metres; None for straight fruit.
+    distance_m : float
+        Distance of the fruit's middle, metres.
+    tilt_deg, roll_deg, spin_deg : float
+        As `synthesis.tube.rotation` takes them.
+    hidden_share : float
+        Share of the fruit's outline that leaves are to hide, 0 to 1.
+    hidden_end : bool
+        Whether an end is hidden; otherwise both ends are seen.
+    condition : str
+        'plain', 'sun' or 'wet'.
+    """
+
+    name: str
+    suite: Suite
+    fruit: str
+    fruit_seed: int
+    capture_seed: int
+    length_m: float
+    by_thread: bool
+    bend_radius_m: float | None
+    distance_m: float
+    tilt_deg: float
+    roll_deg: float
+    spin_deg: float
+    hidden_share: float = 0.0
+    hidden_end: bool = False
+    condition: str = "plain"
+
+
+def paper_cases(count: int = PAPER_CAPTURES) -> list[Case]:
+    """Give the paper's benchmark: 48 captures of seven cucumbers, in turn.
+
+    Examples
+    --------
+    >>> cases = paper_cases()
+    >>> len(cases), len({case.fruit for case in cases})
+    (48, 7)
+    """
+    return [
+        _plain_case(Suite.PAPER, k, k % len(PAPER_THREADS_CM), PAPER_THREADS_CM)
+        for k in range(count)
+    ]
+
+
+def validation_cases() -> list[Case]:
+    """Give the paper's five validation specimens, one capture each, as the paper has it."""
+    return [
+        _plain_case(Suite.VALIDATION, k, k, VALIDATION_THREADS_CM)
+        for k in range(len(VALIDATION_THREADS_CM))
+    ]
+
+
+def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -> Case:
+    seed = {Suite.PAPER: 1_000, Suite.VALIDATION: 2_000}[suite]
+    shape = np.random.default_rng(seed + 100 + which)
+    pose = np.random.default_rng(seed + 500 + k)
+    length_m = threads_cm[which] / 100
+    # The paper's median radius is 42 cm; a fruit is no rounder than its length allows.
+    bend_m = float(np.exp(shape.normal(np.log(0.42), 0.35)))
+    roll = float(pose.normal(-90, 15))
+    near = max(PROTOCOL_DISTANCE_M[0], nearest_m(length_m, roll))
+    return Case(
+        name=f"{suite}-{k + 1:03d}",
+        suite=suite,
+        fruit=f"{suite}-fruit-{which + 1}",
+        fruit_seed=seed + which,
+        capture_seed=seed + 700 + k,
+        length_m=length_m,
+        by_thread=True,
+        bend_radius_m=max(bend_m, length_m),
+        distance_m=float(pose.uniform(near, PROTOCOL_DISTANCE_M[1])),
+        tilt_deg=float(np.clip(pose.normal(0, 8), -20, 20)),
+        roll_deg=roll,
+        spin_deg=float(pose.uniform(0, 360)),
+    )
+
+
+def stress_cases(count: int, first: int = 0) -> list[Case]:
+    """Give independent fruit beyond the protocol, one capture each.
+
+    Tilt 0 to 60 degrees, 0.3 to 1.2 m, straight to bent with a radius of 15 cm, hidden 0 to 60 %
+    in the middle or at an end, sun and wet leaves.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    first : int
+        Number of the first; the same number is always the same case.
+
+    Examples
+    --------
+    >>> stress_cases(3)[2] == stress_cases(1, first=2)[0]
+    True
+    """
+    return [_stress_case(k) for k in range(first, first + count)]
+
+
+def _stress_case(k: int) -> Case:
+    rng = np.random.default_rng(10_000_000 + k)
+    length_m = float(rng.uniform(*STRESS_LENGTH_M))
+    straight = rng.random() < SHARE_STRAIGHT
+    tightest = max(TIGHTEST_BEND_M, 0.5 * length_m)
+    bend_m = float(1 / rng.uniform(1 / 1.0, 1 / tightest))
+    tilt, roll = float(rng.uniform(*STRESS_TILT_DEG)), float(rng.uniform(-180, 180))
+    near = max(STRESS_DISTANCE_M[0], nearest_m(length_m, roll, tilt))
+    hidden = rng.random() < SHARE_HIDDEN
+    share = float(rng.uniform(*STRESS_HIDDEN))
+    at_end = rng.random() < SHARE_END_HIDDEN
+    return Case(
+        name=f"stress-{k:05d}",
+        suite=Suite.STRESS,
+        fruit=f"stress-fruit-{k:05d}",
+        fruit_seed=20_000_000 + k,
+        capture_seed=30_000_000 + k,
+        length_m=length_m,
+        by_thread=False,
+        bend_radius_m=None if straight else bend_m,
+        distance_m=float(rng.uniform(near, max(near, STRESS_DISTANCE_M[1]))),
+        tilt_deg=tilt * float(rng.choice([-1, 1])),
+        roll_deg=roll,
+        spin_deg=float(rng.uniform(0, 360)),
+        hidden_share=share if hidden else 0.0,
+        hidden_end=bool(hidden and at_end),
+        condition=str(rng.choice(["plain", "sun", "wet"], p=[0.6, 0.2, 0.2])),
+    )
+
+
+def nearest_m(length_m: float, roll_deg: float, tilt_deg: float = 0.0) -> float:
+    """Give the distance from which a whole fruit fits into the picture.
+
+    A fruit tilted to the camera has one end nearer by half its depth, which is added.
+
+    Examples
+    --------
+    >>> round(nearest_m(0.38, -90), 2)
+    0.56
+    """
+    roll, tilt = np.deg2rad(roll_deg), np.deg2rad(tilt_deg)
+    across = length_m * np.cos(tilt)
+    high = across * abs(np.sin(roll)) * CAMERA.fy_px / (FRAME_SHARE * CAMERA.height)
+    wide = across * abs(np.cos(roll)) * CAMERA.fx_px / (FRAME_SHARE * CAMERA.width)
+    return float(max(high, wide) + 0.5 * length_m * abs(np.sin(tilt)))
+
+
+FRAMES = 5
+
+SCALE_SD = 0.01  # the data sheet allows 2 % at 2 m, taken as two standard deviations
+
+SUN_NOISE, SUN_HOLES = 1.5, 0.10
+
+WET_HOLES = 0.30
+
+BACKDROP_M = 0.45
+
+BACKGROUND_LEAVES = 14
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """One simulated capture with its truth.
+
+    Parameters
+    ----------
+    capture : Capture
+        The burst, fused; black where `paint` was not asked. Its depth scale is exact.
+    truth : FruitTruth
+        Of its one fruit.
+    view : View
+        The exact picture.
+    depth_scale : float
+        What this camera would read over what is, had it not been calibrated: the sensor's scale
+        error multiplies every depth, and so every length, by it.
+    """
+
+    capture: Capture
+    truth: FruitTruth
+    view: View
+    depth_scale: float
+
+
+def build_fruit(case: Case) -> Tube:
+    """Make the case's fruit, lying along x with its middle at the origin.
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.benchmark.cases import validation_cases
+    >>> round(100 * build_fruit(validation_cases()[4]).thread_m, 2)
+    38.0
+    """
+    bend = np.inf if case.bend_radius_m is None else case.bend_radius_m
+    variety = variety_of(case.length_m)
+
+    def grown(length_m: float) -> Tube:
+        rng = np.random.default_rng(case.fruit_seed)
+        return random_fruit(rng, length_m, variety, bend_radius_m=bend)
+
+    tube = grown(case.length_m)
+    if not case.by_thread:
+        return tube
+    length_m = case.length_m
+    for _ in range(5):  # the thread grows almost evenly with the centreline
+        length_m *= case.length_m / tube.thread_m
+        tube = grown(length_m)
+    return tube
+
+
+def build_scene(case: Case) -> Scene:
+    """Place the case's fruit before the camera, leaves behind it and, where asked, before it."""
+    rng = np.random.default_rng(case.capture_seed)
+    turn = rotation(case.roll_deg, case.tilt_deg, case.spin_deg)
+    fruit = build_fruit(case)
+    aside = rng.uniform(-0.04, 0.04, 2) * case.distance_m
+    fruit = fruit.moved(turn, (*aside, case.distance_m))
+    behind = _background(case, rng)
+    before = _occluders(case, fruit, rng)
+    plane = Plane.facing(case.distance_m + BACKDROP_M, *rng.uniform(-10, 10, 2))
+    return Scene((fruit,), (*behind, *before), (), (plane,))
+
+
+def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated:
+    """Take one capture of a case.
+
+    Parameters
+    ----------
+    case : Case
+        What to take.
+    frames : int
+        Size of the burst.
+    paint : bool
+        Whether to draw colours, which only networks need.
+
+    Returns
+    -------
+    Simulated
+        The same for the same case, whatever else is drawn.
+    """
+    scene = build_scene(case)
+    rng = np.random.default_rng(case.capture_seed + 1)
+    sensor = _sensor(case)
+    depths = sense(scene, sensor, rng, frames)
+    view = render(scene, CAMERA)
+    (truth,) = truth_of(scene, CAMERA, view)
+    colors = [np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)] * frames
+    if paint:
+        colors = [
+            _color_picture(scene, view, np.random.default_rng(case.capture_seed + 2))
+        ] * frames
+    color, depth_m, burst_frame = fuse_burst(colors, depths)
+    capture = Capture(
+        color,
+        depth_m,
+        CAMERA,
+        name=case.name,
+        burst_frame=burst_frame,
+        burst_size=frames,
+        masks=(truth.visible,),
+        simulated=True,
+    )
+    scale = 1 + float(np.random.default_rng(case.capture_seed + 3).normal(0, SCALE_SD))
+    return Simulated(capture, truth, view, scale)
+
+
+def _color_picture(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
+    style = random_style(rng, scene, Assets(), "hanging")
+    light = shade(scene, view, CAMERA, style, Assets(), rng)
+    return expose(light, Exposure(), rng, view.depth_m)
+
+
+def _sensor(case: Case) -> D4xx:
+    sensor = D4xx.like(CAMERA)
+    if case.condition == "sun":
+        noise = sensor.disparity_rms_px * SUN_NOISE
+        return replace(sensor, disparity_rms_px=noise, glare_holes=SUN_HOLES)
+    if case.condition == "wet":
+        return replace(sensor, glare_holes=WET_HOLES, foliage_holes=0.15)
+    return sensor
+
+
+def _background(case: Case, rng: np.random.Generator) -> list[Leaf]:
+    leaves = []
+    half_view = 0.5 * CAMERA.width / CAMERA.fx_px
+    for _ in range(BACKGROUND_LEAVES):
+        depth = case.distance_m + float(rng.uniform(0.12, BACKDROP_M - 0.05))
+        at = np.array([*(rng.uniform(-1, 1, 2) * (half_view, 0.6 * half_view) * depth), depth])
+        leaves.append(_leaf(at, rng, rng.uniform(0.05, 0.11), rng.uniform(0.04, 0.08), lean=35.0))
+    return leaves
+
+
+def _occluders(case: Case, fruit: Tube, rng: np.random.Generator) -> list[Leaf]:
+    if case.hidden_share <= 0:
+        return []
+    axis = fruit.axis_m
+    share = case.hidden_share
+    middle = (
+        0.5 * share if case.hidden_end else float(rng.uniform(0.15 + share / 2, 0.85 - share / 2))
+    )
+    if case.hidden_end and rng.random() < 0.5:
+        middle = 1 - middle
+    at = axis[round(middle * (len(axis) - 1))]
+    before = float(rng.uniform(0.03, 0.08)) + fruit.radii_m.max()
+    # Seen from the camera the leaf stands before the same pixels as the part it hides.
+    shrink = max(at[2] - before, 0.1) / at[2]
+    run = axis[-1] - axis[0]
+    along = np.array([run[0], run[1], 0.0])
+    seen = float(np.linalg.norm(along))
+    along = along / seen if seen > 1e-6 else np.array([1.0, 0.0, 0.0])
+    across = np.array([-along[1], along[0], 0.0])
+    frame = np.stack([across, along, np.array([0.0, 0.0, -1.0])])
+    wide = shrink * max(0.5 * share * seen, 0.004)
+    high = shrink * float(rng.uniform(2.2, 4.0)) * fruit.radii_m.max()
+    return [Leaf(at * shrink, frame, high, wide, (float(rng.uniform(-3, 3)), 0.0), 0.1)]
+
+
+def _leaf(
+    at: NDArray[np.float64], rng: np.random.Generator, length: float, width: float, lean: float
+) -> Leaf:
+    turn = rotation(float(rng.uniform(0, 360)), *rng.uniform(-lean, lean, 2))
+    frame = turn @ np.diag([1.0, 1.0, -1.0])
+    bend = (float(rng.uniform(-4, 4)), float(rng.uniform(-4, 4)))
+    return Leaf(at, frame.T, float(length), float(width), bend, float(rng.uniform(0, 0.2)))

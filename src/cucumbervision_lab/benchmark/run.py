@@ -1,0 +1,291 @@
+"""The whole benchmark: cases measured on all cores, resumable; intervals; experiments."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from cucumbervision._version import __version__
+from cucumbervision.about import installed_versions
+from cucumbervision.accuracy.records import Masks, append_record, read_records, readings_frame
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.measurement.intervals import shipped_interval_models, write_interval_models
+from cucumbervision_lab.benchmark import experiments
+from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
+from cucumbervision_lab.benchmark.interval_fit import fit_interval_models, with_intervals
+from cucumbervision_lab.benchmark.measure_case import CaseOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.records import Record
+    from cucumbervision.measurement.intervals import IntervalModels
+    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision_lab.benchmark.cases import Case
+    from cucumbervision_lab.benchmark.measure_case import CaseOptions
+
+__all__ = [
+    "BenchmarkPlan",
+    "learn_intervals",
+    "plan_cases",
+    "provenance",
+    "run_benchmark",
+    "run_cases",
+]
+
+CHUNK = 4  # cases a worker takes at once: few, so that a killed run loses little
+
+_segmenters: dict[str, Segmenter] = {}
+
+
+def run_cases(
+    cases: Sequence[Case],
+    options: CaseOptions,
+    records: Path,
+    workers: int = 2,
+    report: Callable[[int], None] | None = None,
+) -> list[Record]:
+    """Measure the cases that are not in the file yet, and give all of theirs.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        What to measure.
+    options : CaseOptions
+        How.
+    records : Path
+        JSON lines; each finished case is appended at once. A file that other options or another
+        version began is refused.
+    workers : int
+        Processes.
+    report : callable, optional
+        Called with the number of cases that were just finished; for progress bars.
+
+    Returns
+    -------
+    list of Record
+        Of these cases, in the file's order.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the file belongs to another run.
+    """
+    done = _resume(records, options)
+    missing = [c for c in cases if not _measured(c, options, done)]
+    if report is not None and len(missing) < len(cases):
+        report(len(cases) - len(missing))
+    chunks = [missing[k : k + CHUNK] for k in range(0, len(missing), CHUNK)]
+    if workers == 1:
+        for chunk in chunks:
+            _keep(_work(chunk, options), chunk, records, report)
+    elif chunks:
+        # Threads of a fork may be caught holding a lock: every worker starts afresh.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, context) as pool:
+            jobs = {pool.submit(_work, chunk, options): chunk for chunk in chunks}
+            try:
+                for job in as_completed(jobs):
+                    _keep(job.result(), jobs[job], records, report)
+            except BaseException:
+                # What is finished is on disk; what waits would only delay the news.
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    names = {case.name for case in cases}
+    return [r for r in read_records([records]) if r.case in names] if records.exists() else []
+
+
+def _keep(
+    found: Sequence[Record],
+    chunk: Sequence[Case],
+    records: Path,
+    report: Callable[[int], None] | None,
+) -> None:
+    for record in found:
+        append_record(records, record)
+    if report is not None:
+        report(len(chunk))
+
+
+def _work(chunk: Sequence[Case], options: CaseOptions) -> list[Record]:
+    import cv2
+
+    from cucumbervision_lab.benchmark.measure_case import measure_case
+
+    cv2.setNumThreads(1)  # one core a worker
+    segmenter = _segmenter(options.prompt) if Masks.PERCEIVED in options.masks else None
+    return [r for case in chunk for r in measure_case(case, options, segmenter)]
+
+
+def _segmenter(prompt: str) -> Segmenter:
+    if prompt not in _segmenters:
+        from cucumbervision.perception.sam import Segmenter
+
+        _segmenters[prompt] = Segmenter("mobile-sam", prompt=prompt, full_precision=True)
+    return _segmenters[prompt]
+
+
+def _measured(case: Case, options: CaseOptions, done: set[tuple[str, str, str]]) -> bool:
+    return all((str(case.suite), case.name, str(kind)) in done for kind in options.masks)
+
+
+def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
+    """Check that the file was begun by this run, or begin it."""
+    stamp = {"version": __version__, "options": asdict(options)}
+    mark = hashlib.sha256(json.dumps(stamp, sort_keys=True).encode()).hexdigest()
+    head = records.with_suffix(".run")
+    records.parent.mkdir(parents=True, exist_ok=True)
+    if not records.exists():
+        head.write_text(mark + "\n")
+        return set()
+    if not head.exists() or head.read_text().strip() != mark:
+        raise CucumberVisionError(
+            "was begun with other options or by another version",
+            source=records,
+            remedy="delete it, or choose another --out",
+        )
+    return {(r.suite, r.case, r.masks) for r in read_records([records])}
+
+
+# Interval models are learnt on case numbers that no benchmark reaches.
+LEARN_FIRST = 1_000_000
+
+CARROT = "rgbd/carrot_realsense_1280"
+
+
+@dataclass(frozen=True)
+class BenchmarkPlan:
+    """What one run of the benchmark does.
+
+    Parameters
+    ----------
+    quick : bool
+        A few captures, no networks, no experiments: for regression guards.
+    stress : int
+        Independent fruit of the stress set.
+    workers : int
+        Processes.
+    baselines : bool
+        Whether other people's tools run where they are installed.
+    data : Path, optional
+        The folder of real captures, for the experiment on the carrot frames.
+    """
+
+    quick: bool = False
+    stress: int = 2000
+    workers: int = 2
+    baselines: bool = True
+    data: Path | None = None
+
+
+def plan_cases(plan: BenchmarkPlan) -> tuple[list[Case], list[Case]]:
+    """Give the cases of the protocol and of the stress set."""
+    if plan.quick:
+        return [*paper_cases(7), *validation_cases()[:2]], stress_cases(min(plan.stress, 8))
+    return [*paper_cases(), *validation_cases()], stress_cases(plan.stress)
+
+
+def run_benchmark(
+    plan: BenchmarkPlan, out: Path, report: Callable[[str, int, int], None] | None = None
+) -> tuple[pd.DataFrame, dict[str, Table]]:
+    """Measure everything that the plan asks; what is already in `out` is not measured again.
+
+    Parameters
+    ----------
+    plan : BenchmarkPlan
+        What to do.
+    out : Path
+        Gets a file of records for each part.
+    report : callable, optional
+        Called with a part's name, how many of its cases were just finished and how many it has.
+
+    Returns
+    -------
+    readings : DataFrame
+        As `readings_frame` gives them, with `low_m` and `high_m` of their intervals.
+    tables : dict of str to Table
+        The experiments, by name.
+    """
+    protocol, stress = plan_cases(plan)
+    both = (Masks.EXACT, Masks.DISTURBED)
+    kinds = both if plan.quick else (*both, Masks.PERCEIVED)
+
+    def run(name: str, cases: list[Case], options: CaseOptions) -> pd.DataFrame:
+        total = len(cases)
+        tell = None if report is None else (lambda count: report(name, count, total))
+        return readings_frame(run_cases(cases, options, out / f"{name}.jsonl", plan.workers, tell))
+
+    baselines = plan.baselines and not plan.quick
+    parts = [run("protocol", protocol, CaseOptions(kinds, baselines))]
+    parts.append(run("stress", stress, CaseOptions(both)))
+    readings = with_intervals(pd.concat(parts, ignore_index=True), shipped_interval_models())
+    if plan.quick:
+        return readings, {}
+    tables = {
+        "wrong intrinsics": experiments.wrong_intrinsics(),
+        "burst": experiments.burst_sizes(
+            lambda size: run(
+                f"burst-{size}", paper_cases(), CaseOptions((Masks.EXACT,), frames=size)
+            )
+        ),
+        "prompts": experiments.sam_prompts(
+            lambda prompt: run(
+                f"prompt-{prompt.replace('+', '-')}",
+                protocol,
+                CaseOptions((Masks.PERCEIVED,), prompt=prompt),
+            )
+        ),
+        "selectors": experiments.selectors(readings),
+        "conventions": experiments.length_conventions(readings),
+    }
+    if plan.data is not None:
+        tables["carrot intrinsics"] = experiments.carrot_intrinsics(plan.data / CARROT)
+    return readings, tables
+
+
+def learn_intervals(
+    file: Path, out: Path, fruit: int, workers: int, report: Callable[[str, int, int], None] | None
+) -> IntervalModels:
+    """Learn the book of intervals anew, on fruit that no benchmark measures.
+
+    Half of the records come from exact outlines and half from disturbed ones, so that the fit's
+    own view of the outline's roughness tells which is which.
+
+    Parameters
+    ----------
+    file : Path
+        Where the book goes.
+    out : Path
+        Keeps the records, so that a later run resumes.
+    fruit : int
+        How many fruit.
+    workers : int
+        Processes.
+    report : callable, optional
+        As in `run_benchmark`.
+    """
+    cases = stress_cases(fruit, first=LEARN_FIRST)
+    tell = None if report is None else (lambda count: report("learning", count, fruit))
+    options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
+    records = run_cases(cases, options, out / "learning.jsonl", workers, tell)
+    book = fit_interval_models(readings_frame(records))
+    write_interval_models(file, book)
+    return book
+
+
+def provenance(plan: BenchmarkPlan) -> dict[str, Any]:
+    """Say by what a benchmark was run."""
+    return {
+        "software": f"cucumbervision {__version__}",
+        "versions": installed_versions(),
+        "stress fruit": plan.stress,
+        "quick": plan.quick,
+    }

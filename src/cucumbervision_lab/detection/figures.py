@@ -1,0 +1,504 @@
+"""All figures of an evaluation, computed once, and the tables that show them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from cucumbervision.accuracy.length_tables import DESCRIPTIONS
+from cucumbervision.accuracy.page import Cell, Column, Table
+from cucumbervision.accuracy.records import Masks, readings_frame
+from cucumbervision.accuracy.statistics import Estimate, estimate, share
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.detection.average_precision import (
+    OKS_SIGMA,
+    AveragePrecision,
+    Judged,
+    average_precision,
+)
+from cucumbervision_lab.detection.lengths import LengthScore, length_scores
+from cucumbervision_lab.detection.outcomes import (
+    EndRow,
+    FoundRow,
+    FruitRow,
+    GroupScore,
+    end_rows,
+    found_rows,
+    fruit_rows,
+    group_scores,
+    overall,
+)
+from cucumbervision_lab.detection.pictures import Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.accuracy.records import Record
+    from cucumbervision_lab.detection.overlaps import OverlapRow
+    from cucumbervision_lab.detection.photos import PhotoResult
+    from cucumbervision_lab.detection.run import DetectionResult
+
+__all__ = [
+    "EndScore",
+    "OverlapScore",
+    "Precision",
+    "Summary",
+    "end_table",
+    "false_table",
+    "group_table",
+    "length_table",
+    "overall_table",
+    "overlap_table",
+    "photo_end_table",
+    "photo_table",
+    "precision_table",
+    "score_ends",
+    "summarise",
+]
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Average precision of one network's boxes, masks or keypoints."""
+
+    stage: Stage
+    judged: Judged
+    found: AveragePrecision
+
+
+@dataclass(frozen=True)
+class EndScore:
+    """How well ends are set.
+
+    Parameters
+    ----------
+    ends : str
+        Which ends: 'all', 'in sight', 'hidden', 'blossom end', 'stem end'.
+    median_percent, p90_percent : Estimate
+        Error in percent of the fruit's length in the picture.
+    """
+
+    ends: str
+    median_percent: Estimate
+    p90_percent: Estimate
+
+
+@dataclass(frozen=True)
+class OverlapScore:
+    """How well one kind of mask agrees with the true ones.
+
+    Parameters
+    ----------
+    pictures : str
+        'drawn' or 'real'.
+    prompt_box : str
+        'found' or 'true'.
+    masks : str
+        'network alone', 'SAM, box', 'SAM, box + centre', or 'what is measured': the last, or the
+        network's where SAM's was refused.
+    mean, median : Estimate
+        Intersection over union, a refused mask of SAM counting as 0.
+    refused : int
+        How many were refused.
+    """
+
+    pictures: str
+    prompt_box: str
+    masks: str
+    mean: Estimate
+    median: Estimate
+    refused: int
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """Every figure.
+
+    Parameters
+    ----------
+    precisions : tuple of Precision
+        COCO's.
+    overall : tuple of (Stage, GroupScore)
+        Recall and precision at the confidence.
+    groups : tuple of GroupScore
+        The same of what is reported, by groups.
+    ends : tuple of EndScore
+        Endpoint errors.
+    swapped : Estimate
+        Share of fruit whose ends are swapped.
+    overlaps : tuple of OverlapScore
+        Masks.
+    lengths : tuple of LengthScore
+        Against centreline and thread.
+    fruit, found, end_rows : tuple
+        What the figures are of.
+    """
+
+    precisions: tuple[Precision, ...]
+    overall: tuple[tuple[Stage, GroupScore], ...]
+    groups: tuple[GroupScore, ...]
+    ends: tuple[EndScore, ...]
+    swapped: Estimate
+    overlaps: tuple[OverlapScore, ...]
+    lengths: tuple[LengthScore, ...]
+    fruit: tuple[FruitRow, ...]
+    found: tuple[FoundRow, ...]
+    end_rows: tuple[EndRow, ...]
+
+
+def summarise(result: DetectionResult) -> Summary:
+    """Compute every figure of an evaluation.
+
+    Parameters
+    ----------
+    result : DetectionResult
+        From `evaluate_detection`.
+    """
+    frames, confidence = result.frames, result.plan.confidence
+    stages = {str(model.get("task", "")) for model in result.models}
+    segmented, posed = bool(stages & {"segment", "detect"}), "pose" in stages
+    asked = [(Stage.SEGMENTED, Judged.BOXES)] if segmented else []
+    asked += [(Stage.SEGMENTED, Judged.MASKS)] if "segment" in stages else []
+    asked += [(Stage.POSED, Judged.BOXES), (Stage.POSED, Judged.KEYPOINTS)] if posed else []
+    fruit, found = fruit_rows(frames, confidence), found_rows(frames, confidence)
+    parts = [Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked)]
+    ends = end_rows(frames, confidence)
+    end_scores, swapped = score_ends(ends)
+    return Summary(
+        tuple(Precision(s, j, average_precision(frames, j, s)) for s, j in asked),
+        tuple(
+            (s, overall(fruit_rows(frames, confidence, s), found_rows(frames, confidence, s)))
+            for s in parts
+        ),
+        tuple(group_scores(fruit, found)),
+        end_scores,
+        swapped,
+        tuple(_overlap_scores(result.overlaps)),
+        tuple(_length_scores(result.records)),
+        tuple(fruit),
+        tuple(found),
+        tuple(ends),
+    )
+
+
+def _length_scores(records: Sequence[Record]) -> list[LengthScore]:
+    if not records:
+        return []
+    readings = readings_frame(records)
+    return [
+        score
+        for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
+        for score in length_scores(readings, truth)
+    ]
+
+
+def score_ends(rows: Sequence[EndRow]) -> tuple[tuple[EndScore, ...], Estimate]:
+    """Compute how far the ends are off, and how often they are swapped.
+
+    Parameters
+    ----------
+    rows : sequence of EndRow
+        From `end_rows`.
+
+    Returns
+    -------
+    scores : tuple of EndScore
+        Groups without any end are left out.
+    swapped : Estimate
+        Share of the fruit both of whose ends are known.
+    """
+    frame = pd.DataFrame(rows, columns=[one.name for one in fields(EndRow)])
+    turned = frame[frame["swapped"].notna()]
+    swapped = share(turned["swapped"], turned["scene"])
+    ends = pd.concat(
+        frame.rename(columns={f"{end}_percent": "percent", f"{end}_seen": "seen"})[
+            ["percent", "seen", "scene"]
+        ].assign(end=f"{end} end")
+        for end in ("blossom", "stem")
+    ).dropna(subset="percent")
+    groups = {
+        "all": ends,
+        "in sight": ends[ends["seen"].astype(bool)],
+        "hidden": ends[~ends["seen"].astype(bool)],
+        "blossom end": ends[ends["end"] == "blossom end"],
+        "stem end": ends[ends["end"] == "stem end"],
+    }
+    scores = []
+    for name, some in groups.items():
+        if len(some):
+            median, p90 = (estimate(some["percent"], some["scene"], q) for q in (0.5, 0.9))
+            scores.append(EndScore(name, median, p90))
+    return tuple(scores), swapped
+
+
+_MASK_COLUMNS = {
+    "network alone": ("network_iou", None),
+    "SAM, box": ("box_iou", "box_refused"),
+    "SAM, box + centre": ("point_iou", "point_refused"),
+    "what is measured": ("used_iou", None),
+}
+
+
+def _overlap_scores(rows: Sequence[OverlapRow]) -> list[OverlapScore]:
+    scores = []
+    frame = pd.DataFrame(rows)
+    for (simulated, prompt), same in frame.groupby(["simulated", "prompt_box"]) if rows else ():
+        for name, (column, refused) in _MASK_COLUMNS.items():
+            known = same[same[column].notna()]
+            if len(known):
+                values, scenes = known[column], known["scene"]
+                mean, median = estimate(values, scenes), estimate(values, scenes, 0.5)
+                count = int((same[refused] != "").sum()) if refused else 0
+                pictures = "drawn" if simulated else "real"
+                scores.append(OverlapScore(pictures, str(prompt), name, mean, median, count))
+    return sorted(scores, key=lambda one: one.pictures)
+
+
+_JUDGED = {Judged.BOXES: "boxes", Judged.MASKS: "masks", Judged.KEYPOINTS: "keypoints"}
+
+_MASKS = {Masks.EXACT: "true", Masks.PERCEIVED: "perceived"}
+
+_FALSE_SHOWN = 60
+
+
+def precision_table(summary: Summary) -> Table:
+    """Return average precision as a table."""
+    columns = (
+        Column("network"),
+        Column("of"),
+        Column("fruit"),
+        Column("mAP50", 3),
+        Column("95 %"),
+        Column("mAP50-95", 3),
+        Column("95 % by scene"),
+    )
+    rows = tuple(
+        (
+            str(one.stage),
+            _JUDGED[one.judged],
+            one.found.at_50.count,
+            one.found.at_50.value,
+            span(one.found.at_50),
+            one.found.at_50_95.value,
+            span(one.found.at_50_95),
+        )
+        for one in summary.precisions
+    )
+    comment = (
+        "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "
+        f"similarity with sigma {OKS_SIGMA:g} for all five, scaled by the visible mask's area."
+    )
+    return Table("Average precision", columns, rows, comment)
+
+
+def overall_table(summary: Summary, confidence: float) -> Table:
+    """Return recall and precision at the confidence, stage by stage."""
+    rows = tuple(
+        (str(stage), *_estimate_cells(one.recall), *_estimate_cells(one.precision))
+        for stage, one in summary.overall
+    )
+    comment = (
+        f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
+        f"to be ignored are not counted. '{Stage.KEPT}' has fruit found twice made one."
+    )
+    return Table("Recall and precision", _shares("stage"), rows, comment)
+
+
+def group_table(summary: Summary, factor: str) -> Table:
+    """Return one factor's groups as a table."""
+    rows = tuple(
+        (one.group, *_estimate_cells(one.recall), *_estimate_cells(one.precision))
+        for one in summary.groups
+        if one.factor == factor
+    )
+    return Table(f"By {factor}", _shares("group"), rows)
+
+
+def end_table(ends: Sequence[EndScore], swapped: Estimate, title: str = "Ends") -> Table:
+    """Return endpoint errors as a table."""
+    columns = (
+        Column("ends"),
+        Column("n"),
+        Column("scenes"),
+        Column("median (% of length)"),
+        Column("95 %"),
+        Column("90th percentile (% of length)"),
+        Column("95 % by scene"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            one.ends,
+            one.median_percent.count,
+            one.median_percent.groups,
+            one.median_percent.value,
+            span(one.median_percent, 1, 2),
+            one.p90_percent.value,
+            span(one.p90_percent, 1, 2),
+        )
+        for one in ends
+    ]
+    share = "–" if math.isnan(swapped.value) else f"{100 * swapped.value:.2f} %"
+    comment = (
+        "Distance between the true and the found end, in percent of the line through the fruit's "
+        "five true keypoints in the picture; fruit that the pose network found. Ends swapped on "
+        f"{share} of {swapped.count} fruit (95 % by scene: {span(swapped, 100, 2)}); swapped ends "
+        "are judged as they are."
+    )
+    return Table(title, columns, tuple(rows), comment)
+
+
+def overlap_table(summary: Summary) -> Table:
+    """Return masks' overlaps as a table."""
+    columns = (
+        Column("pictures"),
+        Column("box of"),
+        Column("masks"),
+        Column("n"),
+        Column("scenes"),
+        Column("mean IoU", 4),
+        Column("95 % by scene"),
+        Column("median IoU", 4),
+        Column("95 %"),
+        Column("refused"),
+    )
+    rows = tuple(
+        (
+            one.pictures,
+            "detector" if one.prompt_box == "found" else "true mask",
+            one.masks,
+            one.mean.count,
+            one.mean.groups,
+            one.mean.value,
+            span(one.mean),
+            one.median.value,
+            span(one.median),
+            one.refused,
+        )
+        for one in summary.overlaps
+    )
+    comment = (
+        "Intersection over union with the true visible mask, of fruit that were found. A mask that "
+        "SAM's checks refused counts as 0; there the detector's own stands in when measuring."
+    )
+    return Table("Masks", columns, rows, comment)
+
+
+def length_table(summary: Summary, truth: str, group: str) -> Table:
+    """Return lengths on true and on perceived masks, for one group of fruit."""
+    columns = (
+        Column("method"),
+        Column("masks"),
+        Column("fruit"),
+        Column("missed"),
+        Column("measured (%)", 1),
+        Column("mean error (%)"),
+        Column("95 % by scene"),
+        Column("of the measured (%)"),
+        Column("95 %"),
+        Column("median (%)"),
+        Column("bias (%)", 2, signed=True),
+        Column("what it is"),
+    )
+    some = [one for one in summary.lengths if one.truth == truth and one.group == group]
+    order = {method: k for k, method in enumerate(dict.fromkeys(one.method for one in some))}
+    rows = tuple(
+        (
+            one.method,
+            _MASKS[one.masks],
+            one.metrics.count,
+            one.missed,
+            100 * one.metrics.measured,
+            one.error_percent.value,
+            span(one.error_percent, 1, 2),
+            one.measured_percent.value,
+            span(one.measured_percent, 1, 2),
+            one.metrics.median_percent,
+            one.metrics.bias_percent,
+            DESCRIPTIONS.get(one.method, ""),
+        )
+        for one in sorted(some, key=lambda one: (order[one.method], one.masks))
+    )
+    comment = (
+        "Absolute error of the length; a fruit that was missed or not measured counts as 100 %, "
+        "and 'of the measured' leaves those out."
+    )
+    return Table(f"Length against the {truth}, {group} fruit", columns, rows, comment)
+
+
+def photo_table(photos: PhotoResult) -> Table:
+    """Return recall and precision on real photos as a table."""
+    (_, whole), *settings = photos.scores
+    named = [("all", whole)]
+    named += [(f"test: {name}", one) for name, one in photos.tests]
+    named += [(f"half size: {name}", one) for name, one in photos.small]
+    named += [(f"where: {name}", one) for name, one in settings]
+    rows = tuple(
+        (name, *_estimate_cells(one.recall), *_estimate_cells(one.precision)) for name, one in named
+    )
+    comment = (
+        f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
+        "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
+        "of which half lies in an ignored region are not counted. At half size each photo lies "
+        "shrunk in the middle of a grey picture. "
+        + f"{photos.photos} photos of {photos.scenes} scenes"
+        + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
+    )
+    return Table("Real photos", _shares("photos"), rows, comment)
+
+
+def photo_end_table(photos: PhotoResult) -> Table:
+    """Return endpoint errors on real photos as a table, where the ends were read."""
+    return end_table(*score_ends(photos.ends), "Ends on real photos")
+
+
+def false_table(photos: PhotoResult) -> Table:
+    """Return false detections on real photos by file and box, the surest first."""
+    columns = (
+        Column("photo"),
+        Column("scene"),
+        Column("confidence", 3),
+        Column("box (px)"),
+    )
+    false = sorted((r for r in photos.found if r.outcome == "false"), key=lambda r: -r.score)
+    rows = tuple(
+        (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
+        for r in false[:_FALSE_SHOWN]
+    )
+    title = f"False detections on real photos ({len(false)})"
+    return Table(title, columns, rows, "The photos themselves are not shown.")
+
+
+def span(one: Estimate, scale: float = 1.0, decimals: int = 3) -> str:
+    """Return an interval as text.
+
+    Examples
+    --------
+    >>> span(Estimate(0.9, 0.8512, 0.94, 10, 5)), span(Estimate(1.0, math.nan, math.nan, 4, 1))
+    ('0.851 to 0.940', '–')
+    """
+    if math.isnan(one.low):
+        return "–"
+    return f"{scale * one.low:.{decimals}f} to {scale * one.high:.{decimals}f}"
+
+
+def _shares(first: str) -> tuple[Column, ...]:
+    return (
+        Column(first),
+        Column("fruit"),
+        Column("scenes"),
+        Column("recall", 3),
+        Column("95 % by scene"),
+        Column("detections"),
+        Column("scenes with some"),
+        Column("precision", 3),
+        Column("95 % of it by scene"),
+    )
+
+
+def _estimate_cells(one: Estimate | None) -> Sequence[Cell]:
+    if one is None:
+        return (None, None, None, "–")
+    return (one.count, one.groups, one.value, span(one))

@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cucumbervision.accuracy.length_tables import (
+    accuracy_table,
+    against,
+    comparison_table,
+    factors_of,
+    fruit_table,
+    group_table,
+    method_metrics,
+)
+from cucumbervision.accuracy.page import Cell, Table
+from cucumbervision.accuracy.records import Record, readings_frame
+from cucumbervision.measurement.result import LengthDefinition
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tests.accuracy.conftest import MakeRecord
+
+
+def methods_against(records: Sequence[Record], truth: LengthDefinition) -> list[str]:
+    return list(against(readings_frame(records), truth)["method"].cat.categories)
+
+
+def cell(table: Table, row: str, head: str) -> Cell:
+    place = [column.head for column in table.columns].index(head)
+    return next(line[place] for line in table.rows if line[0] == row)
+
+
+def test_each_method_is_held_against_what_it_measures(make_record: MakeRecord) -> None:
+    names = ["oracle", "M6 chord", "M6 thread", "M6", "M5", "new tool", "rectangle", "M1"]
+    records = [make_record(lengths_m=dict.fromkeys(names, 0.2))]
+    assert methods_against(records, LengthDefinition.CENTRELINE) == [
+        *("M1", "M5", "M6", "rectangle", "new tool", "oracle")
+    ]
+    assert methods_against(records, LengthDefinition.THREAD) == [
+        *("M1", "M5", "M6", "M6 thread", "rectangle", "new tool")
+    ]
+    assert methods_against(records, LengthDefinition.CHORD) == [
+        *("M1", "M5", "M6 chord", "rectangle", "new tool")
+    ]
+
+
+def test_what_was_reported_counts_only_by_its_own_kind(make_record: MakeRecord) -> None:
+    said = {"reported_kind": "thread"}
+    records = [make_record(lengths_m={"reported": 0.22}, details=said)]
+    assert methods_against(records, LengthDefinition.THREAD) == ["reported"]
+    assert methods_against(records, LengthDefinition.CENTRELINE) == []
+    raw = [make_record(lengths_m={"reported": 0.22}, details={"reported_kind": "surface-arc"})]
+    assert methods_against(raw, LengthDefinition.CENTRELINE) == ["reported"]
+
+
+def test_accuracy_by_hand(make_record: MakeRecord) -> None:
+    # M1 errs +1 cm (5 %), -3 cm (15 %) and refuses once (20 cm, 100 %): MAE 24 / 3, MAPE 40,
+    # median 15, worst 100, RMSE sqrt((1 + 9 + 400) / 3), bias (5 - 15) / 2, measured 2 of 3.
+    lengths = [0.21, 0.17, None]
+    records = [
+        make_record(f"c{k}", fruit="one" if k < 2 else "two", lengths_m={"M1": x})
+        for k, x in enumerate(lengths)
+    ]
+    table = accuracy_table(readings_frame(records), LengthDefinition.CENTRELINE)
+    assert cell(table, "M1", "captures") == 3
+    assert cell(table, "M1", "fruit") == 2
+    for head, value in {
+        "measured (%)": 200 / 3,
+        "MAE (cm)": 8.0,
+        "MAPE (%)": 40.0,
+        "RMSE (cm)": (410 / 3) ** 0.5,
+        "median error (%)": 15.0,
+        "worst error (%)": 100.0,
+        "bias (%)": -5.0,
+    }.items():
+        assert cell(table, "M1", head) == pytest.approx(value), head
+    # By fruit there are but three resamples: one twice (10 %), two twice (100 %), and both. Each
+    # of the first two has a quarter of the chance, so the interval reaches from 10 to 100.
+    assert cell(table, "M1", "95 % by fruit (%)") == "10.00 to 100.00"
+    # By capture the mean of three draws of 5, 15, 100; all 5 has 1/27 = 3.7 %, above the tail.
+    assert cell(table, "M1", "95 % by capture (%)") == "5.00 to 100.00"
+
+
+def test_metrics_by_method_stand_in_the_tables_order(make_record: MakeRecord) -> None:
+    frame = readings_frame([make_record(lengths_m={"oracle": 0.2, "M6": 0.21, "M1": None})])
+    found = method_metrics(against(frame, LengthDefinition.CENTRELINE))
+    assert list(found) == ["M1", "M6", "oracle"]
+    assert found["M6"].mape_percent == pytest.approx(5.0)
+    assert found["M1"].measured == 0.0
+
+
+def test_a_method_that_was_not_run_is_not_punished(make_record: MakeRecord) -> None:
+    records = [
+        make_record("a", lengths_m={"M1": 0.2, "skan": 0.19}),
+        make_record("b", lengths_m={"M1": 0.2}),
+    ]
+    table = accuracy_table(readings_frame(records), LengthDefinition.CENTRELINE)
+    assert cell(table, "skan", "captures") == 1
+    assert cell(table, "skan", "MAPE (%)") == pytest.approx(5.0)
+
+
+def test_the_best_but_for_the_oracle_is_bold(make_record: MakeRecord) -> None:
+    records = [make_record(lengths_m={"M1": 0.19, "M6": 0.199, "oracle": 0.2})]
+    table = accuracy_table(readings_frame(records), LengthDefinition.CENTRELINE)
+    heads = [column.head for column in table.columns]
+    assert {table.rows[row][0] for row, _ in table.bold} == {"M6"}
+    assert {heads[column] for _, column in table.bold} == {
+        *("MAE (cm)", "RMSE (cm)", "MAPE (%)", "median error (%)", "worst error (%)")
+    }
+
+
+def test_comparisons_as_in_the_paper(make_record: MakeRecord) -> None:
+    # M5 errs by 1.0, 1.1, … cm, everybody else by exactly 1 cm more: all ten differences have one
+    # sign, so that p = 2 / 2^10 = 0.00195, below 0.05 / 4.
+    records = [
+        make_record(
+            f"c{k}",
+            fruit=f"f{k % 5}",
+            lengths_m={
+                "M5": 0.19 - 0.001 * k,
+                **dict.fromkeys(("M1", "M2", "M3", "M4"), 0.18 - 0.001 * k),
+            },
+        )
+        for k in range(10)
+    ]
+    table = comparison_table(readings_frame(records), LengthDefinition.CENTRELINE)
+    assert table is not None
+    assert [row[1] for row in table.rows] == ["M1", "M2", "M3", "M4"]
+    assert cell(table, "M5", "median difference (cm)") == pytest.approx(-1.0)
+    assert cell(table, "M5", "level (0.05 / tests)") == 0.0125
+    assert cell(table, "M5", "p") == "0.0020"
+    assert cell(table, "M5", "differ") is True
+    # Five fruit, one sign: 2 / 2^5.
+    assert cell(table, "M5", "p by fruit") == "0.0625"
+
+
+def test_m6_is_tested_by_the_kind_it_reads(make_record: MakeRecord) -> None:
+    lengths = {"M6": 0.2, "M6 thread": 0.22, "M1": 0.1, "oracle": 0.2}
+    records = [make_record(f"c{k}", lengths_m=lengths) for k in range(6)]
+    thread = comparison_table(readings_frame(records), LengthDefinition.THREAD)
+    assert thread is not None
+    assert [row[:2] for row in thread.rows] == [("M6 thread", "M1")]
+    assert comparison_table(readings_frame(records[:4]), LengthDefinition.THREAD) is None
+
+
+def test_validation_reads_as_in_the_paper(make_record: MakeRecord) -> None:
+    records = [
+        make_record("v1", lengths_m={"M1": 0.2011, "M5": None}),
+        make_record("v2", fruit="Cu-2", centreline_m=0.1, lengths_m={"M1": 0.095, "M5": 0.1}),
+    ]
+    table = fruit_table(readings_frame(records), LengthDefinition.CENTRELINE)
+    assert table.text_rows()[:2] == [
+        ["v1", "20.00", "20.11 (+0.11)", "not measured"],
+        ["Cu-2 (v2)", "10.00", "9.50 (−0.50)", "10.00 (+0.00)"],
+    ]
+    assert cell(table, "MAE (cm)", "M1 (cm)") == pytest.approx((0.11 + 0.5) / 2)
+    assert cell(table, "MAPE (%)", "M5 (cm)") == pytest.approx(50.0)
+
+
+def group_tables(records: Sequence[Record], truth: LengthDefinition) -> list[Table]:
+    scored = against(readings_frame(records), truth)
+    return [group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])]
+
+
+def test_bounds_belong_to_the_upper_group_and_the_last_is_closed(make_record: MakeRecord) -> None:
+    tilts = [0, 14.9, -15, 30, 45, 60, 61]
+    records = [make_record(f"c{t}", tilt_deg=float(t), lengths_m={"M1": 0.2}) for t in tilts]
+    (table,) = group_tables(records, LengthDefinition.CENTRELINE)
+    assert {row[0]: row[1] for row in table.rows} == {
+        "0 to 15": 2,
+        "15 to 30": 1,
+        "30 to 45": 1,
+        "45 to 60": 2,
+        "above 60": 1,
+        "30 to 60, together": 3,
+    }
+
+
+def test_groups_by_hand(make_record: MakeRecord) -> None:
+    # Straight: M6 errs 1 and 3 %, M1 refuses once and is right once. Bent: 10 and 20 %.
+    records = [
+        make_record("a", lengths_m={"M1": None, "M6": 0.202}),
+        make_record("b", lengths_m={"M1": 0.2, "M6": 0.194}),
+        make_record("c", bend_radius_m=0.3, lengths_m={"M1": 0.16, "M6": 0.18}),
+    ]
+    (table,) = group_tables(records, LengthDefinition.CENTRELINE)
+    assert table.columns[0].head == "radius of the bend (cm)"
+    assert [column.head for column in table.columns[3:]] == [
+        *("M1 MAPE (%)", "M6 MAPE (%)", "M6 median (%)", "M6 worst (%)", "M6 measured (%)")
+    ]
+    straight, bent = table.rows
+    assert straight[:3] == ("straight", 2, 2)
+    assert straight[3:] == pytest.approx((50.0, 2.0, 2.0, 3.0, 100.0))
+    assert bent[0] == "30 and more"
+    assert bent[3:] == pytest.approx((20.0, 10.0, 10.0, 10.0, 100.0))
+
+
+def test_sizes_go_by_the_truth_of_the_table(make_record: MakeRecord) -> None:
+    # 9.8 cm along the axis and 10.4 by thread: small by the one, medium by the other.
+    records = [
+        make_record("a", centreline_m=0.098, thread_m=0.104, lengths_m={"M1": 0.1}),
+        make_record("b", lengths_m={"M1": 0.2}),
+    ]
+    tables = [
+        group_tables(records, truth)[0]
+        for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
+    ]
+    assert [table.rows[0][0] for table in tables] == ["small: below 10", "medium: 10 to 18"]
+
+
+def test_unknown_values_are_in_no_group(make_record: MakeRecord) -> None:
+    unknown = dict.fromkeys(("hidden_share", "tilt_deg", "distance_m"), float("nan"))
+    records = [make_record(c, lengths_m={"M6": 0.2}, **unknown) for c in "ab"]
+    assert group_tables(records, LengthDefinition.CENTRELINE) == []
+
+
+def test_both_ends_in_sight_is_a_group_of_its_own(make_record: MakeRecord) -> None:
+    records = [
+        make_record(
+            f"c{k}", hidden_share=0.1 * k, details={"ends_seen": k < 4}, lengths_m={"M6": 0.2}
+        )
+        for k in range(6)
+    ]
+    counts = [
+        {row[0]: row[1] for row in table.rows}
+        for table in group_tables(records, LengthDefinition.CENTRELINE)
+    ]
+    assert counts == [
+        {"0": 1, "above 0 to 20": 1, "20 to 40": 2, "40 to 60": 2},
+        {"0": 1, "above 0 to 20": 1, "20 to 40": 2},
+    ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.store.views import Verdict
 
@@ -17,12 +18,13 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.grades import Grade
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.store.records import MethodRecord
+    from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = [
     "RoundLists",
+    "figure_lines",
     "grade_name",
     "length_lines",
     "map_lines",
@@ -105,6 +107,24 @@ def statistics(lists: RoundLists) -> dict[str, float | int | None]:
         "sd_m": float(lengths.std(ddof=1)) if many else None,
         "median_m": float(np.median(lengths)) if len(lengths) else None,
     }
+
+
+def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
+    """Return a line for every figure that the store keeps of a fruit: what it is, and its value.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> figure_lines(DetectionRecord(1, diameter_max_m=0.0412))[-1]
+    {'What': 'Largest diameter', 'Value': '41.2 mm'}
+    """
+    lines = []
+    for one in FIELDS:
+        cell = one.cell(getattr(record, one.si_name, None), one.digits)
+        if one.type == "number" and cell is not None and not one.name.startswith("box_"):
+            value = f"{cell:g} {one.unit}".strip()
+            lines.append({"What": one.says[0].upper() + one.says[1:], "Value": value})
+    return lines
 
 
 def length_lines(

@@ -11,8 +11,9 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, cast
 
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.fields import Cell, Column
+from cucumbervision.pipeline.fields import FIELDS, Cell, Column
 from cucumbervision.pipeline.fields import field as fruit_field
+from cucumbervision.store.records import DetectionRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -254,6 +255,15 @@ _ROWS = _columns(
     "unplaced||whole|detections without a position or depth",
 )
 
+# Every trait of the fitted tube that the store keeps; its lengths and tilt stand elsewhere.
+_TRAITS = tuple(
+    one.name
+    for one in FIELDS
+    if one.path.startswith("fruit.traits.")
+    and hasattr(DetectionRecord, one.si_name)
+    and one.name not in ("centreline_cm", "thread_cm", "chord_cm", "tilt_deg")
+)
+
 _FRUIT = (
     *_columns(
         "number||whole|number in this list, by row and position",
@@ -283,7 +293,7 @@ _FRUIT = (
             for one in Method
         )
     ),
-    *_measured("inner_arc_mm", "diameter_max_mm", "diameter_mean_mm", "volume_ml"),
+    *_measured(*_TRAITS),
     *_measured("method", "reason", "fallback", "flags"),
     *_columns("views||whole|how often it was seen|view.views"),
     *_measured("score", "distance_cm", "tilt_deg", "hidden_share", "fill"),

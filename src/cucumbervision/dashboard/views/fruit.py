@@ -19,7 +19,7 @@ from cucumbervision.dashboard.fruit_view import (
 )
 from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.dashboard.measuring import stored_capture
-from cucumbervision.dashboard.round_tables import RoundLists, grade_name
+from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.store.views import Verdict
@@ -112,6 +112,8 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
     st.write(" · ".join(said))
     if record.flags:
         st.caption(f"Remarks: {record.flags.replace('-', ' ')}")
+    with st.expander("All figures", icon=":material/list:"):
+        st.dataframe(figure_lines(record), hide_index=True)
 
 
 def _verdict(one: RoundView, detail: DetectionDetail) -> None:

@@ -26,6 +26,7 @@ from cucumbervision.store.schema import (
     DETECTION_CELLS,
     IMAGE_COLUMNS,
     METHOD_CELLS,
+    ROUND_CELLS,
     Action,
     Artifact,
     CaptureLine,
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Queries", "links_of", "round_id_of"]
 
+_PLACE = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m")
 _IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, DetectionLine.number)
 
 
@@ -95,12 +97,7 @@ class Queries(Database):
         )
         query = (
             select(
-                Round.key,
-                Round.name,
-                Round.house,
-                Round.started_s,
-                Round.profile,
-                Round.note,
+                *columns_of(Round, ROUND_CELLS),
                 func.coalesce(stops.c.n, 0),
                 func.coalesce(detections.c.n, 0),
                 stops.c.last,
@@ -146,7 +143,6 @@ class Queries(Database):
         key = checked_key(key, "fruit")
         query = (
             select(
-                DetectionLine.id,
                 DetectionLine.number,
                 CaptureLine.number,
                 StopLine.key,
@@ -172,7 +168,7 @@ class Queries(Database):
                 raise StoreError(
                     f"fruit {key} is not in the store", remedy="look it up in detections()"
                 )
-            _, number, capture_number, stop_key, round_key, correction = found
+            number, capture_number, stop_key, round_key, correction = found
             stop = _stop_of(connection, stop_key)
             links = links_of(connection, round_key)
             ends = {key, *(end for link in links for end in (link.first, link.second))}
@@ -340,14 +336,7 @@ def _stop_query(round_id: int) -> Any:
         select(
             StopLine.key,
             Row.name,
-            StopLine.side,
-            StopLine.position_m,
-            StopLine.position_sd_m,
-            StopLine.fitted_m,
-            StopLine.fitted_sd_m,
-            StopLine.step,
-            StopLine.taken_s,
-            StopLine.note,
+            *columns_of(StopLine, ("side", *_PLACE, "step", "taken_s", "note")),
             func.coalesce(captures.c.n, 0),
             func.coalesce(detections.c.n, 0),
             StopLine.failures,
@@ -401,14 +390,9 @@ def _detection_query(round_id: int) -> Any:
             StopLine.key,
             CaptureLine.name,
             Row.name,
-            StopLine.side,
-            StopLine.step,
-            StopLine.taken_s,
+            *columns_of(StopLine, ("side", "step", "taken_s")),
             CaptureLine.simulated,
-            StopLine.position_m,
-            StopLine.position_sd_m,
-            StopLine.fitted_m,
-            StopLine.fitted_sd_m,
+            *columns_of(StopLine, _PLACE),
             *IMAGE_COLUMNS,
             *columns_of(DetectionLine, DETECTION_CELLS),
         )
@@ -564,14 +548,9 @@ def _actions_of(
     undo = aliased(Action)
     query: Any = (
         select(
-            Action.id,
-            Action.at_s,
-            Action.by,
-            Action.kind,
+            *columns_of(Action, ("id", "at_s", "by", "kind")),
             Round.key,
-            Action.fruit,
-            Action.details,
-            Action.undoes_id,
+            *columns_of(Action, ("fruit", "details", "undoes_id")),
             undo.id,
         )
         .outerjoin(Round, Round.id == Action.round_id)

@@ -25,6 +25,7 @@ from cucumbervision.store.schema import (
     CAPTURE_CELLS,
     DETECTION_CELLS,
     METHOD_CELLS,
+    ROUND_CELLS,
     Artifact,
     Base,
     CaptureLine,
@@ -38,6 +39,7 @@ from cucumbervision.store.schema import (
     Shift,
     StopArtifact,
     StopLine,
+    columns_of,
     pack_um,
 )
 from cucumbervision.store.views import LinkKind, Saved
@@ -52,7 +54,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Store", "open_store"]
 
-_ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 _STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
 
 
@@ -126,9 +127,9 @@ class Store(Queries, Corrections):
         """
         record = replace(record, key=checked_key(record.key, "round"))
         with self.writing() as connection:
-            if _insert_new(connection, Round, _cells(record, _ROUND_CELLS), "key") is not None:
+            if _insert_new(connection, Round, _cells(record, ROUND_CELLS), "key") is not None:
                 return Saved.NEW
-            columns = [getattr(Round, name) for name in _ROUND_CELLS]
+            columns = columns_of(Round, ROUND_CELLS)
             found = connection.execute(select(*columns).where(Round.key == record.key)).one()
             if RoundRecord(*found) != record:
                 raise _conflict("round", record.key)

@@ -47,6 +47,7 @@ __all__ = [
     "DETECTION_CELLS",
     "IMAGE_COLUMNS",
     "METHOD_CELLS",
+    "ROUND_CELLS",
     "Action",
     "Artifact",
     "Base",
@@ -324,6 +325,7 @@ def _lay_out(table: type[Base], record: type, leave_out: Sequence[str]) -> tuple
 CAPTURE_CELLS = _lay_out(CaptureLine, CaptureRecord, ("color", "depth", "thumbnail", "fruit"))
 DETECTION_CELLS = _lay_out(DetectionLine, DetectionRecord, ("keypoints", "mask", "methods"))
 METHOD_CELLS = _lay_out(MethodLine, MethodRecord, ("path_m", "diameter_m"))
+ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 IMAGE_COLUMNS = (Image.sha256, Image.suffix, Image.size_bytes, Image.width_px, Image.height_px)
 
 T = TypeVar("T")

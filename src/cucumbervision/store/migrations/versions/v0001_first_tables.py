@@ -1,4 +1,6 @@
-"""The first tables."""
+"""The first tables. A published revision: what a new version needs is a revision of its own."""
+
+from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
@@ -6,345 +8,123 @@ from alembic import op
 revision = "0001"
 down_revision = None
 
-_ACTIVE = sa.text("ended_by_id IS NULL")
-_MEASURED = (
-    "length_m",
-    "length_sd_m",
-    "interval_low_m",
-    "interval_high_m",
-    "centreline_m",
-    "thread_m",
-    "chord_m",
-    "inner_arc_m",
-    "diameter_max_m",
-    "diameter_mean_m",
-    "volume_m3",
-    "tilt_deg",
-    "hidden_share",
-    "fill",
-    "distance_m",
-    "raw_length_m",
-    "centre_x_m",
-    "centre_y_m",
-    "centre_z_m",
-    "offset_m",
-    "offset_sd_m",
-)
+_TYPES = {
+    "int": sa.Integer,
+    "text": sa.Text,
+    "double": sa.Double,
+    "bool": sa.Boolean,
+    "json": sa.JSON,
+    "bytes": sa.LargeBinary,
+}
+_NAMES = {
+    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+    "ck": "ck_%(table_name)s_%(constraint_name)s",
+    "fk": "fk_%(table_name)s_%(column_0_name)s_%(referred_table_name)s",
+    "pk": "pk_%(table_name)s",
+}
+# Of each table the columns by type ('?': may be empty), and what each refers to ('id' of a table,
+# or that column); an index for a column with '*'.
+_COLUMNS = {
+    "rounds": "int: id; text: key name house profile note; double: started_s*",
+    "rows": "int: id; text: house name",
+    "shifts": "int: row_id>rows earlier_id>rounds later_id>rounds; double: shift_m sd_m?",
+    "artifacts": "int: id; text: kind name sha256; json: details",
+    "images": "text: sha256 suffix; int: size_bytes width_px height_px",
+    "stops": """
+        int: id round_id*>rounds row_id*?>rows step?; text: key content_sha256 side? note;
+        double: position_m? position_sd_m? taken_s fitted_m? fitted_sd_m?; json: pose failures""",
+    "stop_artifacts": "int: stop_id>stops number artifact_id*>artifacts",
+    "captures": """
+        int: id stop_id>stops number frame burst_frame burst_size width_px height_px;
+        text: name source color_sha256*?>images.sha256 depth_sha256*?>images.sha256
+        thumbnail_sha256*?>images.sha256; double: timestamp_s? fill? depth_unit_m?;
+        bool: simulated; json: camera provenance""",
+    "fruit": """
+        int: id capture_id>captures round_id*>rounds number mask_px?;
+        text: key label method? reason fallback flags length_kind? interval_of? interval_basis?
+        mask_source? raw_length_kind?;
+        double: score box_x1_px box_y1_px box_x2_px box_y2_px view_score length_m? length_sd_m?
+        interval_low_m? interval_high_m? centreline_m? thread_m? chord_m? inner_arc_m?
+        diameter_max_m? diameter_mean_m? volume_m3? tilt_deg? hidden_share? fill? distance_m?
+        raw_length_m? centre_x_m? centre_y_m? centre_z_m? offset_m? offset_sd_m?""",
+    "masks": "int: fruit_id>fruit; text: rle?; json: keypoints",
+    "measurements": """
+        int: fruit_id>fruit number; text: method kind? reason fallback measured_by?;
+        double: length_m? centreline_m? thread_m? chord_m? centreline_sd_m? thread_sd_m?;
+        bytes: path_um diameter_um""",
+    "actions": """
+        int: id round_id*?>rounds undoes_id?>actions; double: at_s; text: by kind;
+        json: fruit details""",
+    "marks": """
+        int: id fruit_id*>fruit action_id*>actions ended_by_id*?>actions; text: slot value;
+        json: details""",
+    "links": """
+        int: id first_id>fruit second_id*>fruit first_round_id*>rounds second_round_id*>rounds
+        action_id*?>actions ended_by_id*?>actions; text: kind; double: score?""",
+}
+_KEYS = {
+    "shifts": ("row_id", "earlier_id", "later_id"),
+    "images": ("sha256",),
+    "stop_artifacts": ("stop_id", "number"),
+    "masks": ("fruit_id",),
+    "measurements": ("fruit_id", "number"),
+}
+_UNIQUE: dict[str, list[tuple[str, ...]]] = {
+    "rounds": [("key",)],
+    "rows": [("house", "name")],
+    "artifacts": [("kind", "name", "sha256")],
+    "stops": [("key",)],
+    "captures": [("stop_id", "name"), ("stop_id", "number")],
+    "fruit": [("capture_id", "number"), ("key",)],
+    "actions": [("undoes_id",)],
+}
+# One line that has not ended for each of these.
+_ACTIVE = {"marks": ("fruit_id", "slot"), "links": ("first_id", "second_id")}
 
 
 def upgrade() -> None:
     """Make them all."""
-    _rounds()
-    _artifacts()
-    _stops()
-    _captures()
-    _fruit()
-    _fruit_details()
-    _log()
-    _links()
+    metadata = sa.MetaData(naming_convention=_NAMES)
+    for name, text in _COLUMNS.items():
+        keys = _KEYS.get(name, ("id",))
+        table = sa.Table(name, metadata, *_columns(text, keys))
+        for columns in _UNIQUE.get(name, []):
+            table.append_constraint(sa.UniqueConstraint(*columns))
+        if name in _ACTIVE:
+            where = sa.text("ended_by_id IS NULL")
+            sa.Index(
+                f"uq_{name}_active",
+                *(table.c[column] for column in _ACTIVE[name]),
+                unique=True,
+                sqlite_where=where,
+                postgresql_where=where,
+            )
+    different = sa.CheckConstraint("first_id <> second_id", name="ck_links_two")
+    metadata.tables["links"].append_constraint(different)
+    metadata.create_all(op.get_bind(), checkfirst=False)
     _guard_log()
 
 
-def _rounds() -> None:
-    """Make rounds, rows, and shifts of rows between rounds."""
-    op.create_table(
-        "rounds",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("key", sa.Text(), nullable=False),
-        sa.Column("name", sa.Text(), nullable=False),
-        sa.Column("house", sa.Text(), nullable=False),
-        sa.Column("started_s", sa.Double(), nullable=False),
-        sa.Column("profile", sa.Text(), nullable=False),
-        sa.Column("note", sa.Text(), nullable=False),
-        sa.PrimaryKeyConstraint("id", name="pk_rounds"),
-        sa.UniqueConstraint("key", name="uq_rounds_key"),
-    )
-    op.create_index("ix_rounds_started_s", "rounds", ["started_s"])
-    op.create_table(
-        "rows",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("house", sa.Text(), nullable=False),
-        sa.Column("name", sa.Text(), nullable=False),
-        sa.PrimaryKeyConstraint("id", name="pk_rows"),
-        sa.UniqueConstraint("house", "name", name="uq_rows_house_name"),
-    )
-    op.create_table(
-        "shifts",
-        sa.Column("row_id", sa.Integer(), nullable=False),
-        sa.Column("earlier_id", sa.Integer(), nullable=False),
-        sa.Column("later_id", sa.Integer(), nullable=False),
-        sa.Column("shift_m", sa.Double(), nullable=False),
-        sa.Column("sd_m", sa.Double(), nullable=True),
-        sa.ForeignKeyConstraint(["earlier_id"], ["rounds.id"], name="fk_shifts_earlier_id_rounds"),
-        sa.ForeignKeyConstraint(["later_id"], ["rounds.id"], name="fk_shifts_later_id_rounds"),
-        sa.ForeignKeyConstraint(["row_id"], ["rows.id"], name="fk_shifts_row_id_rows"),
-        sa.PrimaryKeyConstraint("row_id", "earlier_id", "later_id", name="pk_shifts"),
-    )
-
-
-def _artifacts() -> None:
-    """Make artifacts and pictures."""
-    op.create_table(
-        "artifacts",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("kind", sa.Text(), nullable=False),
-        sa.Column("name", sa.Text(), nullable=False),
-        sa.Column("sha256", sa.Text(), nullable=False),
-        sa.Column("details", sa.JSON(), nullable=False),
-        sa.PrimaryKeyConstraint("id", name="pk_artifacts"),
-        sa.UniqueConstraint("kind", "name", "sha256", name="uq_artifacts_kind_name_sha256"),
-    )
-    op.create_table(
-        "images",
-        sa.Column("sha256", sa.Text(), nullable=False),
-        sa.Column("suffix", sa.Text(), nullable=False),
-        sa.Column("size_bytes", sa.Integer(), nullable=False),
-        sa.Column("width_px", sa.Integer(), nullable=False),
-        sa.Column("height_px", sa.Integer(), nullable=False),
-        sa.PrimaryKeyConstraint("sha256", name="pk_images"),
-    )
-
-
-def _stops() -> None:
-    """Make stops."""
-    op.create_table(
-        "stops",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("key", sa.Text(), nullable=False),
-        sa.Column("content_sha256", sa.Text(), nullable=False),
-        sa.Column("round_id", sa.Integer(), nullable=False),
-        sa.Column("row_id", sa.Integer(), nullable=True),
-        sa.Column("side", sa.Text(), nullable=True),
-        sa.Column("position_m", sa.Double(), nullable=True),
-        sa.Column("position_sd_m", sa.Double(), nullable=True),
-        sa.Column("step", sa.Integer(), nullable=True),
-        sa.Column("taken_s", sa.Double(), nullable=False),
-        sa.Column("pose", sa.JSON(), nullable=False),
-        sa.Column("note", sa.Text(), nullable=False),
-        sa.Column("failures", sa.JSON(), nullable=False),
-        sa.Column("fitted_m", sa.Double(), nullable=True),
-        sa.Column("fitted_sd_m", sa.Double(), nullable=True),
-        sa.ForeignKeyConstraint(["round_id"], ["rounds.id"], name="fk_stops_round_id_rounds"),
-        sa.ForeignKeyConstraint(["row_id"], ["rows.id"], name="fk_stops_row_id_rows"),
-        sa.PrimaryKeyConstraint("id", name="pk_stops"),
-        sa.UniqueConstraint("key", name="uq_stops_key"),
-    )
-    op.create_index("ix_stops_round_id", "stops", ["round_id"])
-    op.create_index("ix_stops_row_id", "stops", ["row_id"])
-    op.create_table(
-        "stop_artifacts",
-        sa.Column("stop_id", sa.Integer(), nullable=False),
-        sa.Column("number", sa.Integer(), nullable=False),
-        sa.Column("artifact_id", sa.Integer(), nullable=False),
-        sa.ForeignKeyConstraint(
-            ["artifact_id"], ["artifacts.id"], name="fk_stop_artifacts_artifact_id_artifacts"
-        ),
-        sa.ForeignKeyConstraint(["stop_id"], ["stops.id"], name="fk_stop_artifacts_stop_id_stops"),
-        sa.PrimaryKeyConstraint("stop_id", "number", name="pk_stop_artifacts"),
-    )
-    op.create_index("ix_stop_artifacts_artifact_id", "stop_artifacts", ["artifact_id"])
-
-
-def _captures() -> None:
-    """Make captures."""
-    op.create_table(
-        "captures",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("stop_id", sa.Integer(), nullable=False),
-        sa.Column("number", sa.Integer(), nullable=False),
-        sa.Column("name", sa.Text(), nullable=False),
-        sa.Column("frame", sa.Integer(), nullable=False),
-        sa.Column("burst_frame", sa.Integer(), nullable=False),
-        sa.Column("burst_size", sa.Integer(), nullable=False),
-        sa.Column("timestamp_s", sa.Double(), nullable=True),
-        sa.Column("width_px", sa.Integer(), nullable=False),
-        sa.Column("height_px", sa.Integer(), nullable=False),
-        sa.Column("fill", sa.Double(), nullable=True),
-        sa.Column("simulated", sa.Boolean(), nullable=False),
-        sa.Column("source", sa.Text(), nullable=False),
-        sa.Column("camera", sa.JSON(), nullable=False),
-        sa.Column("provenance", sa.JSON(), nullable=False),
-        sa.Column("depth_unit_m", sa.Double(), nullable=True),
-        sa.Column("color_sha256", sa.Text(), nullable=True),
-        sa.Column("depth_sha256", sa.Text(), nullable=True),
-        sa.Column("thumbnail_sha256", sa.Text(), nullable=True),
-        sa.ForeignKeyConstraint(
-            ["color_sha256"], ["images.sha256"], name="fk_captures_color_sha256_images"
-        ),
-        sa.ForeignKeyConstraint(
-            ["depth_sha256"], ["images.sha256"], name="fk_captures_depth_sha256_images"
-        ),
-        sa.ForeignKeyConstraint(["stop_id"], ["stops.id"], name="fk_captures_stop_id_stops"),
-        sa.ForeignKeyConstraint(
-            ["thumbnail_sha256"], ["images.sha256"], name="fk_captures_thumbnail_sha256_images"
-        ),
-        sa.PrimaryKeyConstraint("id", name="pk_captures"),
-        sa.UniqueConstraint("stop_id", "name", name="uq_captures_stop_id_name"),
-        sa.UniqueConstraint("stop_id", "number", name="uq_captures_stop_id_number"),
-    )
-    op.create_index("ix_captures_color_sha256", "captures", ["color_sha256"])
-    op.create_index("ix_captures_depth_sha256", "captures", ["depth_sha256"])
-    op.create_index("ix_captures_thumbnail_sha256", "captures", ["thumbnail_sha256"])
-
-
-def _fruit() -> None:
-    """Make fruit, with what lists show."""
-    op.create_table(
-        "fruit",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("key", sa.Text(), nullable=False),
-        sa.Column("capture_id", sa.Integer(), nullable=False),
-        sa.Column("round_id", sa.Integer(), nullable=False),
-        sa.Column("number", sa.Integer(), nullable=False),
-        sa.Column("label", sa.Text(), nullable=False),
-        sa.Column("score", sa.Double(), nullable=False),
-        sa.Column("box_x1_px", sa.Double(), nullable=False),
-        sa.Column("box_y1_px", sa.Double(), nullable=False),
-        sa.Column("box_x2_px", sa.Double(), nullable=False),
-        sa.Column("box_y2_px", sa.Double(), nullable=False),
-        sa.Column("method", sa.Text(), nullable=True),
-        sa.Column("reason", sa.Text(), nullable=False),
-        sa.Column("fallback", sa.Text(), nullable=False),
-        sa.Column("flags", sa.Text(), nullable=False),
-        sa.Column("length_kind", sa.Text(), nullable=True),
-        sa.Column("interval_of", sa.Text(), nullable=True),
-        sa.Column("interval_basis", sa.Text(), nullable=True),
-        sa.Column("mask_source", sa.Text(), nullable=True),
-        sa.Column("mask_px", sa.Integer(), nullable=True),
-        sa.Column("raw_length_kind", sa.Text(), nullable=True),
-        sa.Column("view_score", sa.Double(), nullable=False),
-        *(sa.Column(name, sa.Double(), nullable=True) for name in _MEASURED),
-        sa.ForeignKeyConstraint(
-            ["capture_id"], ["captures.id"], name="fk_fruit_capture_id_captures"
-        ),
-        sa.ForeignKeyConstraint(["round_id"], ["rounds.id"], name="fk_fruit_round_id_rounds"),
-        sa.PrimaryKeyConstraint("id", name="pk_fruit"),
-        sa.UniqueConstraint("capture_id", "number", name="uq_fruit_capture_id_number"),
-        sa.UniqueConstraint("key", name="uq_fruit_key"),
-    )
-    op.create_index("ix_fruit_round_id", "fruit", ["round_id"])
-
-
-def _fruit_details() -> None:
-    """Make what lists of fruit leave out."""
-    op.create_table(
-        "masks",
-        sa.Column("fruit_id", sa.Integer(), nullable=False),
-        sa.Column("rle", sa.Text(), nullable=True),
-        sa.Column("keypoints", sa.JSON(), nullable=False),
-        sa.ForeignKeyConstraint(["fruit_id"], ["fruit.id"], name="fk_masks_fruit_id_fruit"),
-        sa.PrimaryKeyConstraint("fruit_id", name="pk_masks"),
-    )
-    op.create_table(
-        "measurements",
-        sa.Column("fruit_id", sa.Integer(), nullable=False),
-        sa.Column("number", sa.Integer(), nullable=False),
-        sa.Column("method", sa.Text(), nullable=False),
-        sa.Column("length_m", sa.Double(), nullable=True),
-        sa.Column("kind", sa.Text(), nullable=True),
-        sa.Column("reason", sa.Text(), nullable=False),
-        sa.Column("fallback", sa.Text(), nullable=False),
-        sa.Column("measured_by", sa.Text(), nullable=True),
-        sa.Column("centreline_m", sa.Double(), nullable=True),
-        sa.Column("thread_m", sa.Double(), nullable=True),
-        sa.Column("chord_m", sa.Double(), nullable=True),
-        sa.Column("centreline_sd_m", sa.Double(), nullable=True),
-        sa.Column("thread_sd_m", sa.Double(), nullable=True),
-        sa.Column("path_um", sa.LargeBinary(), nullable=False),
-        sa.Column("diameter_um", sa.LargeBinary(), nullable=False),
-        sa.ForeignKeyConstraint(["fruit_id"], ["fruit.id"], name="fk_measurements_fruit_id_fruit"),
-        sa.PrimaryKeyConstraint("fruit_id", "number", name="pk_measurements"),
-    )
-
-
-def _log() -> None:
-    """Make the log and the marks."""
-    op.create_table(
-        "actions",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("at_s", sa.Double(), nullable=False),
-        sa.Column("by", sa.Text(), nullable=False),
-        sa.Column("kind", sa.Text(), nullable=False),
-        sa.Column("round_id", sa.Integer(), nullable=True),
-        sa.Column("fruit", sa.JSON(), nullable=False),
-        sa.Column("details", sa.JSON(), nullable=False),
-        sa.Column("undoes_id", sa.Integer(), nullable=True),
-        sa.ForeignKeyConstraint(["round_id"], ["rounds.id"], name="fk_actions_round_id_rounds"),
-        sa.ForeignKeyConstraint(["undoes_id"], ["actions.id"], name="fk_actions_undoes_id_actions"),
-        sa.PrimaryKeyConstraint("id", name="pk_actions"),
-        sa.UniqueConstraint("undoes_id", name="uq_actions_undoes_id"),
-    )
-    op.create_index("ix_actions_round_id", "actions", ["round_id"])
-    op.create_table(
-        "marks",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("fruit_id", sa.Integer(), nullable=False),
-        sa.Column("slot", sa.Text(), nullable=False),
-        sa.Column("value", sa.Text(), nullable=False),
-        sa.Column("details", sa.JSON(), nullable=False),
-        sa.Column("action_id", sa.Integer(), nullable=False),
-        sa.Column("ended_by_id", sa.Integer(), nullable=True),
-        sa.ForeignKeyConstraint(["action_id"], ["actions.id"], name="fk_marks_action_id_actions"),
-        sa.ForeignKeyConstraint(
-            ["ended_by_id"], ["actions.id"], name="fk_marks_ended_by_id_actions"
-        ),
-        sa.ForeignKeyConstraint(["fruit_id"], ["fruit.id"], name="fk_marks_fruit_id_fruit"),
-        sa.PrimaryKeyConstraint("id", name="pk_marks"),
-    )
-    op.create_index("ix_marks_action_id", "marks", ["action_id"])
-    op.create_index("ix_marks_ended_by_id", "marks", ["ended_by_id"])
-    op.create_index("ix_marks_fruit_id", "marks", ["fruit_id"])
-    op.create_index(
-        "uq_marks_active",
-        "marks",
-        ["fruit_id", "slot"],
-        unique=True,
-        sqlite_where=_ACTIVE,
-        postgresql_where=_ACTIVE,
-    )
-
-
-def _links() -> None:
-    """Make links between fruit."""
-    op.create_table(
-        "links",
-        sa.Column("id", sa.Integer(), nullable=False),
-        sa.Column("kind", sa.Text(), nullable=False),
-        sa.Column("first_id", sa.Integer(), nullable=False),
-        sa.Column("second_id", sa.Integer(), nullable=False),
-        sa.Column("first_round_id", sa.Integer(), nullable=False),
-        sa.Column("second_round_id", sa.Integer(), nullable=False),
-        sa.Column("score", sa.Double(), nullable=True),
-        sa.Column("action_id", sa.Integer(), nullable=True),
-        sa.Column("ended_by_id", sa.Integer(), nullable=True),
-        sa.CheckConstraint("first_id <> second_id", name="ck_links_two"),
-        sa.ForeignKeyConstraint(["action_id"], ["actions.id"], name="fk_links_action_id_actions"),
-        sa.ForeignKeyConstraint(
-            ["ended_by_id"], ["actions.id"], name="fk_links_ended_by_id_actions"
-        ),
-        sa.ForeignKeyConstraint(["first_id"], ["fruit.id"], name="fk_links_first_id_fruit"),
-        sa.ForeignKeyConstraint(
-            ["first_round_id"], ["rounds.id"], name="fk_links_first_round_id_rounds"
-        ),
-        sa.ForeignKeyConstraint(["second_id"], ["fruit.id"], name="fk_links_second_id_fruit"),
-        sa.ForeignKeyConstraint(
-            ["second_round_id"], ["rounds.id"], name="fk_links_second_round_id_rounds"
-        ),
-        sa.PrimaryKeyConstraint("id", name="pk_links"),
-    )
-    op.create_index("ix_links_action_id", "links", ["action_id"])
-    op.create_index("ix_links_ended_by_id", "links", ["ended_by_id"])
-    op.create_index("ix_links_first_round_id", "links", ["first_round_id"])
-    op.create_index("ix_links_second_id", "links", ["second_id"])
-    op.create_index("ix_links_second_round_id", "links", ["second_round_id"])
-    op.create_index(
-        "uq_links_active",
-        "links",
-        ["first_id", "second_id"],
-        unique=True,
-        sqlite_where=_ACTIVE,
-        postgresql_where=_ACTIVE,
-    )
+def _columns(text: str, keys: tuple[str, ...]) -> list[sa.Column[Any]]:
+    found = []
+    for part in text.split(";"):
+        kind, names = part.split(":")
+        for entry in names.split():
+            left, _, target = entry.partition(">")
+            target = target if not target or "." in target else f"{target}.id"
+            name = left.rstrip("*?")
+            found.append(
+                sa.Column(
+                    name,
+                    _TYPES[kind.strip()](),
+                    *([sa.ForeignKey(target)] if target else []),
+                    primary_key=name in keys,
+                    nullable="?" in left,
+                    index="*" in left or None,
+                )
+            )
+    return sorted(found, key=lambda one: one.name not in keys)
 
 
 def _guard_log() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import doctest
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -24,3 +26,9 @@ def test_columns_stand_in_their_order() -> None:
 )
 def test_codes_are_explained(code: str) -> None:
     assert f"`{code}`" in PAGE or (code in set(Method) and str(code) in PAGE)
+
+
+def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:
+    result = run_page(ROOT / "docs" / "measurements.md")
+    assert result.attempted > 8
+    assert result.failed == 0

@@ -68,7 +68,7 @@ def run_and_show(
 
 
 def progress_bar(console: Console) -> Progress:
-    """Give the bar of a long command: share, speed, count, time gone and left.
+    """Return the bar of a long command: share, speed, count, time gone and left.
 
     It is shown on terminals only, and goes when it is done.
     """

@@ -31,7 +31,7 @@ def coco_results(
     *,
     keypoints: bool,
 ) -> list[dict[str, Any]]:
-    """Give one picture's detections as entries of `results.json`.
+    """Return one picture's detections as entries of `results.json`.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def coco_results(
 
 
 def coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
-    """Give the classes, numbered from 1, with the five keypoints' names.
+    """Return the classes, numbered from 1, with the five keypoints' names.
 
     Examples
     --------

@@ -119,7 +119,7 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
 
 
 def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
-    """Give a data set's own masks as instances.
+    """Return a data set's own masks as instances.
 
     An empty mask is left out: there is no fruit to measure.
 
@@ -216,7 +216,7 @@ def _network_finder(detectors: Detectors) -> Find:
 
 
 def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
-    """Give a pose network's keypoints to fruit that come from elsewhere."""
+    """Return a finder whose fruit get a pose network's keypoints."""
     if pose is None:
         return find
 

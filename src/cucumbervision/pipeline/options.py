@@ -71,7 +71,7 @@ class MeasureOptions:
     calibration: Path | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Give the choices as JSON values."""
+        """Return the choices as JSON values."""
         values: dict[str, Any] = json.loads(json.dumps(asdict(self), default=str))
         return values
 

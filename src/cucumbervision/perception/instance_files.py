@@ -15,7 +15,7 @@ import numpy as np
 
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, decode_rle, fill_polygon
+from cucumbervision.perception.masks import box_of_mask, mask_of_segmentation, polygon_points
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -154,7 +154,7 @@ def _coco_record(
         x, y, w, h = _finite(item["bbox"])
         box = np.array([x, y, x + w, y + h])
     shape = item.get("segmentation") or []
-    polygons = () if isinstance(shape, dict) else tuple(_polygon(_finite(p)) for p in shape)
+    polygons = () if isinstance(shape, dict) else tuple(polygon_points(p) for p in shape)
     if box is None and not shape:
         raise ValueError("has neither box nor mask")
     keypoints = None
@@ -228,7 +228,7 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
         half = rest[2:] / 2
         box = np.concatenate([rest[:2] - half, rest[:2] + half])
     else:
-        polygons = (_polygon(rest),)
+        polygons = (polygon_points(rest),)
     class_name = names[number].strip() if number < len(names) else str(number)
     return Record(where, class_name, confidence, box, polygons, None, keypoints, normalised=True)
 
@@ -238,12 +238,6 @@ def _finite(values: Any) -> NDArray[np.float64]:
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise ValueError("has a number that is not finite")
     return numbers
-
-
-def _polygon(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    if len(values) < 6 or len(values) % 2:
-        raise ValueError("has a polygon of fewer than three points")
-    return values.reshape(-1, 2)
 
 
 def _keypoints(values: NDArray[np.float64], visible: float) -> NDArray[np.float64]:
@@ -455,19 +449,8 @@ def _instance(record: Record, width: int, height: int) -> tuple[Instance, bool]:
 def _mask(
     record: Record, scale: NDArray[np.float64], width: int, height: int
 ) -> NDArray[np.bool_] | None:
-    if record.rle is not None:
-        rows, columns = record.rle["size"]
-        if (rows, columns) != (height, width):
-            raise ValueError(f"has a mask of {columns}x{rows}, the picture is {width}x{height}")
-        mask = decode_rle(record.rle["counts"], height, width)
-    elif record.polygons:
-        parts = [fill_polygon(p * scale, height, width) for p in record.polygons]
-        mask = np.logical_or.reduce(parts)
-    else:
-        return None
-    if not mask.any():
-        raise ValueError("its mask covers no pixel of the picture")
-    return mask
+    shape = record.rle or [(points * scale).ravel() for points in record.polygons]
+    return mask_of_segmentation(shape, height, width) if shape else None
 
 
 def _clip(box: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np.float64], bool]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,7 +21,9 @@ __all__ = [
     "fill_polygon",
     "mask_iou",
     "mask_ious",
+    "mask_of_segmentation",
     "mask_window",
+    "polygon_points",
 ]
 
 
@@ -198,6 +201,60 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     changes = np.zeros((height, width + 1), np.int32)
     np.add.at(changes, (rows, first), 1)
     return np.asarray(changes[:, :width].cumsum(axis=1) % 2 == 1)
+
+
+def polygon_points(values: Any) -> NDArray[np.float64]:
+    """Return the points, shape (K, 2), of a polygon written x1, y1, x2, y2, ...
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or a number is not finite.
+    """
+    numbers = np.array(values, np.float64)
+    if numbers.ndim != 1 or len(numbers) < 6 or len(numbers) % 2:
+        raise ValueError("has a polygon of fewer than three points")
+    if not np.isfinite(numbers).all():
+        raise ValueError("has a number that is not finite")
+    return numbers.reshape(-1, 2)
+
+
+def mask_of_segmentation(shape: Any, height: int, width: int) -> NDArray[np.bool_]:
+    """Return the mask that COCO's 'segmentation' says.
+
+    Parameters
+    ----------
+    shape : mapping or sequence
+        Run lengths (`size` and `counts`), or polygons x1, y1, x2, y2, ... from the corner.
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+        At least one pixel is set.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError, OverflowError
+        If it is neither, of another size, or covers no pixel.
+
+    Examples
+    --------
+    >>> mask_of_segmentation([[1, 0, 3, 0, 3, 1, 1, 1]], 2, 4).astype(int).tolist()
+    [[0, 1, 1, 0], [0, 0, 0, 0]]
+    """
+    if isinstance(shape, Mapping):
+        rows, columns = (int(n) for n in shape["size"])
+        if (rows, columns) != (height, width):
+            raise ValueError(f"has a mask of {columns}x{rows}, the picture is {width}x{height}")
+        mask = decode_rle(shape["counts"], height, width)
+    else:
+        parts = [fill_polygon(polygon_points(part), height, width) for part in shape]
+        mask = np.logical_or.reduce(parts)
+    if not mask.any():
+        raise ValueError("its mask covers no pixel of the picture")
+    return mask
 
 
 _RUN_BITS = 60  # reading a number of a million digits would take minutes

@@ -18,13 +18,14 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError
 from cucumbervision.perception.instances import KEYPOINT_NAMES
-from cucumbervision.perception.masks import Rle, box_of_mask, decode_rle, encode_rle, fill_polygon
+from cucumbervision.perception.masks import Rle, box_of_mask, mask_of_segmentation
 from cucumbervision_lab.datasets.labels import (
     DataSet,
     Label,
     LabelledPicture,
     flat_names,
     place_file,
+    ticked,
     write_text,
 )
 
@@ -298,27 +299,8 @@ def _box(values: Any, code: Rle | None, width: int, height: int) -> NDArray[np.f
 
 
 def _mask(shape: Any, width: int, height: int) -> Rle | None:
-    """Code run lengths or polygons; None where there are none."""
-    if not shape:
-        return None
-    if isinstance(shape, dict):
-        rows, columns = (int(v) for v in shape["size"])
-        if (rows, columns) != (height, width):
-            raise ValueError(f"has a mask of {columns}x{rows}, the picture is {width}x{height}")
-        counts = shape["counts"]
-        mask = decode_rle(counts, height, width)
-        code = counts if isinstance(counts, str) else encode_rle(mask)
-    else:
-        mask = np.zeros((height, width), bool)
-        for part in shape:
-            points = np.array(part, np.float64)
-            if points.ndim != 1 or len(points) < 6 or len(points) % 2:
-                raise ValueError("has a polygon of fewer than three points")
-            mask |= fill_polygon(points.reshape(-1, 2), height, width)
-        code = encode_rle(mask)
-    if not mask.any():
-        raise ValueError("its mask covers no pixel of the picture")
-    return Rle(height, width, code)
+    """Return the run lengths of COCO's 'segmentation', None where it is empty."""
+    return Rle.of(mask_of_segmentation(shape, height, width)) if shape else None
 
 
 def _points(item: Mapping[str, Any]) -> NDArray[np.float64] | None:
@@ -462,7 +444,7 @@ def _place_all(
 ) -> tuple[LabelledPicture, ...]:
     placed = []
     names = flat_names(p.file for p in dataset.pictures)
-    for picture in dataset.pictures:
+    for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
         place_file(dataset.path(picture), folder / "images" / name, link=link)
         depth = picture.depth_file
@@ -471,8 +453,6 @@ def _place_all(
             place_file(dataset.folder / depth, folder / target, link=link)
             depth = str(target)
         placed.append(replace(picture, file=f"images/{name}", depth_file=depth))
-        if progress is not None:
-            progress(1)
     return tuple(placed)
 
 

@@ -14,7 +14,7 @@ from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import Rle, box_of_mask
 from cucumbervision_lab.datasets.bop import write_bop
 from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.labels import SPLITS, keep_classes
+from cucumbervision_lab.datasets.labels import SPLITS, keep_classes, ticked
 from cucumbervision_lab.datasets.yolo import write_yolo
 
 if TYPE_CHECKING:
@@ -186,15 +186,13 @@ def add_pseudo_masks(
     pictures: list[LabelledPicture] = []
     refused: list[tuple[str, str]] = []
     drawn = 0
-    for picture in dataset.pictures:
+    for picture in ticked(dataset.pictures, progress):
         if picture.split in splits:
             labels, faults = _draw(dataset, picture, segmenter)
             drawn += sum(label.pseudo for label in labels) - sum(x.pseudo for x in picture.labels)
             refused += [(picture.file, fault) for fault in faults]
             picture = replace(picture, labels=labels)
         pictures.append(picture)
-        if progress is not None:
-            progress(1)
     return Drawn(replace(dataset, pictures=tuple(pictures)), drawn, tuple(refused))
 
 
@@ -414,12 +412,10 @@ def write_windows(
     if side_px < 32:
         raise DataSetError(f"a window of {side_px} px is too small", remedy="give 32 or more")
     pictures: list[LabelledPicture] = []
-    for index, picture in enumerate(dataset.pictures):
+    for index, picture in enumerate(ticked(dataset.pictures, progress)):
         if picture.split in splits:
             rng = np.random.default_rng([seed, index])
             pictures += _cut(dataset, picture, choose_windows(rng, picture, side_px), out)
-        if progress is not None:
-            progress(1)
     return write_coco(replace(dataset, folder=out, pictures=tuple(pictures)), out)
 
 

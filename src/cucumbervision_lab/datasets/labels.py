@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.masks import Rle, box_of_mask
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -35,10 +35,13 @@ __all__ = [
     "list_pictures",
     "picture_size",
     "place_file",
+    "ticked",
     "write_text",
 ]
 
 SPLITS = ("train", "val", "test")
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +293,14 @@ def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
 
 
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+def ticked(items: Iterable[Item], progress: Callable[[int], None] | None) -> Iterator[Item]:
+    """Yield items, and call `progress` with 1 after each is done with."""
+    for item in items:
+        yield item
+        if progress is not None:
+            progress(1)
 
 
 def list_pictures(folder: Path) -> list[Path]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.labels import SPLITS
+from cucumbervision_lab.datasets.labels import SPLITS, ticked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -86,12 +86,7 @@ def take_fingerprints(
     import cv2
 
     corners = cv2.ORB_create(400)  # type: ignore[attr-defined,unused-ignore]
-    found = []
-    for file in files:
-        found.append(_fingerprint(read_color(file), corners))
-        if progress is not None:
-            progress(1)
-    return found
+    return [_fingerprint(read_color(file), corners) for file in ticked(files, progress)]
 
 
 def _fingerprint(color_rgb: NDArray[np.uint8], corners: Any) -> Fingerprint:

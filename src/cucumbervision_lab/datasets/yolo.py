@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import yaml
 
 from cucumbervision.capture.files import read_bytes, read_color, read_json, write_bytes
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
-    MissingExtraError,
 )
 from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.masks import Rle, box_of_mask, fill_polygon
+from cucumbervision.perception.masks import Rle, box_of_mask, mask_of_segmentation
 from cucumbervision_lab.datasets.labels import (
     SPLITS,
     DataSet,
@@ -28,6 +27,7 @@ from cucumbervision_lab.datasets.labels import (
     list_pictures,
     picture_size,
     place_file,
+    ticked,
     write_text,
 )
 from cucumbervision_lab.datasets.polygons import one_polygon
@@ -46,6 +46,7 @@ __all__ = [
     "find_yolo",
     "ignore_region",
     "label_file",
+    "load_data_yaml",
     "read_label_line",
     "read_yolo",
     "write_yolo",
@@ -109,8 +110,6 @@ def read_yolo(
     ------
     DataSetError
         If there are no pictures, or the classes have no names.
-    MissingExtraError
-        If there is a `data.yaml` and PyYAML is not installed.
 
     Examples
     --------
@@ -164,12 +163,10 @@ def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
     ------
     DataSetError
         If there are no pictures, or the classes have no names.
-    MissingExtraError
-        If there is a `data.yaml` and PyYAML is not installed.
     """
     yaml = path if path.is_file() else path / "data.yaml"
     folder = yaml.parent.resolve()
-    data = _load_yaml(yaml) if yaml.is_file() else {}
+    data = load_data_yaml(yaml) if yaml.is_file() else {}
     named = list(names) or _names(data.get("names"), yaml)
     if not named:
         raise DataSetError(
@@ -190,11 +187,14 @@ def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
     return YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape) if shape else None)
 
 
-def _load_yaml(path: Path) -> dict[str, Any]:
-    try:
-        yaml = importlib.import_module("yaml")
-    except ImportError:
-        raise MissingExtraError("PyYAML", "train") from None
+def load_data_yaml(path: Path) -> dict[str, Any]:
+    """Read a `data.yaml`.
+
+    Raises
+    ------
+    DataSetError
+        If it is no YAML or describes no data set.
+    """
     try:
         data = yaml.safe_load(read_bytes(path))
     except yaml.YAMLError as error:
@@ -352,9 +352,7 @@ def read_label_line(
     size = np.array([width, height], np.float64)
     if record.polygons:
         polygon = record.polygons[0] * size
-        mask = fill_polygon(polygon, height, width)
-        if not mask.any():
-            raise ValueError("its polygon covers no pixel")
+        mask = mask_of_segmentation([polygon.ravel()], height, width)
         return Label(box_of_mask(mask), category, Rle.of(mask)), polygon
     edges = record.box
     if edges is None or (edges[2:] <= edges[:2]).any():
@@ -451,7 +449,7 @@ def write_yolo(
     counts = dict.fromkeys(SPLITS, 0)
     lines = painted = holes = 0
     origins = {}
-    for picture in dataset.pictures:
+    for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
         target = out / "images" / picture.split / name
         ignored = picture.split in paint_ignored and any(x.ignore for x in picture.labels)
@@ -470,8 +468,6 @@ def write_yolo(
             "source": picture.source,
             "licence": picture.licence,
         }
-        if progress is not None:
-            progress(1)
     # Ultralytics trusts its cache by the files' sizes, which may be equal by chance.
     for cache in (out / "labels").glob("*.cache"):
         cache.unlink()
@@ -603,15 +599,10 @@ def _paint(source: Path, target: Path, picture: LabelledPicture) -> None:
 
 
 def _data_yaml(dataset: DataSet, task: str, counts: dict[str, int]) -> str:
-    used = [split for split in SPLITS if counts[split]]
-    lines = [f"{split}: images/{split}" for split in used]
-    lines.append("names:")
-    # JSON's strings are YAML's too, and hold any character.
-    lines += [f"  {k}: {json.dumps(name)}" for k, name in enumerate(dataset.categories)]
+    data: dict[str, Any] = {split: f"images/{split}" for split in SPLITS if counts[split]}
+    data["names"] = dict(enumerate(dataset.categories))
     if task == "pose":
-        lines.append(f"kpt_shape: [{len(dataset.keypoint_names)}, 3]")
-        lines.append(f"flip_idx: {json.dumps(list(dataset.flip_index))}")
-        points = json.dumps(list(dataset.keypoint_names))
-        lines.append("kpt_names:")
-        lines += [f"  {k}: {points}" for k in range(len(dataset.categories))]
-    return "\n".join(lines) + "\n"
+        data["kpt_shape"] = [len(dataset.keypoint_names), 3]
+        data["flip_idx"] = list(dataset.flip_index)
+        data["kpt_names"] = {k: list(dataset.keypoint_names) for k in data["names"]}
+    return yaml.safe_dump(data, default_flow_style=None, sort_keys=False, allow_unicode=True)

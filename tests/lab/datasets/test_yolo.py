@@ -13,8 +13,6 @@ from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.yolo import read_yolo, write_yolo
 
-pytest.importorskip("yaml")
-
 MakeSet = Callable[..., DataSet]
 
 

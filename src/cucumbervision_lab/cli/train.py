@@ -201,9 +201,32 @@ def ends(
     ] = None,
 ) -> None:
     """Train what tells a fruit's stem end from its blossom end, and write it with its card."""
-    from cucumbervision_lab.cli.ends_console import train_ends
+    from rich.console import Console
+    from rich.table import Table
 
-    train_ends(sets, out, name, epochs=epochs, seed=seed, threads=threads, credits=credit or ())
+    from cucumbervision_lab.cli.screen import ticking
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.training.ends import collect_strips, train_ends, write_ends_card
+
+    opened = [open_dataset(folder) for folder in sets]
+    with ticking("cutting", sum(len(one.pictures) for one in opened)) as tick:
+        strips = collect_strips(opened, seed, tick)
+    with ticking("learning", epochs) as tick:
+        result = train_ends(
+            strips,
+            out / f"{name}.onnx",
+            epochs=epochs,
+            seed=seed,
+            threads=threads,
+            progress=lambda *_: tick(1),
+        )
+    write_ends_card(result, name, epochs=epochs, seed=seed, credits=credit or ())
+    table = Table("fruit of scenes not learnt from", "ends told rightly", title=str(result.network))
+    for kind, share in result.right.items():
+        table.add_row(kind, f"{100 * share:.1f} %")
+    sure = f"those at least 90 % sure ({100 * result.sure:.0f} % of all)"
+    table.add_row(sure, f"{100 * result.sure_right:.1f} %")
+    Console(highlight=False).print(table)
 
 
 @app.command()
@@ -219,27 +242,22 @@ def export(
     ] = None,
 ) -> None:
     """Write the ONNX file and its card, and show its entry for the registry."""
-    from rich.console import Console
-
-    from cucumbervision_lab.training.export_trained import export_trained
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.training.export import export_trained
     from cucumbervision_lab.training.publish import registry_entry
 
     card = export_trained(source, out, name, evaluation=evaluation, credits=credit or ())
-    console = Console(highlight=False, markup=False)
-    for suffix in (".onnx", ".md", ".json"):
-        console.print(str(out / f"{name}{suffix}"), soft_wrap=True)
-    console.print(f"\n{registry_entry(card)}", soft_wrap=True)
+    show(*(out / f"{name}{suffix}" for suffix in (".onnx", ".md", ".json")))
+    show(f"\n{registry_entry(card)}")
 
 
 @app.command(hidden=True)
-def ship(
+def publish(
     exported: Annotated[Path, typer.Argument(help="Folder that `train export` wrote.")],
     name: Annotated[str, typer.Option("--name", help="The network's name.")],
 ) -> None:
     """Put an exported network into the package (for maintainers)."""
-    from rich.console import Console
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.training import publish as publishing
 
-    from cucumbervision_lab.training.publish import ship as put
-
-    for path in put(exported, name):
-        Console(highlight=False).print(str(path), soft_wrap=True)
+    show(*publishing.publish(exported, name))

@@ -16,7 +16,7 @@ from cucumbervision_lab.detection.average_precision import Judged, average_preci
 from cucumbervision_lab.detection.photos import Photo, audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import Networks, detect_picture, open_networks
 from cucumbervision_lab.detection.pictures import Stage, frame_of, read_held_out
-from cucumbervision_lab.training.export_yolo import export_yolo
+from cucumbervision_lab.training.export import export_yolo
 from cucumbervision_lab.training.tables import read_rows, write_rows
 
 if TYPE_CHECKING:

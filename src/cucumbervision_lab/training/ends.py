@@ -15,8 +15,8 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.perception.ends import STRIP_PX, SURE, straighten
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision_lab.datasets.labels import DataSet, Label
-from cucumbervision_lab.training.cards import ModelCard, write_card
+from cucumbervision_lab.datasets.labels import DataSet, Label, ticked
+from cucumbervision_lab.training.publish import ModelCard, write_card
 
 __all__ = [
     "EndsResult",
@@ -111,7 +111,7 @@ def collect_strips(
     held: list[bool] = []
     scenes: dict[str, int] = {}
     for dataset in sets:
-        for picture in dataset.pictures:
+        for picture in ticked(dataset.pictures, progress):
             fruit = [x for x in picture.labels if _usable(x)] if picture.split != "test" else []
             if fruit:
                 color = read_color(dataset.path(picture))
@@ -121,8 +121,6 @@ def collect_strips(
                     found += strips
                     seen += [_ends_seen(label)] * len(strips)
                     held += [scene % HELD_OUT == HELD_OUT - 1] * len(strips)
-            if progress is not None:
-                progress(1)
     if not found or all(held) or not any(held):
         raise TrainingError(
             "there are too few scenes with fruit of five labelled points",
@@ -214,6 +212,7 @@ def train_ends(
     *,
     epochs: int = 20,
     seed: int = 0,
+    threads: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> EndsResult:
     """Train the network and write it as `out`, an ONNX file.
@@ -228,6 +227,8 @@ def train_ends(
         Rounds through all fruit.
     seed : int
         Of the random numbers.
+    threads : int
+        As many as cores if 0.
     progress : callable, optional
         Called after each epoch with its number and the mean loss.
 
@@ -236,12 +237,14 @@ def train_ends(
     MissingExtraError
         If the extra `train` is not installed.
     """
-    from cucumbervision_lab.training.export_yolo import import_ultralytics
+    from cucumbervision_lab.training.extras import import_ultralytics
 
     import_ultralytics()  # its absence is named there, and torch comes with it
     import torch
     from torch.nn.functional import binary_cross_entropy_with_logits
 
+    if threads:
+        torch.set_num_threads(threads)
     torch.manual_seed(seed)
     network = make_network()
     planes = torch.from_numpy(np.ascontiguousarray(strips.pictures.transpose(0, 3, 1, 2)))

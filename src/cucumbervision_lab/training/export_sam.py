@@ -7,7 +7,6 @@ Checkpoints are read with `weights_only=True`, so a pickle can hold no code. Nee
 
 from __future__ import annotations
 
-import hashlib
 import pickle
 import tarfile
 import warnings
@@ -19,8 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import ModelError
-from cucumbervision_lab.training.export_yolo import import_ultralytics
-from cucumbervision_lab.training.half_storage import halve_storage
+from cucumbervision.perception.registry import file_sha256
+from cucumbervision_lab.training.export import halve_storage
+from cucumbervision_lab.training.extras import import_ultralytics
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -173,7 +173,7 @@ def export_sam(
     out.mkdir(parents=True, exist_ok=True)
     encoder, decoder = out / f"{stem}-encoder.onnx", out / f"{stem}-decoder.onnx"
     _trace_both(sam, encoder, decoder)
-    notes = {**(metadata or {}), "source_sha256": _sha256(checkpoint)}
+    notes = {**(metadata or {}), "source_sha256": file_sha256(checkpoint)}
     for path in (encoder, decoder):
         _finish(path, notes, half)
     return encoder, decoder
@@ -353,8 +353,3 @@ def _only(found: list[str], archive: Path, suffix: str) -> str:
 
 def _first_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from cucumbervision.perception.instances import KEYPOINT_NAMES
-from cucumbervision_lab.training.heads import losses_of
-from cucumbervision_lab.training.learn_from import KEYPOINT_SIGMA
+from cucumbervision_lab.training.assigner import losses_of
+from cucumbervision_lab.training.data import KEYPOINT_SIGMA
 
 __all__ = [
     "knows_points",

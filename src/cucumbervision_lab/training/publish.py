@@ -1,36 +1,213 @@
-"""Put an exported network into the package: its file, its card, its entry in the registry.
-
-For maintainers, who then commit what changed.
-"""
+"""A trained network's card, and the way of the two into the package."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from cucumbervision.errors import ModelHashError, TrainingError
 from cucumbervision.perception import registry
 from cucumbervision.perception.registry import file_sha256, load_registry
-from cucumbervision_lab.training.cards import ModelCard, read_card
 
-__all__ = ["MOST_BYTES", "registry_entry", "ship", "with_entry"]
+__all__ = [
+    "MAKERS",
+    "MOST_BYTES",
+    "ModelCard",
+    "card_markdown",
+    "publish",
+    "read_card",
+    "registry_entry",
+    "with_entry",
+    "write_card",
+]
+
+_LICENCE = "AGPL-3.0-only"
+
+_WHAT = {
+    "segment": "YOLO26, task segment, one class (cucumber).",
+    "pose": "YOLO26, task pose, one class (cucumber), five keypoints. They run from a fruit's "
+    "lower left end to its upper right one where the file's metadata say `keypoint_order: place`, "
+    "and `cucumber-ends` tells which is the stem's; else from the blossom end to the stem end.",
+    "ends": "Tells which end of a cucumber is the stem's, from the fruit laid level along its "
+    "keypoints. Turned by half a turn, a fruit gives exactly the opposite answer.",
+}
+
+MAKERS = ("Network and its first weights: Ultralytics YOLO26, AGPL-3.0",)
+"""Whom every card names."""
+
+_LIMITS = (
+    "One class. Zucchini may count as cucumbers; other long fruit, leaves and stems should not, "
+    "but sometimes will.",
+    "Trained for fruit at 0.3 to 1.2 m; small, far or mostly hidden fruit are missed more often.",
+    "Fruit that overlap may be given one mask, and one hidden in its middle two boxes.",
+    "Stored in half precision and computed in full; not quantised to 8 bits, since what that "
+    "costs was not measured.",
+)
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What is said of one exported network.
+
+    Parameters
+    ----------
+    name : str
+        What commands call it.
+    task : str
+        'segment', 'pose' or 'ends'.
+    file : str
+        Name of the ONNX file.
+    sha256 : str
+        Of that file.
+    size_bytes : int
+        Of that file.
+    checkpoint_sha256 : str
+        Of the checkpoint that it was exported from.
+    began_with : str
+        Weights that the training began with.
+    plan : str
+        Stages, as in '320x8,640x2'; empty where only a checkpoint is known.
+    command : str
+        What trained it, without the paths of the machine.
+    metrics : mapping of str to float
+        Of the chosen epoch, on the validation pictures.
+    evaluation : mapping
+        A later evaluation's result, with its own command.
+    data : str
+        The data set's card, in Markdown.
+    licence : str
+        SPDX identifier.
+    credits, limits : tuple of str
+        A sentence each.
+    versions : mapping of str to str
+        Of torch and Ultralytics.
+    """
+
+    name: str
+    task: str
+    file: str
+    sha256: str
+    size_bytes: int
+    checkpoint_sha256: str
+    began_with: str = ""
+    plan: str = ""
+    command: str = ""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    evaluation: Mapping[str, Any] = field(default_factory=dict)
+    data: str = ""
+    licence: str = _LICENCE
+    credits: tuple[str, ...] = MAKERS
+    limits: tuple[str, ...] = _LIMITS
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
+    """Write a card for people (.md) and for programs (.json).
+
+    Parameters
+    ----------
+    card : ModelCard
+        The card.
+    out : Path
+        Folder; the files are named as the network.
+
+    Returns
+    -------
+    tuple of Path
+        The Markdown file and the JSON file.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    page, record = out / f"{card.name}.md", out / f"{card.name}.json"
+    page.write_text(card_markdown(card), encoding="utf-8")
+    text = json.dumps(asdict(card), indent=2, ensure_ascii=False)
+    record.write_text(text + "\n", encoding="utf-8")
+    return page, record
+
+
+def read_card(path: Path) -> ModelCard:
+    """Read a card's JSON file.
+
+    Raises
+    ------
+    TrainingError
+        If it cannot be read.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        for name in ("credits", "limits"):
+            values[name] = tuple(values[name])
+        return ModelCard(**values)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise TrainingError(
+            f"the card cannot be read ({type(error).__name__}: {error})",
+            source=path,
+            remedy="export the network again",
+        ) from error
+
+
+def card_markdown(card: ModelCard) -> str:
+    """Put a card into Markdown.
+
+    Examples
+    --------
+    >>> print(card_markdown(ModelCard("c-seg", "segment", "c-seg.onnx", "ab", 5, "cd"))[:9])
+    # c-seg
+    """
+    lines = [
+        f"# {card.name}",
+        "",
+        _WHAT[card.task],
+        "",
+        f"- file: `{card.file}`, {card.size_bytes / 1e6:.2f} MB, SHA-256 `{card.sha256}`",
+        f"- exported from a checkpoint with SHA-256 `{card.checkpoint_sha256}`",
+        f"- licence: {card.licence}",
+    ]
+    if card.began_with:
+        lines.append(f"- began with: `{card.began_with}`")
+    if card.plan:
+        lines.append(f"- plan (pixels x pictures): {card.plan}")
+    lines += [f"- {name} {version}" for name, version in card.versions.items()]
+    if card.metrics:
+        lines += ["", "## Figures", "", "On the validation pictures, by:", ""]
+        lines += ["```", card.command, "```", "", *_table(card.metrics)]
+    if card.evaluation:
+        text = json.dumps(card.evaluation, indent=2, ensure_ascii=False)
+        lines += ["", "## Evaluation", "", "```json", text, "```"]
+    lines += ["", "## Limits", "", *(f"- {limit}" for limit in card.limits)]
+    lines += ["", "## Credits", "", *(f"- {credit}" for credit in card.credits)]
+    if card.data:
+        # The data set's own headings go one level down.
+        data = [f"#{line}" if line.startswith("#") else line for line in card.data.splitlines()]
+        lines += ["", *data]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _table(metrics: Mapping[str, float]) -> list[str]:
+    rows = [f"| {name} | {value:.4f} |" for name, value in metrics.items()]
+    return ["| figure | value |", "|---|--:|", *rows]
+
 
 MOST_BYTES = 45_000_000
 """What all networks in the package may weigh together."""
 
-_WHAT = {
+_TITLES = {
     "segment": "YOLO26 for cucumbers: boxes and masks",
     "pose": "YOLO26 for cucumbers: boxes and five keypoints",
     "ends": "Which end of a cucumber is the stem's",
 }
+
 _FROM = {"ends": "CucumberVision"}
+
 _ENTRY = re.compile(r"^\[\[models\]\]$", re.MULTILINE)
 
 
-def ship(exported: Path, name: str, package: Path | None = None) -> tuple[Path, ...]:
+def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Path, ...]:
     """Copy a network and its card into the package, and write its registry entry.
 
     Parameters
@@ -69,7 +246,7 @@ def ship(exported: Path, name: str, package: Path | None = None) -> tuple[Path, 
         raise TrainingError(
             f"the package's weights would be {total / 1e6:.1f} MB together",
             source=network,
-            remedy=f"stay under {MOST_BYTES / 1e6:.0f} MB: replace a network or ship a smaller one",
+            remedy=f"stay under {MOST_BYTES / 1e6:.0f} MB: publish a smaller one",
         )
     try:
         files = [network, exported / f"{name}.md", exported / f"{name}.json"]
@@ -78,7 +255,7 @@ def ship(exported: Path, name: str, package: Path | None = None) -> tuple[Path, 
         toml.write_text(text, encoding="utf-8")
     except OSError as error:
         raise TrainingError(
-            f"cannot be written ({error})", source=package, remedy="ship from a source checkout"
+            f"cannot be written ({error})", source=package, remedy="publish from a source checkout"
         ) from error
     load_registry(toml).resolve(name)
     return (*written, toml)
@@ -107,7 +284,7 @@ def registry_entry(card: ModelCard) -> str:
     >>> entry.splitlines()[:3]
     ['[[models]]', 'name = "c-seg"', 'task = "segment"']
     """
-    what = _WHAT[card.task]
+    what = _TITLES[card.task]
     values = {
         "name": card.name,
         "task": card.task,

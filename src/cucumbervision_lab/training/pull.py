@@ -168,7 +168,7 @@ def _source(model: Model) -> ModelSource:
 
 def _require_onnx() -> None:
     """Find out that the exporter cannot run before a long download."""
-    from cucumbervision_lab.training.export_yolo import import_ultralytics
+    from cucumbervision_lab.training.extras import import_ultralytics
 
     import_ultralytics()
     try:

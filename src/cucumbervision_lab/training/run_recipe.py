@@ -13,7 +13,7 @@ from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.yolo import write_yolo
 from cucumbervision_lab.training.curve import Curve
-from cucumbervision_lab.training.learn_from import DATA_CARD, TASKS, write_data_file
+from cucumbervision_lab.training.data import DATA_CARD, TASKS, write_data_file
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source
 from cucumbervision_lab.training.sources import build_sources

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.learn_from import TASKS
+from cucumbervision_lab.training.data import TASKS
 from cucumbervision_lab.training.plan import RunState
 
 __all__ = [

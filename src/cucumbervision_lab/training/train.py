@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Protocol
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.export_yolo import import_ultralytics
+from cucumbervision_lab.training.data import TASKS, prepare_data
+from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.half_precision import choose_precision
-from cucumbervision_lab.training.learn_from import TASKS, prepare_data
 from cucumbervision_lab.training.plan import RunState, extend, parse_plan
 from cucumbervision_lab.training.points import knows_points
 from cucumbervision_lab.training.settings import (

@@ -13,7 +13,7 @@ from cucumbervision_lab.cli.train import app
 from cucumbervision_lab.cli.train_console import epoch_line
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.training.cards import read_card
+from cucumbervision_lab.training.publish import read_card
 from cucumbervision_lab.training.train import EpochReport
 
 needs_extra = pytest.mark.skipif(
@@ -25,7 +25,7 @@ def test_help_names_both_tasks_and_export_alone() -> None:
     text = CliRunner().invoke(app, ["--help"]).output
     for word in ("seg", "pose", "recipe", "ends", "export"):
         assert word in text
-    assert "ship" not in text
+    assert "publish" not in text
 
 
 def test_an_epoch_is_a_line() -> None:

@@ -6,7 +6,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision_lab.training.assigner import assign_coarsely  # noqa: E402
-from cucumbervision_lab.training.export_yolo import import_ultralytics  # noqa: E402
+from cucumbervision_lab.training.extras import import_ultralytics  # noqa: E402
 
 pytestmark = pytest.mark.train
 

@@ -41,7 +41,7 @@ def test_a_network_is_judged_as_it_would_be_shipped(
 
     from cucumbervision_lab.detection.photos import Photo
     from cucumbervision_lab.synthesis.generate import generate, parse_options
-    from cucumbervision_lab.training.export_yolo import import_ultralytics
+    from cucumbervision_lab.training.extras import import_ultralytics
 
     options = parse_options(
         frames=2, seed=3, size="96x64", shares="0,1,0", split="test", depth=False

@@ -16,7 +16,6 @@ from cucumbervision.perception.ends import STRIP_PX, EndTeller  # noqa: E402
 from cucumbervision.perception.instances import Instance  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
-from cucumbervision_lab.training.cards import read_card  # noqa: E402
 from cucumbervision_lab.training.ends import (  # noqa: E402
     COPIES,
     collect_strips,
@@ -24,6 +23,7 @@ from cucumbervision_lab.training.ends import (  # noqa: E402
     train_ends,
     write_ends_card,
 )
+from cucumbervision_lab.training.publish import read_card  # noqa: E402
 
 pytestmark = pytest.mark.train
 

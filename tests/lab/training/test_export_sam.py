@@ -39,7 +39,7 @@ from cucumbervision_lab.training.export_sam import (  # noqa: E402
     export_sam,
     load_sam,
 )
-from cucumbervision_lab.training.export_yolo import import_ultralytics  # noqa: E402
+from cucumbervision_lab.training.extras import import_ultralytics  # noqa: E402
 from cucumbervision_lab.training.pull import export_source, pull_model  # noqa: E402
 
 pytestmark = pytest.mark.train

@@ -8,7 +8,7 @@ import pytest
 if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
-from cucumbervision_lab.training.export_yolo import import_ultralytics
+from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.half_precision import (
     channels_last,
     choose_precision,

@@ -119,7 +119,7 @@ def test_mixture_names_folders_and_weights(built: dict[str, Path], tmp_path: Pat
 def test_one_command_trains_and_goes_on(
     built: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from cucumbervision_lab.training.export_yolo import import_ultralytics
+    from cucumbervision_lab.training.extras import import_ultralytics
 
     judged: list[int] = []
     home = "cucumbervision_lab.training.run_recipe"

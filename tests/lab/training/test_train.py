@@ -19,9 +19,9 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
-from cucumbervision_lab.training.export_trained import export_trained, last_metrics
-from cucumbervision_lab.training.export_yolo import import_ultralytics
-from cucumbervision_lab.training.learn_from import prepare_data
+from cucumbervision_lab.training.data import prepare_data
+from cucumbervision_lab.training.export import export_trained, last_metrics
+from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.plan import RunState, parse_plan
 from cucumbervision_lab.training.settings import rate_at, trainer_settings
 from cucumbervision_lab.training.tables import read_rows

@@ -19,12 +19,8 @@ from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector
-from cucumbervision_lab.training.export_yolo import (
-    HEADS,
-    export_model,
-    export_yolo,
-    import_ultralytics,
-)
+from cucumbervision_lab.training.export import HEADS, export_model, export_yolo
+from cucumbervision_lab.training.extras import import_ultralytics
 
 pytestmark = pytest.mark.train
 

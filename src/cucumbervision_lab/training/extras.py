@@ -1,4 +1,4 @@
-"""Make torchvision importable beside a CPU-only torch.
+"""Import what training needs: torchvision beside a CPU-only torch, Ultralytics without telemetry.
 
 The torchvision wheels of the Python package index are linked against CUDA: beside a CPU-only
 torch their operators do not load, and the import ends with 'operator torchvision::nms does not
@@ -9,15 +9,20 @@ Where torchvision's own operators load, nothing is done.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cucumbervision.errors import MissingExtraError
+from cucumbervision.perception.boxes import suppress
+from cucumbervision.perception.runtime import import_onnxruntime
 
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["ensure_torchvision", "nms"]
+__all__ = ["ensure_torchvision", "import_ultralytics", "nms"]
 
 # Torch drops an operator's definition together with the library object that made it.
 _libraries: list[Any] = []
@@ -69,6 +74,38 @@ def ensure_torchvision() -> str:
     return "own"
 
 
+def import_ultralytics() -> Any:
+    """Import Ultralytics with its telemetry, downloads and installs off.
+
+    Returns
+    -------
+    module
+        `ultralytics`.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    os.environ["YOLO_OFFLINE"] = "1"
+    os.environ["YOLO_AUTOINSTALL"] = "False"
+    os.environ.setdefault("YOLO_VERBOSE", "False")
+    ensure_torchvision()
+    # Ultralytics imports it too, and would leave its telemetry on.
+    import_onnxruntime()
+    try:
+        # It sets how NumPy prints arrays, for everybody.
+        with np.printoptions():
+            import ultralytics
+            from ultralytics.utils import SETTINGS, events
+    except ImportError as error:
+        raise MissingExtraError("ultralytics", "train") from error
+    # In this process only: the user's own settings file stays as it is.
+    dict.__setitem__(SETTINGS, "sync", False)
+    events.events.enabled = False
+    return ultralytics
+
+
 def nms(boxes: torch.Tensor, scores: torch.Tensor, iou_threshold: float) -> torch.Tensor:
     """Drop every box that overlaps a better one, as `torchvision.ops.nms` does.
 
@@ -88,15 +125,6 @@ def nms(boxes: torch.Tensor, scores: torch.Tensor, iou_threshold: float) -> torc
     """
     import torch
 
-    left = scores.argsort(descending=True, stable=True)
-    area = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
-    kept: list[int] = []
-    while len(left):
-        first, left = int(left[0]), left[1:]
-        kept.append(first)
-        low = torch.maximum(boxes[first, :2], boxes[left, :2])
-        high = torch.minimum(boxes[first, 2:], boxes[left, 2:])
-        overlap = (high - low).clamp(min=0).prod(dim=1)
-        # Boxes without area give 0/0: no overlap, and they stay.
-        left = left[~(overlap / (area[first] + area[left] - overlap) > iou_threshold)]
-    return torch.tensor(kept, dtype=torch.int64)
+    classes = np.zeros(len(boxes), int)
+    kept = suppress(boxes.detach().numpy(), scores.detach().numpy(), classes, iou_threshold)
+    return torch.from_numpy(kept)

@@ -7,8 +7,15 @@ import pytest
 
 from cucumbervision.errors import ModelHashError, TrainingError
 from cucumbervision.perception.registry import load_registry
-from cucumbervision_lab.training.cards import ModelCard, card_markdown, read_card, write_card
-from cucumbervision_lab.training.publish import MOST_BYTES, ship, with_entry
+from cucumbervision_lab.training.publish import (
+    MOST_BYTES,
+    ModelCard,
+    card_markdown,
+    publish,
+    read_card,
+    with_entry,
+    write_card,
+)
 
 OTHER = """# Read this.
 
@@ -49,9 +56,9 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_network_is_added_and_then_replaced(tmp_path: Path, package: Path) -> None:
-    ship(exported(tmp_path / "a", b"first"), "c-seg", package)
-    ship(exported(tmp_path / "b", b"second", "d-seg"), "d-seg", package)
-    ship(exported(tmp_path / "c", b"third"), "c-seg", package)
+    publish(exported(tmp_path / "a", b"first"), "c-seg", package)
+    publish(exported(tmp_path / "b", b"second", "d-seg"), "d-seg", package)
+    publish(exported(tmp_path / "c", b"third"), "c-seg", package)
     text = (package / "models.toml").read_text()
     assert text.startswith(OTHER)
     registry = load_registry(package / "models.toml", tmp_path / "user")
@@ -77,7 +84,7 @@ def test_another_file_than_the_cards_is_refused(tmp_path: Path, package: Path) -
     folder = exported(tmp_path / "a", b"first")
     (folder / "c-seg.onnx").write_bytes(b"forged")
     with pytest.raises(ModelHashError, match="is not the file that its card tells of"):
-        ship(folder, "c-seg", package)
+        publish(folder, "c-seg", package)
     assert list((package / "weights").iterdir()) == []
 
 
@@ -85,8 +92,8 @@ def test_too_heavy_a_package_is_refused(tmp_path: Path, package: Path) -> None:
     with (package / "weights" / "other.onnx").open("wb") as file:
         file.truncate(MOST_BYTES - 3)
     with pytest.raises(TrainingError, match=r"would be 45\.0 MB together; stay under 45 MB"):
-        ship(exported(tmp_path / "a", b"four"), "c-seg", package)
-    ship(exported(tmp_path / "a", b"abc"), "c-seg", package)
+        publish(exported(tmp_path / "a", b"four"), "c-seg", package)
+    publish(exported(tmp_path / "a", b"abc"), "c-seg", package)
     assert (package / "models.toml").read_text() != OTHER
 
 

@@ -5,14 +5,15 @@ A data set with faults is refused here, before any hour is spent.
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.checks import check_folder, require_clean
-from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.datasets.yolo import load_data_yaml, write_yolo
 
 __all__ = ["DATA_CARD", "KEYPOINT_SIGMA", "TASKS", "prepare_data", "write_data_file"]
 
@@ -56,15 +57,15 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
     TrainingError
         As `write_data_file`.
     """
-    yaml = data / "data.yaml" if data.is_dir() else data
-    if check or not yaml.is_file():
+    file = data / "data.yaml" if data.is_dir() else data
+    if check or not file.is_file():
         dataset, findings = check_folder(data, duplicates=check)
         require_clean(findings, data)
         run.mkdir(parents=True, exist_ok=True)
         (run / DATA_CARD).write_text(dataset_card(dataset, "Trained on"), encoding="utf-8")
-        if not (data.is_dir() and yaml.is_file()) and data.suffix not in (".yaml", ".yml"):
-            yaml = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
-    return write_data_file(yaml, task, run)
+        if not (data.is_dir() and file.is_file()) and data.suffix not in (".yaml", ".yml"):
+            file = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
+    return write_data_file(file, task, run)
 
 
 def write_data_file(path: Path, task: str, run: Path) -> Path:
@@ -90,23 +91,13 @@ def write_data_file(path: Path, task: str, run: Path) -> Path:
 
     Raises
     ------
+    CaptureError, DataSetError
+        If there is no data.yaml, or it cannot be read.
     TrainingError
-        If there is no data.yaml, it cannot be read, it has no training or validation pictures,
-        more classes than one, or (pose) other than five keypoints.
+        If it has no training or validation pictures, more classes than one, or (pose) other than
+        five keypoints.
     """
-    yaml = import_module("yaml")  # without types of its own, and only in the extra
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise TrainingError(
-            f"the data set's data.yaml cannot be read ({type(error).__name__})",
-            source=path,
-            remedy="give a folder with data.yaml, images/ and labels/",
-        ) from error
-    if not isinstance(values, dict):
-        raise TrainingError(
-            "is no data set's description", source=path, remedy="name train, val and names in it"
-        )
+    values = load_data_yaml(path)
     _check(values, task, path)
     own: dict[str, Any] = {
         "path": str((path.parent / str(values.get("path") or ".")).resolve()),

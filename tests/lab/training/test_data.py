@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import DataSetError, TrainingError
-from cucumbervision_lab.training.learn_from import prepare_data, write_data_file
+from cucumbervision_lab.training.data import prepare_data, write_data_file
 
 yaml = pytest.importorskip("yaml")
 
@@ -63,12 +63,12 @@ def test_labels_beyond_the_picture_are_refused(seg_set: Path, tmp_path: Path) ->
         ("train: a\nval: b\nnames: [cucumber, leaf]\n", "seg", "has 2 classes, not one"),
         ("train: a\nval: b\nnames: [cucumber]\n", "pose", r"keypoints of shape None"),
         ("train: a\nval: b\nnames: [cucumber]\nkpt_shape: [17, 3]\n", "pose", r"shape \[17, 3\]"),
-        ("- 1\n", "seg", "is no data set's description"),
-        ("a: [", "seg", "cannot be read"),
+        ("- 1\n", "seg", "is no data set's YAML"),
+        ("a: [", "seg", "is no YAML"),
     ],
 )
 def test_faulty_descriptions_are_named(tmp_path: Path, text: str, task: str, fault: str) -> None:
     path = tmp_path / "data.yaml"
     path.write_text(text)
-    with pytest.raises(TrainingError, match=fault):
+    with pytest.raises((TrainingError, DataSetError), match=fault):
         write_data_file(path, task, tmp_path / "run")

@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from cucumbervision_lab.training.torchvision_ops import ensure_torchvision, nms  # noqa: E402
+from cucumbervision_lab.training.extras import ensure_torchvision, nms  # noqa: E402
 
 pytestmark = pytest.mark.train
 
@@ -28,13 +28,8 @@ def test_nms_threshold_is_exclusive_and_empty_input_is_fine() -> None:
     assert nms(boxes[:0], torch.tensor([]), 0.5).tolist() == []
 
 
-def test_boxes_without_area_stay() -> None:
-    boxes = torch.zeros(2, 4)
-    assert nms(boxes, torch.tensor([0.9, 0.8]), 0.5).tolist() == [0, 1]
-
-
 def test_torchvision_is_whole_afterwards() -> None:
-    pytest.importorskip("cucumbervision_lab.training.torchvision_ops")
+    pytest.importorskip("cucumbervision_lab.training.extras")
     kind = ensure_torchvision()
     assert ensure_torchvision() == kind
     import torchvision
@@ -53,7 +48,7 @@ def test_native_operators_are_left_alone() -> None:
         "    whole = True\n"
         "except RuntimeError:\n"
         "    whole = False\n"
-        "from cucumbervision_lab.training.torchvision_ops import ensure_torchvision\n"
+        "from cucumbervision_lab.training.extras import ensure_torchvision\n"
         "print(whole, ensure_torchvision())\n"
     )
     done = subprocess.run(

@@ -85,7 +85,7 @@ def served(
 def dashboard(served: Dashboard) -> Iterator[Dashboard]:
     """The results of the bundled captures; asks that nothing failed, nor left this machine."""
     served.page.goto(served.address)
-    served.page.get_by_text("tick one to look at it").wait_for()
+    served.page.get_by_text("tick one to open it").wait_for()
     served.page.get_by_text("Measuring the bundled captures").wait_for(state="hidden")
     served.quiet()
     yield served

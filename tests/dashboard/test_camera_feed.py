@@ -9,18 +9,18 @@ import pytest
 from cucumbervision.capture.cameras.realsense import CameraConfig
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.camera_feed import CameraFeed, Look, Replay
+from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay
 from cucumbervision.errors import CameraError, CaptureError
 
 
-def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Look:
+def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Preview:
     until = time.monotonic() + 300
     while time.monotonic() < until:
-        look = feed.look()
-        if look.state == state and look.number != other_than:
-            return look
+        preview = feed.preview()
+        if preview.state == state and preview.number != other_than:
+            return preview
         time.sleep(0.02)
-    raise AssertionError(f"never '{state}', but {feed.look()}")
+    raise AssertionError(f"never '{state}', but {feed.preview()}")
 
 
 def test_a_replay_shows_what_it_takes_and_begins_again_at_its_end() -> None:
@@ -29,7 +29,7 @@ def test_a_replay_shows_what_it_takes_and_begins_again_at_its_end() -> None:
     for _ in range(4):
         shown = wait_for(replay, "replay")
         assert shown.capture is not None
-        assert shown.health is not None
+        assert shown.quality is not None
         taken = replay.take(5, Stop("7", "left", 1.5, 3))
         assert taken.name == shown.capture.name
         assert taken.stop == Stop("7", "left", 1.5, 3)
@@ -61,7 +61,7 @@ def test_frames_of_the_camera_become_one_capture(recording: Path) -> None:
 
 def test_the_camera_is_released_when_nobody_looks(recording: Path) -> None:
     feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), unwatched_s=0.0)
-    feed.look()
+    feed.preview()
     until = time.monotonic() + 300
     while feed.open and time.monotonic() < until:
         time.sleep(0.02)

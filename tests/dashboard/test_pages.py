@@ -51,7 +51,7 @@ def said(test: AppTest) -> str:
 
 def wait_for_jobs() -> None:
     for job in resources.worker().unfinished():
-        assert job.finished.wait(600)
+        assert job.wait(600)
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -113,11 +113,11 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
     assert "nothing to take back" in said(test)
 
 
-def test_before_and_next_walk_through_the_fruit(house: Path) -> None:
+def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
     with open_store(house) as store:
         keys = [view.key for view in store.detections(WALK)]
     test = app("results", fruit=keys[0])
-    assert next(b for b in test.button if b.label == "Before").disabled
+    assert next(b for b in test.button if b.label == "Previous").disabled
     next(b for b in test.button if b.label == "Next").click().run()
     assert test.session_state["fruit"] == keys[1]
     next(b for b in test.button if b.label == "All fruit").click().run()
@@ -125,7 +125,7 @@ def test_before_and_next_walk_through_the_fruit(house: Path) -> None:
 
 
 def test_a_capture_from_the_replay_becomes_a_stop(house: Path) -> None:
-    resources.save_settings(resources.settings().model_copy(update={"fruit_from": "dataset"}))
+    resources.change_settings(fruit_from="dataset")
     test = app("capture", source="replay", row="9", side="right", position_m=2.0, step_m=0.4)
     next(button for button in test.button if button.label == "Capture").click().run()
     wait_for_jobs()
@@ -145,7 +145,7 @@ def test_the_absent_camera_is_told_and_the_replay_offered(
     rs = pytest.importorskip("pyrealsense2")
     if len(rs.context().query_devices()):
         pytest.skip("a camera is connected")
-    while resources.camera().look().state == "opening":
+    while resources.camera().preview().state == "opening":
         time.sleep(0.05)  # until the test's own limit
     test = app("capture", source="camera", source_chosen=True)
     assert "No camera was found" in said(test)

@@ -1,7 +1,6 @@
-"""What the camera sees, for any number of viewers: a thread of its own, or a replay in its place.
+"""The camera's newest frame for any number of viewers, the quality of its depth, and a replay.
 
-The thread opens the camera when somebody looks and lets it go when nobody has looked for a while,
-so that the last viewer to leave releases it.
+A thread opens the camera when somebody views it and releases it when nobody has for a while.
 """
 
 from __future__ import annotations
@@ -24,20 +23,17 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture, Stop
 
-__all__ = ["CameraFeed", "Feed", "Health", "Look", "Replay", "health_of"]
+__all__ = ["CameraFeed", "DepthQuality", "Feed", "Preview", "Replay", "depth_quality"]
 
 NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
-
 POOR_FILL = 0.60
-
 NEAREST = 0.10
-
 STRIDE = 4
 
 
 @dataclass(frozen=True)
-class Health:
-    """How good a frame's depth is.
+class DepthQuality:
+    """Quality of a frame's depth.
 
     Parameters
     ----------
@@ -57,8 +53,8 @@ class Health:
     advice: str
 
 
-def health_of(capture: Capture) -> Health:
-    """Judge the depth of a frame by its middle.
+def depth_quality(capture: Capture) -> DepthQuality:
+    """Return the quality of a frame's depth, judged by its middle.
 
     Examples
     --------
@@ -67,7 +63,7 @@ def health_of(capture: Capture) -> Health:
     >>> camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
     >>> def at(z):
     ...     color = np.zeros((48, 64, 3), np.uint8)
-    ...     return health_of(Capture(color, np.full((48, 64), z, np.float32), camera, "a"))
+    ...     return depth_quality(Capture(color, np.full((48, 64), z, np.float32), camera, "a"))
     >>> at(0.5).verdict, at(0.2).verdict, at(1.4).verdict, at(0.0).verdict
     ('good', 'too-near', 'too-far', 'none')
     """
@@ -78,25 +74,24 @@ def health_of(capture: Capture) -> Health:
     valid = middle[valid_depth(middle)]
     fill = valid.size / middle.size
     if not valid.size:
-        return Health(0.0, None, "none", "No depth: too near, or the lens is covered")
+        return DepthQuality(0.0, None, "none", "No depth: too near, or the lens is covered")
     distance_m = float(np.quantile(valid, NEAREST / 2))
     if distance_m < NEAR_M:
-        return Health(fill, distance_m, "too-near", "Too near: step back")
+        return DepthQuality(fill, distance_m, "too-near", "Too near: step back")
     if distance_m > FAR_M:
-        return Health(fill, distance_m, "too-far", "Too far: step closer")
+        return DepthQuality(fill, distance_m, "too-far", "Too far: step closer")
     if fill < POOR_FILL:
-        return Health(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
-    return Health(fill, distance_m, "good", "Good distance and depth")
+        return DepthQuality(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
+    return DepthQuality(fill, distance_m, "good", "Good distance and depth")
 
 
 UNWATCHED_S = 6.0  # viewers ask several times a second
-
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
 
 
 @dataclass(frozen=True)
-class Look:
-    """What is to be seen now.
+class Preview:
+    """What a feed shows now.
 
     Parameters
     ----------
@@ -104,7 +99,7 @@ class Look:
         'opening', 'live', 'replay' or 'absent'.
     capture : Capture, optional
         The newest frame.
-    health : Health, optional
+    quality : DepthQuality, optional
         How good its depth is.
     number : int
         Changes with every new frame.
@@ -114,22 +109,22 @@ class Look:
 
     state: str
     capture: Capture | None = None
-    health: Health | None = None
+    quality: DepthQuality | None = None
     number: int = 0
     message: str = ""
 
 
 class Feed(Protocol):
-    """What shows frames and takes captures."""
+    """A source of frames to show and of captures to measure."""
 
-    def look(self) -> Look:
-        """Show the newest frame, at once."""
+    def preview(self) -> Preview:
+        """Return the newest frame, at once."""
 
     def take(self, burst: int, stop: Stop) -> Capture:
-        """Take a capture; may wait for its frames."""
+        """Return a capture; may wait for its frames."""
 
     def close(self) -> None:
-        """Let go of whatever is held."""
+        """Release the device or file."""
 
 
 class CameraFeed:
@@ -151,7 +146,7 @@ class CameraFeed:
         self._unwatched_s = unwatched_s
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
-        self._newest: Look = Look("opening")
+        self._newest: Preview = Preview("opening")
         self._watched_s = 0.0
         self._stopping = False
         self._filling: list[Capture] = []
@@ -162,8 +157,8 @@ class CameraFeed:
         """Whether the thread holds the camera."""
         return self._thread is not None and self._thread.is_alive()
 
-    def look(self) -> Look:
-        """Show the newest frame; begins to stream if nobody was looking."""
+    def preview(self) -> Preview:
+        """Return the newest frame; begins to stream if it did not."""
         self._watched_s = time.monotonic()
         with self._changed:
             if not self.open and self._newest.state != "absent":
@@ -171,13 +166,13 @@ class CameraFeed:
             return self._newest
 
     def retry(self) -> None:
-        """Look for the camera again."""
+        """Search for the camera again."""
         with self._changed:
             if not self.open:
-                self._newest = Look("opening", number=self._newest.number)
+                self._newest = Preview("opening", number=self._newest.number)
 
     def take(self, burst: int, stop: Stop) -> Capture:
-        """Fuse the next frames to one capture.
+        """Return a capture fused from the next frames.
 
         Raises
         ------
@@ -210,7 +205,7 @@ class CameraFeed:
         )
 
     def close(self) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         self._stopping = True
         thread = self._thread
         if thread is not None:
@@ -218,7 +213,7 @@ class CameraFeed:
 
     def _begin(self) -> None:
         self._stopping = False
-        self._newest = Look("opening", number=self._newest.number)
+        self._newest = Preview("opening", number=self._newest.number)
         self._thread = threading.Thread(target=self._stream, name="camera", daemon=True)
         self._thread.start()
 
@@ -229,21 +224,23 @@ class CameraFeed:
                     if time.monotonic() - self._watched_s > self._unwatched_s:
                         break
                     capture = camera.capture_burst()
-                    self._show(Look("live", capture, health_of(capture), self._newest.number + 1))
-            self._show(Look("opening", number=self._newest.number + 1))
+                    self._show(
+                        Preview("live", capture, depth_quality(capture), self._newest.number + 1)
+                    )
+            self._show(Preview("opening", number=self._newest.number + 1))
         except CucumberVisionError as error:
-            self._show(Look("absent", number=self._newest.number + 1, message=str(error)))
+            self._show(Preview("absent", number=self._newest.number + 1, message=str(error)))
 
-    def _show(self, look: Look) -> None:
+    def _show(self, preview: Preview) -> None:
         with self._changed:
-            self._newest = look
-            if look.capture is not None and len(self._filling) < self._wanted:
-                self._filling.append(look.capture)
+            self._newest = preview
+            if preview.capture is not None and len(self._filling) < self._wanted:
+                self._filling.append(preview.capture)
             self._changed.notify_all()
 
 
 class Replay:
-    """Captures of a folder or a recording, in the camera's place; begins again at its end.
+    """Captures of a folder or a recording in the camera's place; starts over at its end.
 
     Parameters
     ----------
@@ -257,11 +254,11 @@ class Replay:
         self._source = open_source(path, ReadOptions(burst=burst))
         self._refs: Iterator[CaptureRef] = iter(())
         self._lock = threading.Lock()
-        self._newest = Look("opening")
+        self._newest = Preview("opening")
         self._loader: threading.Thread | None = None
 
-    def look(self) -> Look:
-        """Show the capture that is next to be taken; it is read beside the page."""
+    def preview(self) -> Preview:
+        """Return the capture that is taken next; a thread reads it."""
         with self._lock:
             if self._newest.state == "opening" and (
                 self._loader is None or not self._loader.is_alive()
@@ -271,32 +268,34 @@ class Replay:
             return self._newest
 
     def take(self, burst: int, stop: Stop) -> Capture:  # noqa: ARG002, a replay's bursts are fused
-        """Take the capture that is shown, and turn to the next.
+        """Return the capture that is shown, and load the next.
 
         Raises
         ------
         CaptureError
             If nothing of the replay can be read.
         """
-        self.look()
+        self.preview()
         loader = self._loader
         if loader is not None:
             loader.join()
-        look = self._newest
-        if look.capture is None:
-            raise CaptureError(look.message or "nothing to replay", remedy="choose another replay")
+        preview = self._newest
+        if preview.capture is None:
+            raise CaptureError(
+                preview.message or "nothing to replay", remedy="choose another replay"
+            )
         self.turn()
-        return replace(look.capture, stop=stop)
+        return replace(preview.capture, stop=stop)
 
     def turn(self) -> None:
-        """Go on to the next capture."""
+        """Load the next capture."""
         with self._lock:
-            self._newest = Look("opening", self._newest.capture, None, self._newest.number)
+            self._newest = Preview("opening", self._newest.capture, None, self._newest.number)
             self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
             self._loader.start()
 
     def close(self) -> None:
-        """Let go of the recording."""
+        """Release the recording."""
         self._refs = iter(())
 
     def _load(self) -> None:
@@ -309,7 +308,7 @@ class Replay:
                 except CucumberVisionError as error:
                     fault = str(error)
                     continue
-                self._newest = Look("replay", capture, health_of(capture), number)
+                self._newest = Preview("replay", capture, depth_quality(capture), number)
                 return
             self._refs = iter(self._source)
-        self._newest = Look("absent", number=number, message=f"{self._source.path}: {fault}")
+        self._newest = Preview("absent", number=number, message=f"{self._source.path}: {fault}")

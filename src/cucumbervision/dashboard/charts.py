@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.dashboard.settings import Units
@@ -36,21 +36,24 @@ OTHERS = {
 }
 
 
-def class_colors(names: Sequence[str]) -> alt.Scale:
-    """Give each class its colour: greens for classes, best darkest, others told apart.
+def class_colors(names: Iterable[str]) -> alt.Scale:
+    """Return a scale with a colour for each class: classes in greens, the best darkest and first.
 
     Examples
     --------
-    >>> class_colors(["class I", "out of grade"]).range
-    ['#1B7837', '#E69F00']
+    >>> class_colors(["out of grade", "class I", "class I"]).to_dict()
+    {'domain': ['class I', 'out of grade'], 'range': ['#1B7837', '#E69F00']}
     """
-    classes = [name for name in names if name not in OTHERS]
-    colors = {name: GREENS[min(k, len(GREENS) - 1)] for k, name in enumerate(classes)}
-    return alt.Scale(domain=list(names), range=[{**OTHERS, **colors}[name] for name in names])
+    classes = sorted(set(names) - set(OTHERS))  # 'class I' before 'class II'
+    others = [name for name in OTHERS if name in set(names)]
+    greens = [GREENS[min(k, len(GREENS) - 1)] for k in range(len(classes))]
+    return alt.Scale(
+        domain=[*classes, *others], range=[*greens, *(OTHERS[name] for name in others)]
+    )
 
 
 def day_name(day: int) -> str:
-    """Name a day by its distance from today.
+    """Return the name of a day by its distance from today.
 
     Examples
     --------
@@ -60,8 +63,8 @@ def day_name(day: int) -> str:
     return ("today", "tomorrow")[day] if day < 2 else f"in {day} days"
 
 
-def histogram(lines: list[dict[str, Any]], classes: Sequence[str], units: Units) -> alt.LayerChart:
-    """Draw lengths by class, with a line at the mean and a band of one standard deviation."""
+def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
+    """Return a histogram by class, with a line at the mean and a band of one standard deviation."""
     step = (1.0 if len(lines) >= MANY else 2.0) / (1 if units.name == "cm" else 2)
     lengths = np.array([line["length"] for line in lines], np.float64)
     mean, sd = float(lengths.mean()), float(lengths.std(ddof=1)) if len(lengths) > 1 else 0.0
@@ -83,7 +86,7 @@ def histogram(lines: list[dict[str, Any]], classes: Sequence[str], units: Units)
             ),
             x2="to:Q",
             y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
-            color=alt.Color("class:N", scale=class_colors(classes), title=None),
+            color=alt.Color("class:N", scale=class_colors(x["class"] for x in lines), title=None),
             tooltip=[alt.Tooltip("fruit:Q", title="Fruit"), alt.Tooltip("class:N", title="Class")],
         )
     )
@@ -95,7 +98,7 @@ def histogram(lines: list[dict[str, Any]], classes: Sequence[str], units: Units)
 
 
 def method_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
-    """Draw each method's lengths: the middle half as a box, the median, lines to the ends."""
+    """Return a box for each method from quartile to quartile, its median, lines to the ends."""
     by_method: dict[str, list[float]] = {}
     for line in lines:
         by_method.setdefault(line["method"], []).append(line["length"])
@@ -122,13 +125,9 @@ def method_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
 
 
 def map_chart(
-    lines: list[dict[str, Any]],
-    shown: list[dict[str, Any]],
-    classes: Sequence[str],
-    units: Units,
-    by_length: bool,
+    lines: list[dict[str, Any]], shown: list[dict[str, Any]], units: Units, *, by_length: bool
 ) -> alt.Chart:
-    """Draw the fruit of one row and side by position and height; strips go with each other."""
+    """Return the fruit of one row and side by position and height; scales fit all that is shown."""
     color = (
         alt.Color(
             "length:Q",
@@ -136,14 +135,14 @@ def map_chart(
             scale=alt.Scale(scheme="viridis", domain=_ends(shown, "length")),
         )
         if by_length
-        else alt.Color("class:N", scale=class_colors(classes), title=None)
+        else alt.Color("class:N", scale=class_colors(x["class"] for x in shown), title=None)
     )
     tooltip = [
         alt.Tooltip("length:Q", title=f"Length [{units.name}]", format=f".{units.digits}f"),
         alt.Tooltip("class:N", title="Class"),
         alt.Tooltip("along:Q", title="Along the row [m]", format=".2f"),
         alt.Tooltip("height:Q", title="Above the camera [m]", format=".2f"),
-        alt.Tooltip("views:Q", title="Seen from stops"),
+        alt.Tooltip("views:Q", title="Views"),
         alt.Tooltip("capture:N", title="Capture"),
     ]
     chart: alt.Chart = (
@@ -181,7 +180,7 @@ def _scale(lines: list[dict[str, Any]], name: str) -> alt.Scale:
 
 
 def forecast_chart(found: Forecast) -> alt.LayerChart:
-    """Draw the expected number in each class on each day, with its interval."""
+    """Return the expected number in each class on each day, with its interval."""
     lines = [
         {
             "day": day_name(day),
@@ -217,6 +216,6 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
 
 
 def class_name(found: Forecast, k: int) -> str:
-    """Name a forecast's class as people read it."""
+    """Return the name of a forecast's class for people."""
     name = found.classes[k]
     return name if name in OTHERS else f"class {name}"

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError
 
-__all__ = ["Job", "JobState", "Worker"]
+__all__ = ["Job", "Work", "Worker"]
 
 KEPT = 20  # finished jobs whose results are still held
 
 
-class JobState(StrEnum):
-    """How far a job is."""
-
-    WAITING = "waiting"
-    RUNNING = "running"
-    DONE = "done"
-    FAILED = "failed"
-
-
 @dataclass
 class Job:
-    """One piece of work, and how far it is.
+    """One piece of work and its progress.
 
     Parameters
     ----------
@@ -37,29 +28,45 @@ class Job:
     title : str
         What it is, for people.
     total, done : int
-        Steps; 0 in all where nobody knows.
+        Steps; a total of 0 where it is not known.
     notes : list of str
         What went wrong along the way without ending it, one line each.
-    result : object
-        What it gave.
-    error : str
-        Why it failed.
     """
 
     number: int
     title: str
-    state: JobState = JobState.WAITING
     total: int = 0
     done: int = 0
     notes: list[str] = field(default_factory=list)
-    result: Any = None
-    error: str = ""
-    finished: threading.Event = field(default_factory=threading.Event, repr=False)
+    future: Future[Any] = field(default_factory=Future, repr=False)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is done or failed."""
+        return self.future.done()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether an earlier job keeps it from running."""
+        return not (self.future.done() or self.future.running())
+
+    @property
+    def result(self) -> Any:
+        """What the work returned."""
+        return self.future.result()
+
+    @property
+    def error(self) -> str:
+        """Why it failed; empty if it did not."""
+        error = self.future.exception() if self.future.done() else None
+        if error is None or isinstance(error, CucumberVisionError):
+            return str(error or "")
+        return f"{type(error).__name__}: {error}"
 
     @property
     def share(self) -> float:
         """How much of it is done, 0 to 1."""
-        if self.state is JobState.DONE:
+        if self.finished and not self.error:
             return 1.0
         return min(self.done / self.total, 1.0) if self.total else 0.0
 
@@ -68,6 +75,10 @@ class Job:
         self.done += 1
         if note:
             self.notes.append(note)
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until it is finished; return whether it is."""
+        return bool(wait([self.future], timeout_s).done)
 
 
 Work: TypeAlias = Callable[[Job], Any]
@@ -83,8 +94,8 @@ class Worker:
     --------
     >>> with Worker() as worker:
     ...     job = worker.submit("adding", lambda job: 1 + 1)
-    ...     job.finished.wait(5), str(job.state), job.result
-    (True, 'done', 2)
+    ...     job.wait(), job.share, job.result
+    (True, 1.0, 2)
     """
 
     def __init__(self) -> None:
@@ -98,21 +109,21 @@ class Worker:
         with self._lock:
             job = Job(self._next, title)
             self._next += 1
-            self._jobs[job.number] = job
-            old = [n for n, one in self._jobs.items() if one.finished.is_set()]
+            old = [number for number, one in self._jobs.items() if one.finished]
             for number in old[: max(0, len(old) - KEPT)]:
                 del self._jobs[number]
-        self._pool.submit(_run, job, work)
+            job.future = self._pool.submit(_run, work, job)
+            self._jobs[job.number] = job
         return job
 
     def get(self, number: int | None) -> Job | None:
-        """Give a job by its number; None where it is not held any more."""
+        """Return a job by its number; None where it is not held any more."""
         return None if number is None else self._jobs.get(number)
 
     def unfinished(self) -> list[Job]:
-        """List the jobs that wait or run, in their order."""
+        """Return the jobs that wait or run, in their order."""
         with self._lock:
-            return [job for job in self._jobs.values() if not job.finished.is_set()]
+            return [job for job in self._jobs.values() if not job.finished]
 
     def close(self) -> None:
         """Finish the job at hand and drop the rest."""
@@ -125,18 +136,12 @@ class Worker:
         self.close()
 
 
-def _run(job: Job, work: Work) -> None:
-    job.state = JobState.RUNNING
+def _run(work: Work, job: Job) -> Any:
     try:
-        job.result = work(job)
-        job.state = JobState.DONE
-    except CucumberVisionError as error:
-        job.error, job.state = str(error), JobState.FAILED
-    except Exception as error:
-        # A thread's exception would vanish; the page shows it, and the traceback is logged.
-        import logging
-
+        return work(job)
+    except CucumberVisionError:
+        raise
+    except Exception:
+        # The page shows it in a line; the traceback is for the log.
         logging.getLogger(__name__).exception("job %s failed", job.title)
-        job.error, job.state = f"{type(error).__name__}: {error}", JobState.FAILED
-    finally:
-        job.finished.set()
+        raise

@@ -1,16 +1,19 @@
-"""Measure captures into the store, and measure a fruit anew with a corrected mask."""
+"""Measure captures and uploads into the store, and a fruit again with a corrected mask."""
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.errors import InstancesError
+from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.fields import SeenFruit
@@ -22,8 +25,13 @@ from cucumbervision.store.records import new_key
 from cucumbervision.store.results import fruit_record
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
+    from cucumbervision.capture.source import CaptureRef
+    from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.intake.staging import AcceptedUploads
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.pipeline.measurer import CaptureResult
@@ -33,7 +41,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
 
-__all__ = ["SharedMeasurer", "TakenStop", "stored_capture"]
+__all__ = ["SharedMeasurer", "TakenStop", "measure_uploads", "stored_capture"]
 
 SEGMENTER = "mobile-sam"
 
@@ -164,6 +172,56 @@ class SharedMeasurer:
                 files = self._registry.resolve(SEGMENTER)
                 self._segmenter = Segmenter((files["encoder"], files["decoder"]), prompt="box")
             return self._segmenter
+
+
+def measure_uploads(
+    files: Sequence[tuple[str, BinaryIO | Path]],
+    measurer: SharedMeasurer,
+    store: Store,
+    round_key: str,
+    options: MeasureOptions,
+    spacing_m: float,
+    job: Job,
+) -> int:
+    """Check uploads and save their captures as stops of a round; return how many were saved.
+
+    Parameters
+    ----------
+    files : sequence of (name, stream or Path)
+        As for `intake.uploads.accept_uploads`.
+    spacing_m : float
+        From one capture to the next, for captures that bring no position.
+    job : Job
+        Gets a step a file, and a note for each file or capture that could not be measured.
+    """
+    job.total, saved = len(files), 0
+    with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+        accepted = accept_uploads(files, Path(folder), report=lambda *_: job.step())
+        job.notes += [str(refused.error) for refused in accepted.refused]
+        for ref in _references(accepted, options, job):
+            try:
+                capture = ref.load()
+            except CucumberVisionError as error:
+                job.notes.append(str(error))
+                continue
+            stop = capture.stop
+            if stop.position_m is None:
+                stop = replace(stop, position_m=round(saved * spacing_m, 2), step=saved + 1)
+            taken = measurer.take_stop(store, round_key, replace(capture, stop=stop), options)
+            saved += 1
+            if taken.note:
+                job.notes.append(f"{capture.name}: {taken.note}")
+    return saved
+
+
+def _references(
+    accepted: AcceptedUploads, options: MeasureOptions, job: Job
+) -> Iterator[CaptureRef]:
+    for source in accepted.sources:
+        try:
+            yield from source.open(options.reading)
+        except CucumberVisionError as error:
+            job.notes.append(str(error))
 
 
 def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:

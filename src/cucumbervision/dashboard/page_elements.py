@@ -1,54 +1,98 @@
-"""Parts that several pages draw."""
+"""Elements that several pages draw: the choice of a round, a job's progress, columns, tables."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import time
+from functools import wraps
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.jobs import Job, JobState
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision.store.views import DetectionView, RoundView
+    from cucumbervision.dashboard.jobs import Job, Work
+    from cucumbervision.store.views import RoundView
 
-__all__ = ["CLASSES", "halves", "pick_round", "progress", "thumbnail_of"]
-
-CLASSES = ("class I", "class II", "class III", "out of grade", "not graded")
+__all__ = [
+    "choose_page",
+    "finished_job",
+    "halves",
+    "of_round",
+    "page_of",
+    "progress",
+    "start_job",
+    "table",
+]
 
 
 def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
-    """Give a wide and a narrow column, under each other where a tablet is held upright."""
+    """Return a wide and a narrow column, under each other where a tablet is held upright."""
     with st.container(key="halves"):
         left, right = st.columns([3, 2], gap="medium")
     return left, right
 
 
-def pick_round() -> RoundView | None:
-    """Let a round be chosen, the newest first; None where there is none."""
+def table(lines: list[dict[str, Any]]) -> None:
+    """Draw a table whose rows are high enough for a thumb."""
+    st.dataframe(lines, hide_index=True, row_height=40)
+
+
+def page_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:
+    """Return the items of the chosen page; `choose_page` with the same key lets it be chosen."""
+    number = min(st.session_state.get(key, 1), _pages(items, size))
+    return items[(number - 1) * size : number * size]
+
+
+def choose_page(items: Sequence[Any], key: str, size: int) -> None:
+    """Draw the choice of a page where there are several."""
+    pages = _pages(items, size)
+    if pages > 1:
+        st.session_state[key] = min(st.session_state.get(key, 1), pages)
+        st.number_input(f"Page of {pages}", 1, pages, key=key)
+
+
+def _pages(items: Sequence[Any], size: int) -> int:
+    return max(1, -(-len(items) // size))
+
+
+def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
+    """Make a page of a function that draws a round: the round is chosen above it."""
+
+    @wraps(draw)
+    def page() -> None:
+        one = _pick_round()
+        if one is None:
+            st.info("There is no round yet: begin one with 'New round'.", icon=":material/flag:")
+        else:
+            draw(one)
+
+    return page
+
+
+def _pick_round() -> RoundView | None:
     rounds = {one.key: one for one in resources.store().rounds()}
     if st.session_state.get("round") not in rounds:
         st.session_state["round"] = next(iter(rounds), None)
     chosen, new = st.columns([4, 1], vertical_alignment="bottom")
-    with chosen:
-        key = st.selectbox(
-            "Round",
-            list(rounds),
-            format_func=lambda key: _round_name(rounds[key]),
-            key="round",
-            placeholder="No round yet: begin one",
-        )
-    with new, st.popover("New round", icon=":material/add:", width="stretch"):
+    key = chosen.selectbox(
+        "Round",
+        list(rounds),
+        format_func=lambda key: _round_name(rounds[key]),
+        key="round",
+        placeholder="No round yet",
+    )
+    with new.popover("New round", icon=":material/add:", width="stretch"):
         _new_round()
     return rounds.get(key) if key else None
 
 
 def _round_name(one: RoundView) -> str:
-    import time
-
     day = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.record.started_s))
     house = f", {one.record.house}" if one.record.house else ""
     return f"{one.record.name or 'Round'}{house} · {day} · {one.stops} stops"
@@ -68,28 +112,28 @@ def _new_round() -> None:
     st.button("Begin this round", type="primary", width="stretch", on_click=begin)
 
 
+def start_job(key: str, title: str, work: Work) -> None:
+    """Queue a job and remember it in the viewer's session."""
+    st.session_state[key] = resources.worker().submit(title, work).number
+
+
+def finished_job(key: str) -> Job | None:
+    """Return the viewer's job once it is finished; until then its progress is drawn."""
+    job = resources.worker().get(st.session_state.get(key))
+    progress(job)
+    return job if job is not None and job.finished else None
+
+
 def progress(job: Job | None) -> None:
-    """Show how far a job is, until it is done; then the page is drawn anew."""
-    if job is None or job.finished.is_set():
+    """Draw a job's progress until it is finished; then the page is drawn again."""
+    if job is None or job.finished:
         return
 
     @st.fragment(run_every=1.0)
     def _bar() -> None:
-        if job.finished.is_set():
+        if job.finished:
             st.rerun()
         words = f"{job.title}: {job.done} of {job.total}" if job.total else f"{job.title} …"
-        waiting = " (waiting)" if job.state is JobState.WAITING else ""
-        st.progress(job.share, text=words + waiting)
+        st.progress(job.share, text=words + (" (waiting)" if job.is_waiting else ""))
 
     _bar()
-
-
-def thumbnail_of(view: DetectionView) -> str | None:
-    """Give a fruit's little picture; None where none was kept."""
-    if view.thumbnail is None:
-        return None
-    record = view.record
-    box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
-    return resources.thumbnail(
-        view.thumbnail.sha256, box, resources.capture_widths(view.stop_key)[view.capture]
-    )

@@ -1,17 +1,21 @@
-"""What all pages and viewers share: the store, the worker, the camera, the settings."""
+"""What all pages and viewers share: the store, the worker, the camera, the settings, the caches."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import streamlit as st
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.agronomy.forecast import Forecast
+from cucumbervision.agronomy.profiles import CropProfile, load_profile
 from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.camera_feed import CameraFeed, Feed, Replay
+from cucumbervision.dashboard.fruit_view import as_data_url, crop
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.round_tables import RoundLists, read_lists, round_version
@@ -33,32 +37,24 @@ from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.service import merge_round
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
-
-if TYPE_CHECKING:
-    from cucumbervision.agronomy.forecast import Forecast
-    from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.store.views import DetectionDetail, RoundView
+from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
 
 __all__ = [
     "camera",
-    "capture_widths",
+    "change_settings",
     "feed",
     "forecast_of",
     "fruit_detail",
     "lists_of",
     "measurer",
     "merge",
-    "options",
     "prepare",
-    "profile",
+    "profile_of",
     "registry",
     "replay_named",
-    "replay_path",
-    "save_settings",
     "settings",
     "store",
-    "thumbnail",
+    "thumbnail_of",
     "where",
     "worker",
 ]
@@ -68,112 +64,94 @@ KEPT = 8  # rounds, forecasts or fruit that are held at once
 
 
 def where() -> str:
-    """Give where the store is."""
+    """Return the path or URL of the store."""
     return os.environ.get(STORE_VARIABLE) or default_store()
 
 
 @st.cache_resource(show_spinner="Opening the store …")
-def _store(place: str, images: str) -> Store:
+def store() -> Store:
+    """Return the store that all viewers work on."""
+    place, images = where(), os.environ.get(IMAGES_VARIABLE)
     if "://" not in place:
         Path(place).parent.mkdir(parents=True, exist_ok=True)
     return open_store(place, images=Path(images) if images else None)
 
 
-def store() -> Store:
-    """Give the store that all viewers work on."""
-    return _store(where(), os.environ.get(IMAGES_VARIABLE, ""))
-
-
 @st.cache_resource(show_spinner=False)
 def registry() -> Registry:
-    """Give the networks that have a name."""
+    """Return the registry of networks."""
     return load_registry()
 
 
 @st.cache_resource(show_spinner=False)
 def worker() -> Worker:
-    """Give the one worker of this machine."""
+    """Return the one worker of this machine."""
     return Worker()
 
 
 @st.cache_resource(show_spinner=False)
 def measurer() -> SharedMeasurer:
-    """Give what measures, its networks loaded once."""
+    """Return the measurer, its networks loaded once."""
     return SharedMeasurer(registry())
 
 
 @st.cache_resource(show_spinner=False)
 def camera() -> CameraFeed:
-    """Give the camera, opened when somebody looks."""
+    """Return the camera, opened when somebody views it."""
     return CameraFeed()
 
 
 @st.cache_resource(show_spinner=False)
-def _replay(path: str, burst: int) -> Replay:
-    return Replay(Path(path), burst)
+def _replay(burst: int) -> Replay:
+    chosen = os.environ.get(REPLAY_VARIABLE)
+    return Replay(Path(chosen) if chosen else bundled_captures(), burst)
 
 
 def replay_named() -> bool:
-    """Say whether the command named a replay: it is then shown first."""
+    """Return whether the command named a replay: it is then shown first."""
     return bool(os.environ.get(REPLAY_VARIABLE))
 
 
-def replay_path() -> Path:
-    """Give what is replayed where no camera is: as the command says, or the bundled captures."""
-    if chosen := os.environ.get(REPLAY_VARIABLE):
-        return Path(chosen)
-    from cucumbervision.capture.source import bundled_captures
-
-    return bundled_captures()
-
-
 def feed(kind: str) -> Feed:
-    """Give the camera, or for 'replay' the replay.
+    """Return the camera, or for 'replay' the replay.
 
     Raises
     ------
     CaptureError
         If the replay cannot be read.
     """
-    return _replay(str(replay_path()), settings().burst) if kind == "replay" else camera()
+    return _replay(settings().burst) if kind == "replay" else camera()
 
 
 @st.cache_resource(show_spinner=False)
-def _kept_settings(path: str) -> dict[str, Settings]:
-    return {"now": read_settings(Path(path))}
+def _settings() -> list[Settings]:
+    return [read_settings(settings_file(where()))]
 
 
 def settings() -> Settings:
-    """Give the settings, the same for all viewers."""
-    return _kept_settings(str(settings_file(where())))["now"]
+    """Return the settings, the same for all viewers."""
+    return _settings()[0]
 
 
-def save_settings(chosen: Settings) -> None:
-    """Keep settings from now on."""
-    path = settings_file(where())
-    _kept_settings(str(path))["now"] = chosen
-    write_settings(chosen, path)
-
-
-def options() -> MeasureOptions:
-    """Give the options of the next measurement."""
-    return settings().options
+def change_settings(**changes: object) -> None:
+    """Change some settings and write them, unless they are so already."""
+    chosen = Settings.model_validate({**settings().model_dump(), **changes})
+    if chosen != settings():
+        _settings()[0] = chosen
+        write_settings(chosen, settings_file(where()))
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT)
-def _profile(name: str) -> CropProfile:
-    return load_profile(name)
+def _profile(name: str) -> tuple[str, CropProfile]:
+    try:
+        return name, load_profile(name)
+    except CucumberVisionError:
+        return "long-cucumber", load_profile("long-cucumber")
 
 
-def profile(one: RoundView) -> CropProfile:
-    """Give a round's crop profile; the settings' where it names none that is here."""
-    return _profile(_named(one))
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
-def _lists(version: tuple[object, ...], named: str, place: str) -> RoundLists:
-    del place
-    return read_lists(store(), str(version[0]), _profile(named))
+def profile_of(one: RoundView) -> tuple[str, CropProfile]:
+    """Return name and crop profile of a round; the settings' where it names none that is here."""
+    return _profile(one.record.profile or settings().profile)
 
 
 @st.cache_resource(show_spinner=False)
@@ -192,91 +170,67 @@ def merge(round_key: str) -> None:
 
 
 def _version(one: RoundView) -> tuple[object, ...]:
-    return (*round_version(store(), one), _mergings()[one.key])
+    """Return what changes whenever a page of the round would."""
+    return (*round_version(store(), one), _mergings()[one.key], profile_of(one)[0])
 
 
-def _named(one: RoundView) -> str:
-    named = one.record.profile or settings().profile
-    try:
-        _profile(named)
-    except CucumberVisionError:
-        return "long-cucumber"
-    return named
+_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}
 
 
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
 def lists_of(one: RoundView) -> RoundLists:
-    """Give a round's fruit and grades; read again only when something changed."""
-    return _lists(_version(one), _named(one), where())
+    """Return a round's fruit and grades; read again only when something changed."""
+    return read_lists(store(), one.key, profile_of(one)[1])
 
 
-@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600)
-def _forecast(version: tuple[object, ...], named: str, place: str) -> Forecast:
-    del place
-    return forecast_for(store(), str(version[0]), _profile(named))
-
-
+@st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def forecast_of(one: RoundView) -> Forecast:
-    """Give a round's forecast; computed again only when something changed."""
-    return _forecast(_version(one), _named(one), where())
+    """Return a round's forecast; computed again only when something changed."""
+    return forecast_for(store(), one.key, profile_of(one)[1])
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120)
-def _detail(fruit_key: str, version: tuple[object, ...], place: str) -> DetectionDetail:
-    del version, place
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def fruit_detail(one: RoundView, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
+    """Return one fruit with everything."""
     return store().detection(fruit_key)
 
 
-def fruit_detail(one: RoundView, fruit_key: str) -> DetectionDetail:
-    """Give one fruit with everything."""
-    return _detail(fruit_key, _version(one), where())
-
-
 @st.cache_data(show_spinner=False, max_entries=2000)
-def capture_widths(stop_key: str) -> dict[str, int]:
-    """Give how wide the captures of a stop are, pixels, by name."""
+def _capture_widths(stop_key: str) -> dict[str, int]:
     return {one.name: one.width_px for one in store().stop(stop_key).captures}
 
 
-@st.cache_data(show_spinner=False, max_entries=400)
-def thumbnail(sha256: str, box: tuple[float, float, float, float], width_px: int) -> str:
-    """Give a fruit's little picture as a data URL."""
-    from cucumbervision.dashboard.fruit_view import as_data_url, crop
-    from cucumbervision.store.records import DetectionRecord, ImageRef
-
-    small = store().images.read_color(ImageRef(sha256, ".jpg", 0, 0, 0))
-    x1, y1, x2, y2 = box
-    record = DetectionRecord(1, box_x1_px=x1, box_y1_px=y1, box_x2_px=x2, box_y2_px=y2)
-    return as_data_url(crop(small, record, width_px))
+@st.cache_data(
+    show_spinner=False,
+    max_entries=400,
+    hash_funcs={DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px)},
+)
+def thumbnail_of(view: DetectionView) -> str | None:
+    """Return a fruit's thumbnail as a data URL; None where none was kept."""
+    if view.thumbnail is None:
+        return None
+    small = store().images.read_color(view.thumbnail)
+    return as_data_url(crop(small, view.record, _capture_widths(view.stop_key)[view.capture]))
 
 
 @st.cache_resource(show_spinner=False)
-def _prepared(place: str) -> Job | None:
-    del place
+def prepare() -> Job | None:
+    """Load the networks before the first capture; measure the bundled ones into an empty store."""
     if store().rounds():
-        return worker().submit("Loading the networks", _warm)
+        return worker().submit("Loading the networks", _warm_up)
     record = RoundRecord(key_of("demonstration"), DEMONSTRATION, profile=settings().profile)
     store().save_round(record)
     return worker().submit("Measuring the bundled captures", _demonstrate)
 
 
-def prepare() -> Job | None:
-    """Begin what makes the first capture quick; an empty store gets the bundled round."""
-    return _prepared(where())
-
-
 def _demonstrate(job: Job) -> None:
-    from cucumbervision.capture.source import bundled_captures
-
     source = open_source(bundled_captures(), ReadOptions(burst=settings().burst))
-    job.total = source.total or 0
+    job.total, key = source.total or 0, key_of("demonstration")
     for ref in source:
-        taken = measurer().take_stop(store(), key_of("demonstration"), ref.load(), options())
-        job.step(taken.note)
-    merge(key_of("demonstration"))
+        job.step(measurer().take_stop(store(), key, ref.load(), settings().options).note)
+    merge(key)
 
 
-def _warm(_: Job) -> None:
-    from cucumbervision.capture.source import bundled_captures
-
+def _warm_up(_: Job) -> None:
     first = next(iter(open_source(bundled_captures())))
-    measurer().with_options(options()).measure(first.load())
+    measurer().with_options(settings().options).measure(first.load())

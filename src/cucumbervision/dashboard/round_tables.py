@@ -1,4 +1,4 @@
-"""A round as tables: its fruit with their grades, and what they come to; kept while it stands."""
+"""A round as tables: its fruit with their grades, its statistics, the lines of its charts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class RoundLists:
-    """What the pages show of a round.
+    """A round as the pages show it.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ class RoundLists:
 
 
 def round_version(store: Store, one: RoundView) -> tuple[object, ...]:
-    """Give what changes whenever a round's lists would: its size and the newest line of its log."""
+    """Return what changes whenever a round's lists would: its size and its newest log entry."""
     newest = store.log(one.key, limit=1)
     return (one.key, one.stops, one.fruit, one.last_s, newest[0].number if newest else 0)
 
 
 def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists:
-    """Read a round and grade its fruit."""
+    """Return a round's fruit with their grades."""
     every = store.detections(round_key)
     fruit = tuple(view for view in every if view.best)
     grades = {view.key: grade_of(view.record, profile) for view in fruit}
@@ -72,7 +72,7 @@ def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists
 
 
 def grade_name(grade: Grade) -> str:
-    """Say a grade in a word or two: 'class I', 'out of grade', 'not graded'.
+    """Return a grade in a word or two: 'class I', 'out of grade', 'not graded'.
 
     Examples
     --------
@@ -87,12 +87,12 @@ def grade_name(grade: Grade) -> str:
 
 
 def statistics(lists: RoundLists) -> dict[str, float | int | None]:
-    """Count a round and give mean and spread of its lengths, metres; rejected fruit are left out.
+    """Compute numbers of fruit, mean and spread of lengths in metres; rejected fruit are left out.
 
     Returns
     -------
     dict
-        'fruit', 'measured', 'rejected', 'picked', 'detections', 'mean_m', 'sd_m', 'median_m'.
+        'fruit', 'measured', 'rejected', 'picked', 'detections', 'mean_m', 'sd_m'.
     """
     kept = [view for view in lists.fruit if view.verdict is not Verdict.REJECTED]
     lengths = np.array([v.record.length_m for v in kept if v.record.length_m is not None])
@@ -105,7 +105,6 @@ def statistics(lists: RoundLists) -> dict[str, float | int | None]:
         "detections": lists.detections,
         "mean_m": float(lengths.mean()) if len(lengths) else None,
         "sd_m": float(lengths.std(ddof=1)) if many else None,
-        "median_m": float(np.median(lengths)) if len(lengths) else None,
     }
 
 
@@ -130,7 +129,7 @@ def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
 def length_lines(
     fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
 ) -> list[dict[str, Any]]:
-    """Give a line a measured fruit for the histogram: length and class."""
+    """Return a line for each measured fruit for the histogram: length and class."""
     return [
         {"length": units.value(view.record.length_m), "class": grade_name(grades[view.key])}
         for view in fruit
@@ -139,7 +138,7 @@ def length_lines(
 
 
 def method_lines(lists: RoundLists, keys: set[str], units: Units) -> list[dict[str, Any]]:
-    """Give a line for each method's own length of each fruit."""
+    """Return a line for each method's own length of each fruit."""
     return [
         {"method": method.method, "length": units.value(method.length_m)}
         for key, methods in lists.methods.items()
@@ -149,10 +148,8 @@ def method_lines(lists: RoundLists, keys: set[str], units: Units) -> list[dict[s
     ]
 
 
-def map_lines(
-    fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
-) -> list[dict[str, Any]]:
-    """Give a line for each fruit whose place is known: along the row, height, class, length."""
+def map_lines(lists: RoundLists, units: Units) -> list[dict[str, Any]]:
+    """Return a line for each fruit with a position: along the row, height, class, length."""
     return [
         {
             "key": view.key,
@@ -160,12 +157,12 @@ def map_lines(
             "along": round(view.along_m, 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
-            "class": grade_name(grades[view.key]),
+            "class": grade_name(lists.grades[view.key]),
             "method": view.record.method or "–",
             "views": view.views,
             "picked": view.picked_s is not None,
             "capture": view.capture,
         }
-        for view in fruit
+        for view in lists.fruit
         if view.along_m is not None
     ]

@@ -1,4 +1,4 @@
-"""What a user chose on the Settings page; kept in a file, so that a reload forgets nothing."""
+"""The dashboard's settings and units, and the file that keeps them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 
 @dataclass(frozen=True)
 class Units:
-    """A unit of length for people.
+    """A unit of length for display.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Units:
     name: Literal["cm", "in"] = "cm"
 
     def value(self, length_m: float | None) -> float | None:
-        """Give metres in this unit.
+        """Return metres in this unit.
 
         Examples
         --------
@@ -48,7 +48,7 @@ class Units:
         return None if length_m is None else round(length_m * UNITS[self.name], 3)
 
     def metres(self, value: float) -> float:
-        """Give a value in this unit as metres.
+        """Return a value in this unit in metres.
 
         Examples
         --------
@@ -59,11 +59,11 @@ class Units:
 
     @property
     def digits(self) -> int:
-        """How many decimals are worth reading."""
+        """Decimals to display."""
         return 1 if self.name == "cm" else 2
 
     def text(self, length_m: float | None) -> str:
-        """Write a length with its unit."""
+        """Return a length with its unit."""
         value = self.value(length_m)
         return "–" if value is None else f"{value:.{self.digits}f} {self.name}"
 
@@ -72,7 +72,7 @@ Share = Annotated[float, Field(ge=0.05, le=0.95)]
 
 
 class Settings(BaseModel):
-    """Choices of the dashboard.
+    """Settings of the dashboard.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Settings(BaseModel):
 
     @property
     def rates(self) -> Rates:
-        """How fast people pick, and what a crate holds."""
+        """Rates of picking, and fruit in a crate."""
         return Rates(self.fruit_per_hour, self.minutes_per_row, self.fruit_per_crate)
 
     @property
@@ -145,7 +145,7 @@ class Settings(BaseModel):
 
 
 def settings_file(store: str) -> Path:
-    """Give the file for the settings of a store: beside an SQLite file, else the user's own.
+    """Return the settings file of a store: beside an SQLite file, else the user's own.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def settings_file(store: str) -> Path:
 
 
 def read_settings(path: Path) -> Settings:
-    """Read settings; the defaults where there are none, or where they cannot be read.
+    """Return settings from a file; the defaults where there are none, or where they are damaged.
 
     Examples
     --------
@@ -174,7 +174,7 @@ def read_settings(path: Path) -> Settings:
 
 
 def write_settings(settings: Settings, path: Path) -> None:
-    """Write settings, whole or not at all.
+    """Write settings, replacing the file in one step.
 
     Examples
     --------

@@ -30,21 +30,18 @@ __all__ = ["page"]
 LINES = 30
 
 
-def page() -> None:
+@page_elements.of_round
+def page(one: RoundView) -> None:
     """Draw the page."""
-    one = page_elements.pick_round()
-    if one is None:
-        st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
-        return
     lists = resources.lists_of(one)
     fruit = [view for view in lists.fruit if view.record.length_m is not None]
     if not fruit:
         st.info("This round has no measured fruit yet.", icon=":material/straighten:")
         return
     st.write(
-        "Measure some fruit by hand and write the lengths here: the table below then says how far "
-        "off each method is on your fruit. Measure some of them twice, without looking at the "
-        "first figure: no method can be shown to be better than the hand."
+        "Measure some fruit by hand and enter the lengths here: the table below then gives each "
+        "method's error on your fruit. Measure some of them twice, without looking at the first "
+        "value: no method can be shown to be more accurate than the measurements by hand."
     )
     path = hand_file(resources.where(), one.key)
     _table(fruit, path)
@@ -55,9 +52,8 @@ def page() -> None:
 def _table(fruit: list[DetectionView], path: Path) -> None:
     units = resources.settings().units
     known = hand_lengths(path, fruit)
-    pages = -(-len(fruit) // LINES)
-    number = st.number_input(f"Page of {pages}", 1, pages) if pages > 1 else 1
-    shown = fruit[(int(number) - 1) * LINES : int(number) * LINES]
+    page_elements.choose_page(fruit, "hand_page", LINES)
+    shown = page_elements.page_of(fruit, "hand_page", LINES)
     kind = st.segmented_control(
         "Measured by hand",
         list(LengthDefinition),
@@ -83,7 +79,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
                 f"Again [{units.name}]", min_value=0.5, max_value=100.0, format="%.2f"
             ),
         },
-        key=f"hand_{path.stem}_{number}",
+        key=f"hand_{path.stem}_{shown[0].key}",
     )
     if st.button("Save these lengths", type="primary", icon=":material/save:"):
         for view, line in zip(shown, edited, strict=True):
@@ -96,7 +92,7 @@ def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict
     units = resources.settings().units
     along = "" if view.along_m is None else f", {view.along_m:.2f} m"
     return {
-        "Picture": page_elements.thumbnail_of(view),
+        "Picture": resources.thumbnail_of(view),
         "Fruit": f"Row {view.row or '?'}{along}, no. {view.record.number} of {view.capture}",
         "Program": units.value(view.record.length_m),
         "First": units.value(known[0]),
@@ -112,20 +108,20 @@ def _scores(one: RoundView, lists: RoundLists, path: Path) -> None:
     measured = measured_round(resources.store(), one.key, lists.methods)
     truth = read_truth(path)
     found: OwnTruth = evaluate_lengths(measured, truth)
-    st.subheader("How far off")
+    st.subheader("Errors")
     lines = [
         {
             "Method": score.method,
             "Against": str(score.kind),
             "Fruit": score.fruit,
-            "Mean error": f"{score.metrics.mape_percent:.1f} %",
+            "Mean absolute error": f"{score.metrics.mape_percent:.1f} %",
             "95 %": "needs 3 fruit"
             if score.low_percent != score.low_percent
             else f"{score.low_percent:.1f} to {score.high_percent:.1f} %",
         }
         for score in found.scores
     ]
-    st.dataframe(lines, hide_index=True, row_height=40)
+    page_elements.table(lines)
     for note in found.notes:
         st.caption(note)
     st.subheader("Calibrate this site")

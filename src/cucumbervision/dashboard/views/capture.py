@@ -1,4 +1,4 @@
-"""Capture: what the camera sees, how good its depth is, and one large button."""
+"""Capture: the camera's picture, the quality of its depth, and one large button."""
 
 from __future__ import annotations
 
@@ -10,39 +10,38 @@ from cucumbervision.agronomy.grades import GradingTraits, grade
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
-from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.dashboard.measuring import TakenStop
 from cucumbervision.dashboard.round_tables import grade_name
 from cucumbervision.measurement.selector import Selector
 from cucumbervision.pipeline.overlay import draw_overlay
 
 if TYPE_CHECKING:
-    from cucumbervision.dashboard.camera_feed import Look
+    from cucumbervision.dashboard.camera_feed import Preview
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import RoundView
 
 __all__ = ["page"]
 
-VERDICT_COLORS: dict[str, Literal["green", "orange", "red"]] = {
-    "good": "green",
-    "too-near": "orange",
-    "too-far": "orange",
-    "poor": "orange",
-}
 PREVIEW_PX = 960
 
 
-def page() -> None:
+@page_elements.of_round
+def page(one: RoundView) -> None:
     """Draw the page."""
-    one = page_elements.pick_round()
-    if one is None:
-        st.info("Begin a round first: press 'New round'.", icon=":material/flag:")
-        return
     left, right = page_elements.halves()
     with right:
         kind = _source()
         _place()
-        _button(one, kind)
+        st.button(
+            "Capture",
+            icon=":material/photo_camera:",
+            type="primary",
+            width="stretch",
+            key="take",
+            shortcut="Enter",
+            on_click=_take,
+            args=(one, kind),
+        )
         taken = _result(one)
         _how()
     with left:
@@ -89,21 +88,9 @@ def _place() -> None:
     )
 
 
-def _button(one: RoundView, kind: str) -> None:
-    st.button(
-        "Capture",
-        icon=":material/photo_camera:",
-        type="primary",
-        width="stretch",
-        key="take",
-        shortcut="Enter",
-        on_click=_take,
-        args=(one, kind),
-    )
-
-
 def _take(one: RoundView, kind: str) -> None:
-    state, options, feed = st.session_state, resources.options(), resources.feed(kind)
+    state, feed = st.session_state, resources.feed(kind)
+    options = resources.settings().options
     stop = Stop(
         state["row"].strip() or None, state["side"], float(state["position_m"]), one.stops + 1
     )
@@ -115,33 +102,31 @@ def _take(one: RoundView, kind: str) -> None:
         job.step()
         return measurer.take_stop(store, one.key, capture, options)
 
-    state["job"] = resources.worker().submit("Measuring", work).number
+    page_elements.start_job("capture_job", "Measuring", work)
     state["position_m"] = round(float(state["position_m"]) + float(state["step_m"]), 2)
 
 
 def _how() -> None:
     with st.expander("How to measure", icon=":material/tune:"):
         now = resources.settings()
-        burst = st.slider("Frames fused to one capture", 1, 15, now.burst)
-        confidence = st.slider(
-            "Confidence of a detection, at least", 0.05, 0.95, now.confidence, 0.05
+        resources.change_settings(
+            burst=st.slider("Frames fused to one capture", 1, 15, now.burst),
+            confidence=st.slider(
+                "Least confidence of a detection", 0.05, 0.95, now.confidence, 0.05
+            ),
+            selector=st.segmented_control(
+                "Method chosen",
+                list(Selector),
+                format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
+                default=now.selector,
+                required=True,
+            )
+            or now.selector,
         )
-        selector = st.segmented_control(
-            "Method chosen",
-            list(Selector),
-            format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
-            default=now.selector,
-            required=True,
-        )
-        chosen = now.model_copy(
-            update={"burst": burst, "confidence": confidence, "selector": selector or now.selector}
-        )
-        if chosen != now:
-            resources.save_settings(chosen)
 
 
 def _preview(kind: str) -> None:
-    seen = resources.feed(kind).look()
+    seen = resources.feed(kind).preview()
     if seen.state == "absent":
         if kind == "camera" and not st.session_state.get("source_chosen"):
             st.session_state["no_camera"] = True
@@ -153,61 +138,60 @@ def _preview(kind: str) -> None:
 
     @st.fragment(run_every=None if still else 0.5)
     def _live() -> None:
-        look = resources.feed(kind).look()
-        if look.state == "absent" or (look.state == "replay" and not still):
+        preview = resources.feed(kind).preview()
+        if preview.state == "absent" or (preview.state == "replay" and not still):
             st.rerun()
-        if look.capture is None:
+        if preview.capture is None:
             st.info("Opening …", icon=":material/hourglass:")
             return
-        shown = look.capture
-        near = look.health.distance_m if look.health else None
+        shown = preview.capture
+        near = preview.quality.distance_m if preview.quality else None
         picture(
             f"preview_{kind}",
             {"live": as_data_url(shown.color, PREVIEW_PX)},
             (shown.width, shown.height),
             bar=scale_bar(shown.intrinsics, near, resources.settings().units),
-            title="What the camera sees",
+            title="The camera's picture",
         )
-        _health(look)
+        _quality(preview)
 
     _live()
 
 
-def _absent(kind: str, look: Look) -> None:
+def _absent(kind: str, preview: Preview) -> None:
     if kind == "replay":
-        st.error(f"The replay cannot be shown. {look.message}", icon=":material/error:")
+        st.error(f"The replay cannot be shown. {preview.message}", icon=":material/error:")
         return
-    st.warning(f"No camera was found. {look.message}", icon=":material/videocam_off:")
+    st.warning(f"No camera was found. {preview.message}", icon=":material/videocam_off:")
     st.write("Connect a RealSense camera to a USB 3 port, or choose 'Replay' to try without one.")
-    if st.button("Look for the camera again", icon=":material/refresh:"):
+    if st.button("Search for the camera again", icon=":material/refresh:"):
         resources.camera().retry()
         st.rerun()
 
 
-def _health(look: Look) -> None:
-    if look.health is None or look.capture is None:
-        st.caption("Turning to the next capture …")
+def _quality(preview: Preview) -> None:
+    if preview.quality is None or preview.capture is None:
+        st.caption("Loading the next capture …")
         return
-    health, units = look.health, resources.settings().units
+    quality, units = preview.quality, resources.settings().units
     depth, distance, advice = st.columns([1, 1, 2], vertical_alignment="center")
-    depth.metric("Depth filled", f"{100 * health.fill:.0f} %")
-    distance.metric("Distance", units.text(health.distance_m))
-    color = VERDICT_COLORS[health.verdict]
-    advice.badge(health.advice, color=color, width="stretch")
-    said = "Replay" if look.state == "replay" else "Live"
-    drawn = ", simulated" if look.capture.simulated else ""
-    advice.caption(f"{said}: {look.capture.name}{drawn}")
+    depth.metric("Valid depth", f"{100 * quality.fill:.0f} %")
+    distance.metric("Distance", units.text(quality.distance_m))
+    colors: dict[str, Literal["green", "orange", "red"]] = {"good": "green", "none": "red"}
+    color = colors.get(quality.verdict, "orange")
+    advice.badge(quality.advice, color=color, width="stretch")
+    state = "Replay" if preview.state == "replay" else "Live"
+    simulated = ", simulated" if preview.capture.simulated else ""
+    advice.caption(f"{state}: {preview.capture.name}{simulated}")
 
 
 def _result(one: RoundView) -> TakenStop | None:
-    job = resources.worker().get(st.session_state.get("job"))
+    if st.session_state.get("capture_job") is None:
+        st.caption(f"{one.stops} stops in this round. Each capture's result is shown here.")
+    job = page_elements.finished_job("capture_job")
     if job is None:
-        st.caption(f"{one.stops} stops in this round. What you capture is shown here.")
         return None
-    if not job.finished.is_set():
-        page_elements.progress(job)
-        return None
-    if job.state is JobState.FAILED:
+    if job.error:
         st.error(f"Nothing was captured. {job.error}", icon=":material/error:")
         return None
     taken: TakenStop = job.result
@@ -220,9 +204,10 @@ def _result(one: RoundView) -> TakenStop | None:
 def _lengths(one: RoundView, taken: TakenStop) -> None:
     units, stop = resources.settings().units, taken.result.capture.stop
     st.markdown(f"**Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved**")
+    _, profile = resources.profile_of(one)
     lines = []
     for row, fruit in zip(taken.result.rows(), taken.result.fruit, strict=True):
-        found = grade(GradingTraits.from_row(row), resources.profile(one))
+        found = grade(GradingTraits.from_row(row), profile)
         lines.append(
             {
                 "Fruit": row["fruit"],
@@ -233,7 +218,7 @@ def _lengths(one: RoundView, taken: TakenStop) -> None:
             }
         )
     if lines:
-        st.dataframe(lines, hide_index=True, row_height=40)
+        page_elements.table(lines)
     elif not taken.note:
         st.info("No fruit was found in this capture.", icon=":material/search_off:")
 
@@ -242,4 +227,4 @@ def _picture(taken: TakenStop) -> None:
     capture = taken.result.capture
     drawn = draw_overlay(capture, taken.result.fruit)
     size = (capture.width, capture.height)
-    picture("result", {"measured": as_data_url(drawn)}, size, title="What was measured")
+    picture("result", {"measured": as_data_url(drawn)}, size, title="The measured fruit")

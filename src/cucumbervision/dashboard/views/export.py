@@ -11,7 +11,6 @@ import streamlit as st
 
 from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import ExportFormat, write_exports
 
@@ -48,14 +47,10 @@ def show(one: RoundView) -> None:
         on_click=_make,
         args=(one, tuple(chosen)),
     )
-    job = resources.worker().get(st.session_state.get(f"export_{one.key}"))
-    if job is None:
-        return
-    if not job.finished.is_set():
-        page_elements.progress(job)
-    elif job.state is JobState.FAILED:
+    job = page_elements.finished_job(f"export_{one.key}")
+    if job is not None and job.error:
         st.error(job.error, icon=":material/error:")
-    else:
+    elif job is not None:
         path: Path = job.result
         load.download_button(
             "Download",
@@ -74,15 +69,13 @@ def _folder() -> Path:
 
 
 def _make(one: RoundView, formats: tuple[ExportFormat, ...]) -> None:
-    store, profile = resources.store(), resources.profile(one)
-    folder, now = _folder(), resources.settings()
-    named = one.record.profile or now.profile
+    store, rates, folder = resources.store(), resources.settings().rates, _folder()
+    name, profile = resources.profile_of(one)
 
     def work(_: Job) -> Path:
-        tables = round_tables(store, one.key, profile, profile_name=named, rates=now.rates)
+        tables = round_tables(store, one.key, profile, profile_name=name, rates=rates)
         with tempfile.TemporaryDirectory(dir=folder) as made:
             write_exports(tables, Path(made), formats)
             return Path(shutil.make_archive(str(folder / one.key), "zip", made))
 
-    job = resources.worker().submit("Writing the files", work)
-    st.session_state[f"export_{one.key}"] = job.number
+    page_elements.start_job(f"export_{one.key}", "Writing the files", work)

@@ -1,4 +1,4 @@
-"""One fruit: its picture with what was measured, depth, cloud, ruler; accept, reject, correct."""
+"""One fruit: its picture with measurements, depth, 3D, ruler; accept, reject, correct."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from cucumbervision.dashboard.fruit_view import (
     ruler_m,
     scale_bar,
 )
-from cucumbervision.dashboard.jobs import JobState
 from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.store.views import Verdict
+from cucumbervision.store.views import DetectionDetail, Verdict
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.records import DetectionRecord, MethodRecord
-    from cucumbervision.store.views import DetectionDetail, RoundView
+    from cucumbervision.store.views import RoundView
 
 __all__ = ["show"]
 
@@ -45,40 +44,36 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
         _figures(lists, detail)
         _verdict(one, detail)
     with left:
-        _pictures(one, detail)
+        _pictures(detail)
     _methods(detail)
 
 
 def _head(lists: RoundLists, key: str) -> None:
     keys = [view.key for view in lists.fruit]
     at = keys.index(key)
-    back, before, after = st.columns([2, 1, 1])
 
     def go(to: str | None) -> None:
         st.session_state["fruit"] = to
         st.session_state.pop("ruler", None)
 
+    back, before, after = st.columns([2, 1, 1])
     back.button(
         "All fruit", icon=":material/arrow_back:", width="stretch", on_click=go, args=(None,)
     )
-    before.button(
-        "Before",
-        icon=":material/chevron_left:",
-        width="stretch",
-        disabled=at == 0,
-        on_click=go,
-        args=(keys[max(at - 1, 0)],),
-        shortcut="Left",
-    )
-    after.button(
-        "Next",
-        icon=":material/chevron_right:",
-        width="stretch",
-        disabled=at == len(keys) - 1,
-        on_click=go,
-        args=(keys[min(at + 1, len(keys) - 1)],),
-        shortcut="Right",
-    )
+    for column, label, to, icon, shortcut in (
+        (before, "Previous", at - 1, ":material/chevron_left:", "Left"),
+        (after, "Next", at + 1, ":material/chevron_right:", "Right"),
+    ):
+        there = 0 <= to < len(keys)
+        column.button(
+            label,
+            icon=icon,
+            width="stretch",
+            disabled=not there,
+            on_click=go,
+            args=(keys[to] if there else key,),
+            shortcut=shortcut,
+        )
 
 
 def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
@@ -104,12 +99,11 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
     traits = {
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
-        "Away from the camera": units.text(record.distance_m),
+        "Distance": units.text(record.distance_m),
         "Mask by": record.mask_source and MaskSource(record.mask_source).words,
-        "Hidden": None if record.hidden_share is None else f"{100 * record.hidden_share:.0f} %",
+        "Occluded": None if record.hidden_share is None else f"{100 * record.hidden_share:.0f} %",
     }
-    said = [f"{name}: {value}" for name, value in traits.items() if value]
-    st.write(" · ".join(said))
+    st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
     if record.flags:
         st.caption(f"Remarks: {record.flags.replace('-', ' ')}")
     with st.expander("All figures", icon=":material/list:"):
@@ -147,8 +141,8 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
         on_click=pick,
     )
     undo.button("Undo", icon=":material/undo:", width="stretch", on_click=_undo, args=(one,))
-    if said := st.session_state.pop("undo_fault", None):
-        st.info(said)
+    if fault := st.session_state.pop("undo_fault", None):
+        st.info(fault)
 
 
 def _undo(one: RoundView) -> None:
@@ -158,7 +152,7 @@ def _undo(one: RoundView) -> None:
         st.session_state["undo_fault"] = str(error)
 
 
-def _pictures(one: RoundView, detail: DetectionDetail) -> None:
+def _pictures(detail: DetectionDetail) -> None:
     try:
         capture = _capture(detail)
     except CucumberVisionError as error:
@@ -166,7 +160,7 @@ def _pictures(one: RoundView, detail: DetectionDetail) -> None:
         return
     seen, turned = st.tabs(["Picture", "3D"])
     with seen:
-        _picture(one, detail, capture)
+        _picture(detail, capture)
     with turned:
         deck = point_cloud(capture, detail.view.record)
         if deck is None:
@@ -180,22 +174,20 @@ def _pictures(one: RoundView, detail: DetectionDetail) -> None:
             )
 
 
-@st.cache_resource(show_spinner=False, max_entries=6)
-def _loaded(key: str, sha256: str, _detail: object) -> Capture:
-    del key, sha256
-    return stored_capture(resources.store().images, _detail.capture, _detail.stop)  # type: ignore[attr-defined]
-
-
+@st.cache_resource(
+    show_spinner=False,
+    max_entries=6,
+    hash_funcs={DetectionDetail: lambda detail: (detail.view.stop_key, detail.capture.color)},
+)
 def _capture(detail: DetectionDetail) -> Capture:
-    color = detail.capture.color
-    return _loaded(detail.view.stop_key, color.sha256 if color else "", detail)
+    return stored_capture(resources.store().images, detail.capture, detail.stop)
 
 
-def _picture(one: RoundView, detail: DetectionDetail, capture: Capture) -> None:
+def _picture(detail: DetectionDetail, capture: Capture) -> None:
     depth, words = depth_picture(capture.depth_m)
     record, units = detail.view.record, resources.settings().units
     ruler = st.session_state.get("ruler")
-    said = picture(
+    drawn = picture(
         f"fruit_{detail.view.key}",
         {"Colour": as_data_url(capture.color), "Depth": as_data_url(depth)},
         (capture.width, capture.height),
@@ -205,30 +197,26 @@ def _picture(one: RoundView, detail: DetectionDetail, capture: Capture) -> None:
         ruler_text=ruler or "",
         title=f"Fruit {record.number} of {detail.view.capture}",
     )
-    drawn = ", simulated capture" if capture.simulated else ""
-    st.caption(f"{detail.view.capture}{drawn}. Depth: {words}.")
-    if said.ruler:
-        x1, y1, x2, y2 = (float(x) for x in said.ruler)
+    simulated = ", simulated capture" if capture.simulated else ""
+    st.caption(f"{detail.view.capture}{simulated}. Depth: {words}.")
+    if drawn.ruler:
+        x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
         length_m = ruler_m(capture, (x1, y1), (x2, y2))
         text = units.text(length_m) if length_m is not None else "no depth there"
         st.session_state["ruler"] = text
         st.rerun()
     if ruler:
-        st.markdown(f"Ruler: **{ruler}** straight")
-    if said.point or said.box:
-        _correct(one, detail, capture, said.point, said.box)
+        st.markdown(f"Ruler: **{ruler}**, straight distance")
+    if drawn.point or drawn.box:
+        _correct(detail, capture, drawn.point, drawn.box)
     _correction()
 
 
 def _correct(
-    one: RoundView,
-    detail: DetectionDetail,
-    capture: Capture,
-    point: list[float] | None,
-    box: list[float] | None,
+    detail: DetectionDetail, capture: Capture, point: list[float] | None, box: list[float] | None
 ) -> None:
-    options, measurer, store = resources.options(), resources.measurer(), resources.store()
-    del one
+    options, measurer = resources.settings().options, resources.measurer()
+    store = resources.store()
 
     def work(job: Job) -> int:
         job.total = 2
@@ -241,52 +229,48 @@ def _correct(
         job.step()
         return measurer.correct(store, detail, mask, options)
 
-    st.session_state["correction"] = resources.worker().submit("Drawing the outline", work).number
+    page_elements.start_job("correction", "Segmenting the fruit", work)
 
 
 def _correction() -> None:
-    job = resources.worker().get(st.session_state.get("correction"))
+    job = page_elements.finished_job("correction")
     if job is None:
         return
-    if not job.finished.is_set():
-        page_elements.progress(job)
-    elif job.state is JobState.FAILED:
+    st.session_state.pop("correction")
+    if job.error:
         st.warning(job.error, icon=":material/error:")
-        st.session_state.pop("correction")
     else:
-        st.success("Measured anew with this outline. 'Undo' brings the first one back.")
-        st.session_state.pop("correction")
-
-
-def _said(method: MethodRecord, record: DetectionRecord) -> str:
-    if method.method == record.method:
-        return "chosen"
-    return "" if method.reason == "ok" else method.reason.replace("-", " ")
+        st.success("Measured again with this mask. 'Undo' restores the first one.")
 
 
 def _methods(detail: DetectionDetail) -> None:
     units, record = resources.settings().units, detail.view.record
-    lines = []
-    for method in record.methods:
-        own = method.measured_by is None
-        lines.append(
-            {
-                "Method": method.method,
-                "Length": units.text(method.length_m),
-                "Kind": method.kind or "–",
-                "Thread": units.text(method.thread_m),
-                "Centreline": units.text(method.centreline_m),
-                "Chord": units.text(method.chord_m),
-                "Said": _said(method, record),
-                "Instead": "" if own else f"{method.measured_by} stood in",
-            }
-        )
+    lines = [
+        {
+            "Method": method.method,
+            "Length": units.text(method.length_m),
+            "Kind": method.kind or "–",
+            "Thread": units.text(method.thread_m),
+            "Centreline": units.text(method.centreline_m),
+            "Chord": units.text(method.chord_m),
+            "Remark": _remark(method, record),
+        }
+        for method in record.methods
+    ]
     with st.expander("All methods", expanded=True, icon=":material/straighten:"):
-        st.dataframe(lines, hide_index=True, row_height=40)
+        page_elements.table(lines)
         if record.fallback:
             st.caption(f"Tried before: {record.fallback}")
     if detail.log:
-        with st.expander("What was done by hand", icon=":material/history:"):
+        with st.expander("Changes by hand", icon=":material/history:"):
             for action in detail.log:
-                undone = " (taken back)" if action.undone else ""
-                st.write(f"{action.kind}{undone}")
+                st.write(f"{action.kind}{' (undone)' if action.undone else ''}")
+
+
+def _remark(method: MethodRecord, record: DetectionRecord) -> str:
+    remarks = [
+        "chosen" if method.method == record.method else "",
+        "" if method.reason == "ok" else method.reason.replace("-", " "),
+        f"measured by {method.measured_by} instead" if method.measured_by else "",
+    ]
+    return ", ".join(filter(None, remarks))

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import streamlit as st
 
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard.round_tables import map_lines
+
+if TYPE_CHECKING:
+    from cucumbervision.store.views import RoundView
 
 __all__ = ["page"]
 
 ROWS_AT_ONCE = 4
 
 
-def page() -> None:
+@page_elements.of_round
+def page(one: RoundView) -> None:
     """Draw the page."""
-    one = page_elements.pick_round()
-    if one is None:
-        st.info("There is no round yet. Press 'New round' to begin one.", icon=":material/flag:")
-        return
-    lists, units = resources.lists_of(one), resources.settings().units
-    lines = map_lines(lists.fruit, lists.grades, units)
+    units = resources.settings().units
+    lines = map_lines(resources.lists_of(one), units)
     if not lines:
         st.info(
-            "No fruit of this round has a position yet. Give row and position when capturing.",
+            "No fruit of this round has a position yet. Enter row and position when capturing.",
             icon=":material/map:",
         )
         return
@@ -31,19 +33,16 @@ def page() -> None:
         "Colour by", ["Class", "Length"], default="Class", key="color_by", required=True
     )
     rows = sorted({line["row"] for line in lines})
-    shown = where.multiselect("Rows and sides", rows, default=rows[:ROWS_AT_ONCE])
-    lines = [line for line in lines if line["row"] in shown]
-    if not lines:
+    chosen = where.multiselect("Rows and sides", rows, default=rows[:ROWS_AT_ONCE])
+    if not chosen:
         st.info("Choose a row.", icon=":material/map:")
         return
-    named = [name for name in page_elements.CLASSES if any(line["class"] == name for line in lines)]
-    others = sorted({str(line["class"]) for line in lines} - set(named))
-    for row in [row for row in rows if row in shown]:
+    shown = [line for line in lines if line["row"] in chosen]
+    for row in [row for row in rows if row in chosen]:
         st.markdown(f"**{row}**")
-        here = [line for line in lines if line["row"] == row]
-        by_length = colored == "Length"
-        st.altair_chart(charts.map_chart(here, lines, [*named, *others], units, by_length))
+        here = [line for line in shown if line["row"] == row]
+        st.altair_chart(charts.map_chart(here, shown, units, by_length=colored == "Length"))
     st.caption(
-        "One mark a fruit, a cross where it was picked; point at one or tap it to read more. "
-        "Heights count from the camera."
+        "One mark a fruit, a cross where it was picked; point at a mark or tap it for details. "
+        "Heights are relative to the camera."
     )

@@ -32,13 +32,6 @@ def page() -> None:
     st.caption(f"Store: {resources.store().name}")
 
 
-def _keep(**update: object) -> None:
-    now = resources.settings()
-    chosen = type(now).model_validate({**now.model_dump(), **update})
-    if chosen != now:
-        resources.save_settings(chosen)
-
-
 def _crop() -> None:
     st.subheader("Crop and units")
     now = resources.settings()
@@ -57,7 +50,7 @@ def _crop() -> None:
         default=now.unit,
         required=True,
     )
-    _keep(profile=name, unit=unit)
+    resources.change_settings(profile=name, unit=unit)
     profile = entries[name].profile
     if profile is not None:
         lines = [
@@ -106,7 +99,9 @@ def _measuring() -> None:
             calibration = now.calibration
         else:
             st.success(f"Calibration {site.tag}", icon=":material/verified:")
-    _keep(length=length, fruit_from=finder, full_precision=exact, calibration=calibration)
+    resources.change_settings(
+        length=length, fruit_from=finder, full_precision=exact, calibration=calibration
+    )
 
 
 def _models() -> None:

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import io
-import shutil
-import tempfile
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.jobs import JobState
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.dashboard.measuring import measure_uploads
 
 if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.store.views import RoundView
 
 __all__ = ["page"]
 
-KINDS = [
+ENDINGS = [
     "zip",
     "bag",
     "db3",
@@ -39,18 +33,15 @@ KINDS = [
 ]
 
 
-def page() -> None:
+@page_elements.of_round
+def page(one: RoundView) -> None:
     """Draw the page."""
-    one = page_elements.pick_round()
-    if one is None:
-        st.info("Begin a round first: press 'New round'.", icon=":material/flag:")
-        return
     st.write(
         "Zips of captures, RealSense recordings (.bag, .db3), or colour and depth pictures with "
         "matching names. Many at once."
     )
-    files = st.file_uploader("Files", type=KINDS, accept_multiple_files=True, key="uploads")
-    spaced = st.number_input("Metres from one capture to the next", 0.0, 5.0, 0.4, 0.1)
+    files = st.file_uploader("Files", type=ENDINGS, accept_multiple_files=True, key="uploads")
+    spacing_m = st.number_input("Distance from one capture to the next [m]", 0.0, 5.0, 0.4, 0.1)
     st.button(
         "Measure these files",
         icon=":material/play_arrow:",
@@ -58,62 +49,28 @@ def page() -> None:
         width="stretch",
         disabled=not files,
         on_click=_measure,
-        args=(one.key, [(file.name, file.getvalue()) for file in files], float(spaced)),
+        args=(one.key, [(file.name, file.getvalue()) for file in files], float(spacing_m)),
     )
-    _progress()
-
-
-def _measure(round_key: str, files: list[tuple[str, bytes]], spaced_m: float) -> None:
-    store, measurer, options = resources.store(), resources.measurer(), resources.options()
-
-    def work(job: Job) -> int:
-        job.total = len(files)
-        folder = Path(tempfile.mkdtemp(prefix="cucumbervision-"))
-        saved = 0
-        try:
-            named = [(name, io.BytesIO(data)) for name, data in files]
-            accepted = accept_uploads(named, folder, report=lambda *_: job.step())
-            for refused in accepted.refused:
-                job.notes.append(str(refused.error))
-            for source in accepted.sources:
-                for ref in source.open(options.reading):
-                    try:
-                        capture = ref.load()
-                    except CucumberVisionError as error:
-                        job.notes.append(str(error))
-                        continue
-                    stop = _spot(capture.stop, saved, spaced_m)
-                    taken = measurer.take_stop(
-                        store, round_key, replace(capture, stop=stop), options
-                    )
-                    saved += 1
-                    if taken.note:
-                        job.notes.append(f"{capture.name}: {taken.note}")
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-        resources.merge(round_key)
-        return saved
-
-    st.session_state["upload_job"] = resources.worker().submit("Measuring the uploads", work).number
-
-
-def _spot(own: Stop, number: int, spaced_m: float) -> Stop:
-    if own.position_m is not None:
-        return own
-    return replace(own, position_m=round(number * spaced_m, 2), step=number + 1)
-
-
-def _progress() -> None:
-    job = resources.worker().get(st.session_state.get("upload_job"))
+    job = page_elements.finished_job("upload_job")
     if job is None:
         return
-    if not job.finished.is_set():
-        page_elements.progress(job)
-        return
-    if job.state is JobState.FAILED:
+    if job.error:
         st.error(job.error, icon=":material/error:")
     else:
         many = "capture" if job.result == 1 else "captures"
         st.success(f"{job.result} {many} saved; see 'Results'.", icon=":material/check:")
     for note in job.notes:
         st.warning(note, icon=":material/error:")
+
+
+def _measure(round_key: str, files: list[tuple[str, bytes]], spacing_m: float) -> None:
+    store, measurer = resources.store(), resources.measurer()
+    options = resources.settings().options
+
+    def work(job: Job) -> int:
+        named = [(name, io.BytesIO(data)) for name, data in files]
+        saved = measure_uploads(named, measurer, store, round_key, options, spacing_m, job)
+        resources.merge(round_key)
+        return saved
+
+    page_elements.start_job("upload_job", "Measuring the uploads", work)

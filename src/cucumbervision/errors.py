@@ -161,7 +161,7 @@ class RoundError(CucumberVisionError):
 
 
 class UploadError(CaptureError):
-    """A file from a stranger that is not taken: too large, of no known kind, or built to harm."""
+    """An upload that is not accepted: too large, of no known kind, or harmful."""
 
 
 class AccessError(CucumberVisionError):

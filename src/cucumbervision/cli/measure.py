@@ -81,7 +81,7 @@ def measure(
     guard: Annotated[
         bool,
         typer.Option(
-            "--guard", help="Play recordings from strangers in a limited process of their own."
+            "--guard", help="Play recordings from untrusted senders in a separate, limited process."
         ),
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,

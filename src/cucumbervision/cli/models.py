@@ -20,7 +20,7 @@ Name = Annotated[str, typer.Argument(help="A name that `models list` shows.")]
 
 @app.command("list")
 def list_models() -> None:
-    """Show every network: task, licence, size, origin, and whether it is on this machine."""
+    """List every network: task, licence, size, origin, and whether it is on this machine."""
     from rich.console import Console
     from rich.table import Table
 

@@ -30,12 +30,10 @@ __all__ = [
     "crop",
     "depth_picture",
     "fruit_layers",
-    "mask_outline",
     "picture",
     "point_cloud",
     "ruler_m",
     "scale_bar",
-    "tube_rings",
 ]
 
 # Okabe and Ito's palette, told apart by colour-blind people too.
@@ -127,7 +125,7 @@ def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, 
     layers = []
     if record.mask is not None:
         mask = decode_rle(record.mask, camera.height, camera.width)
-        areas = [{"kind": "area", "points": line} for line in mask_outline(mask)]
+        areas = [{"kind": "area", "points": line} for line in _mask_outline(mask)]
         layers.append(layer("Mask", MASK_COLOR, True, areas))
     box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
     x1, y1, x2, y2 = (round(edge, 1) for edge in box)
@@ -154,14 +152,14 @@ def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any
     return [line, *({"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1))]
 
 
-def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
+def _mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
     """Return a mask's outlines as polygons: x and y after each other, pixels.
 
     Examples
     --------
     >>> mask = np.zeros((6, 6), bool)
     >>> mask[1:5, 1:4] = True
-    >>> mask_outline(mask)
+    >>> _mask_outline(mask)
     [[1, 1, 1, 4, 3, 4, 3, 1]]
     """
     found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -356,7 +354,7 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     tube = next((m for m in record.methods if m.diameter_m), None)
     if tube is not None:
         axis = np.array(tube.path_m, np.float64)
-        rings = tube_rings(axis, np.array(tube.diameter_m, np.float64))
+        rings = _tube_rings(axis, np.array(tube.diameter_m, np.float64))
         lines = [{"path": scene_mm(ring), "color": RING_COLOR, "width": 0.5} for ring in rings]
         lines.append({"path": scene_mm(axis), "color": AXIS_COLOR, "width": 1.5})
     reach_mm = np.abs(np.array(scene_mm(points))).max(axis=0)
@@ -395,7 +393,7 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)
 
 
-def tube_rings(
+def _tube_rings(
     axis_m: NDArray[np.float64], diameter_m: NDArray[np.float64], rings: int = RINGS
 ) -> list[NDArray[np.float64]]:
     """Return circles about an axis, as closed lines of points.
@@ -414,7 +412,7 @@ def tube_rings(
     Examples
     --------
     >>> axis = np.stack([np.linspace(0, 0.2, 9), np.zeros(9), np.full(9, 0.5)], axis=1)
-    >>> rings = tube_rings(axis, np.full(9, 0.04), rings=3)
+    >>> rings = _tube_rings(axis, np.full(9, 0.04), rings=3)
     >>> len(rings), rings[1].shape, round(float(np.linalg.norm(rings[1][0] - axis[4])), 6)
     (3, (21, 3), 0.02)
     """

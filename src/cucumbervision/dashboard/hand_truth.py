@@ -25,7 +25,7 @@ COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
 
 
 def hand_file(store: str, round_key: str) -> Path:
-    """Give the table of a round's lengths by hand: beside an SQLite file, else the user's own.
+    """Return the path of a round's lengths by hand: beside an SQLite file, else the user's own.
 
     Examples
     --------
@@ -42,14 +42,14 @@ def hand_file(store: str, round_key: str) -> Path:
 
 
 def capture_name(view: DetectionView) -> str:
-    """Name a capture uniquely within a round."""
+    """Return a capture's name, unique within a round."""
     return f"{view.stop_key}/{view.capture}"
 
 
 def measured_round(
     store: Store, round_key: str, methods: Mapping[str, Sequence[MethodRecord]]
 ) -> Measured:
-    """Give a round as a run of `measure`, for evaluation and calibration.
+    """Return a round as a run of `measure`, for evaluation and calibration.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def write_hand_lengths(
 def hand_lengths(
     path: Path, fruit: Sequence[DetectionView]
 ) -> dict[str, tuple[float | None, float | None]]:
-    """Read the table back by fruit key; empty where there is none."""
+    """Return the table by fruit key; empty where there is none."""
     if not path.exists():
         return {}
     keys = {(capture_name(view), str(view.record.number)): view.key for view in fruit}

@@ -120,7 +120,7 @@ class SharedMeasurer:
         return TakenStop(stop.key, result)
 
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
-        """Draw the mask of the fruit that somebody pointed at.
+        """Return the mask of the fruit at a point.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class SharedMeasurer:
     def mask_from_box(
         self, capture: Capture, box_px: tuple[float, float, float, float]
     ) -> NDArray[np.bool_]:
-        """Draw the mask of the fruit that somebody drew a box around.
+        """Return the mask of the fruit in a box.
 
         Raises
         ------
@@ -261,6 +261,6 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
 def _some(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     if mask is None or np.count_nonzero(mask) < 100:
         raise InstancesError(
-            "there is no fruit to be seen there", remedy="point at its middle or draw a closer box"
+            "no fruit was found there", remedy="tap its middle or draw a closer box"
         )
     return mask

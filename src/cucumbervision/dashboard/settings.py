@@ -15,7 +15,7 @@ from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import Selector
 from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = ["UNITS", "Settings", "Units", "read_settings", "settings_file", "write_settings"]
+__all__ = ["Settings", "Units", "read_settings", "settings_file", "write_settings"]
 
 UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 

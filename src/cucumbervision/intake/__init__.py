@@ -1,1 +1,1 @@
-"""What comes from strangers: uploads, checked before anything reads them."""
+"""Files from untrusted senders: checked before anything reads them."""

@@ -1,4 +1,4 @@
-"""Zips from strangers: their directory checked first, their members unpacked under a counter."""
+"""Zips from untrusted senders: directories checked first, members counted while unpacked."""
 
 from __future__ import annotations
 
@@ -22,22 +22,18 @@ if TYPE_CHECKING:
 __all__ = [
     "ZIP_FAULTS",
     "Budget",
-    "Member",
     "check_directory",
     "clean_name",
-    "is_clutter",
-    "member_path",
     "unpack",
     "write_chunk",
 ]
 
 _LONGEST = 120
-
 _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 
 
 def clean_name(text: str) -> str:
-    """Make a stranger's name fit to be shown: its last part, printable, not too long.
+    """Return a sender's name fit to be shown: its last part, printable, not too long.
 
     Examples
     --------
@@ -54,8 +50,8 @@ def clean_name(text: str) -> str:
     return f"{kept[: _LONGEST - 1]}…" if len(kept) > _LONGEST else kept or "unnamed"
 
 
-def member_path(name: str, archive: str) -> PurePosixPath:
-    """Read the name of a zip's member as a path inside the zip.
+def _member_path(name: str, archive: str) -> PurePosixPath:
+    """Return the name of a zip's member as a path inside the zip.
 
     Raises
     ------
@@ -64,9 +60,9 @@ def member_path(name: str, archive: str) -> PurePosixPath:
 
     Examples
     --------
-    >>> member_path("row 3/rgb/1.png", "a.zip").parts
+    >>> _member_path("row 3/rgb/1.png", "a.zip").parts
     ('row 3', 'rgb', '1.png')
-    >>> member_path("../.bashrc", "a.zip")
+    >>> _member_path("../.bashrc", "a.zip")
     Traceback (most recent call last):
     ...
     cucumbervision.errors.UploadError: a.zip: a member's name leads out of the zip ('.bashrc');
@@ -84,12 +80,12 @@ def member_path(name: str, archive: str) -> PurePosixPath:
     return PurePosixPath(plain)
 
 
-def is_clutter(path: PurePosixPath) -> bool:
-    """Say whether a file is what systems leave behind everywhere.
+def _is_clutter(path: PurePosixPath) -> bool:
+    """Return whether a file is one that operating systems leave in folders.
 
     Examples
     --------
-    >>> is_clutter(PurePosixPath("__MACOSX/a/._1.png")), is_clutter(PurePosixPath("a/1.png"))
+    >>> _is_clutter(PurePosixPath("__MACOSX/a/._1.png")), _is_clutter(PurePosixPath("a/1.png"))
     (True, False)
     """
     name = path.name.lower()
@@ -101,19 +97,15 @@ ZIP_FAULTS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, ValueError),
     *(NotImplementedError, RuntimeError, KeyError, IndexError, OverflowError, MemoryError),
 )
-
 _CHUNK = 1 << 20
-
 _PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
-
 _END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"
-
 _ENTRY_BYTES = 600  # of the directory, names and extras included
 
 
 @dataclass
 class Budget:
-    """What is left of an upload's limits; all zips of one upload share it.
+    """The part of an upload's limits that is left; all zips of one upload share it.
 
     Parameters
     ----------
@@ -137,13 +129,13 @@ class Budget:
         self.unpacked_bytes -= size
         if self.unpacked_bytes < 0:
             raise UploadError(
-                "unpacks to more than is taken", source=source, remedy="send it in smaller parts"
+                "unpacks to more than is accepted", source=source, remedy="send it in smaller parts"
             )
 
 
 @dataclass(frozen=True)
 class Member:
-    """One unpacked file: what the zip calls it, and where it lies under a name of our own."""
+    """An unpacked file: its name in the zip, and its path under a name of our own."""
 
     name: PurePosixPath
     path: Path
@@ -195,7 +187,7 @@ def unpack(
     limits : Limits
         Largest file, ratio.
     budget : Budget
-        What is left; counted down while unpacking, since a zip's own sizes may lie.
+        What is left; counted down while unpacking, since the sizes that a zip states may be false.
     source : str
         The zip's name, for errors.
 
@@ -215,8 +207,8 @@ def unpack(
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            wanted = [(m, member_path(m.orig_filename, source)) for m in members if not m.is_dir()]
-            wanted = [(m, name) for m, name in wanted if not is_clutter(name)]
+            wanted = [(m, _member_path(m.orig_filename, source)) for m in members if not m.is_dir()]
+            wanted = [(m, name) for m, name in wanted if not _is_clutter(name)]
             for member, name in wanted:
                 _check_member(member, name, source, limits)
             budget.members -= len(wanted)
@@ -299,7 +291,7 @@ def write_chunk(stream: BinaryIO, chunk: bytes, source: str) -> None:
 
 
 def _damaged(source: str) -> UploadError:
-    return UploadError("is no zip that can be read", source=source, remedy="pack or copy it again")
+    return UploadError("is not a readable zip", source=source, remedy="pack or copy it again")
 
 
 def _too_many(most: int, source: str) -> UploadError:

@@ -30,11 +30,8 @@ __all__ = [
     "Item",
     "Kind",
     "check_item",
-    "check_npy",
-    "check_npz",
     "check_picture",
     "file_kind",
-    "parse_json",
     "picture_size",
 ]
 
@@ -186,9 +183,9 @@ def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> I
         width, height = check_picture(path, kind, limits.pixels, source=title)
         return Item(name, title, path, kind, pixels=width * height)
     if kind is Kind.NPY:
-        check_npy(path, limits, source=title)
+        _check_npy(path, limits, source=title)
     elif kind is Kind.NPZ:
-        return Item(name, title, path, kind, arrays=check_npz(path, limits, source=title))
+        return Item(name, title, path, kind, arrays=_check_npz(path, limits, source=title))
     elif kind in {Kind.JSON, Kind.CSV}:
         return Item(name, title, path, kind, document=_text(path, kind, size, limits, title))
     elif kind is Kind.RAW and size > 2 * limits.pixels:
@@ -306,7 +303,7 @@ def _tiff(stream: BinaryIO) -> tuple[int, int]:
     return width, height
 
 
-def check_npy(path: Path, limits: Limits, *, source: str) -> None:
+def _check_npy(path: Path, limits: Limits, *, source: str) -> None:
     """Check an `.npy` by its head; its data is not read.
 
     Raises
@@ -320,7 +317,7 @@ def check_npy(path: Path, limits: Limits, *, source: str) -> None:
         _check_array(stream, path.stat().st_size, limits, source)
 
 
-def check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:
+def _check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:
     """Return the names of an `.npz` file's arrays; its members are unpacked once, to nowhere.
 
     Raises
@@ -398,7 +395,7 @@ def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
         )
     data = path.read_bytes()
     if kind is Kind.JSON:
-        return parse_json(data, source=title)
+        return _parse_json(data, source=title)
     try:
         data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -408,7 +405,7 @@ def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
     return None
 
 
-def parse_json(data: bytes, *, source: str) -> Any:
+def _parse_json(data: bytes, *, source: str) -> Any:
     """Return a JSON document, read strictly: without NaN and Infinity.
 
     Raises
@@ -418,7 +415,7 @@ def parse_json(data: bytes, *, source: str) -> Any:
 
     Examples
     --------
-    >>> parse_json(b'{"stop": {"row": NaN}}', source="capture.json")
+    >>> _parse_json(b'{"stop": {"row": NaN}}', source="capture.json")
     Traceback (most recent call last):
     ...
     cucumbervision.errors.UploadError: capture.json: is not JSON; correct or export it again

@@ -1,4 +1,4 @@
-"""How much of a stranger's upload is taken at most."""
+"""The largest uploads that are accepted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""`open_source` for who does not trust a recording: it is played in a limited process."""
+"""Recordings from untrusted senders, played in a separate process with limits.
+
+The formats are parsed by a large native library that was not designed for untrusted files. What
+the process writes are native captures, which are read like any others; its crash or hang is one
+named error.
+"""
 
 from __future__ import annotations
 
@@ -118,7 +123,7 @@ def play_apart(
         | {"name": name, "limits": asdict(limits)}
     )
     process = subprocess.Popen(
-        # -P: the folder that it runs in is a stranger's, nothing is imported from there.
+        # -P: the folder that it runs in is the recording's, nothing is imported from there.
         [sys.executable, "-P", *command, order],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

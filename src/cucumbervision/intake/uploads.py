@@ -1,11 +1,9 @@
-"""The one way in: files from strangers to captures that can be opened, and errors by name."""
+"""From uploaded files to captures that can be opened, with a named error for each that cannot."""
 
 from __future__ import annotations
 
 import shutil
-import stat
 import uuid
-from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -34,7 +32,7 @@ def accept_uploads(
     burst: int = 5,
     report: Callable[[int, str], None] | None = None,
 ) -> AcceptedUploads:
-    """Check what somebody sent, and lay out its captures for `open_source`.
+    """Check uploaded files, and lay out their captures for `open_source`.
 
     Parameters
     ----------
@@ -118,7 +116,7 @@ class _Intake:
         title, own = clean_name(name), self.stage / f"{number:04d}"
         try:
             self._copy(content, own, title)
-            if self._is_zip(own, name):
+            if _kind(own, name) is Kind.ZIP:
                 self._unpack(own, title, depth=0)
             else:
                 self.loose.append(check_item(self._loose_name(name), title, own, self.limits))
@@ -133,8 +131,8 @@ class _Intake:
 
     def _copy(self, content: BinaryIO | Path, own: Path, title: str) -> None:
         if isinstance(content, Path):
-            if not stat.S_ISREG(_mode(content, title)):
-                raise UploadError("is no file", source=title, remedy="send a file")
+            if not content.is_file():
+                raise UploadError("is not a readable file", source=title, remedy="check the path")
             with content.open("rb") as stream:
                 self._copy(stream, own, title)
             return
@@ -174,13 +172,14 @@ class _Intake:
         for member in unpack(path, inside, self.limits, self._budget, source=title):
             shown = f"{title}: {clean_name(member.name.name)}"
             try:
-                if self._is_zip(member.path, member.name.name):
+                kind = _kind(member.path, member.name.name)
+                if kind is Kind.ZIP:
                     if depth >= self.limits.zip_depth:
                         raise UploadError(
                             "is a zip too deep in others", source=shown, remedy="unpack it first"
                         )
                     self._unpack(member.path, shown, depth + 1)
-                elif _is_unknown(member.path, member.name.name):
+                elif kind is None:
                     self.out.ignored.append(shown)
                 else:
                     yield check_item(member.name, shown, member.path, self.limits)
@@ -197,18 +196,7 @@ class _Intake:
             unique, again = PurePosixPath(f"{again}") / path, again + 1
         return unique
 
-    @staticmethod
-    def _is_zip(path: Path, name: str) -> bool:
-        with path.open("rb") as stream:
-            return file_kind(stream.read(HEAD_BYTES), name) is Kind.ZIP
 
-
-def _is_unknown(path: Path, name: str) -> bool:
+def _kind(path: Path, name: str) -> Kind | None:
     with path.open("rb") as stream:
-        return file_kind(stream.read(HEAD_BYTES), name) is None
-
-
-def _mode(path: Path, title: str) -> int:
-    with suppress(OSError):
-        return path.stat().st_mode
-    raise UploadError("cannot be read", source=title, remedy="check the path")
+        return file_kind(stream.read(HEAD_BYTES), name)

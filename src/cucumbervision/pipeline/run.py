@@ -93,7 +93,7 @@ def read_captures(
     reading : ReadOptions
         What is said of them.
     opener : callable
-        Opens each input; `intake.guarded.open_guarded` for recordings from strangers.
+        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
 
     Yields
     ------
@@ -291,7 +291,7 @@ def measure_inputs(
     report : callable, optional
         Called after each capture with its result or failure; for progress bars.
     opener : callable
-        Opens each input; `intake.recordings.open_guarded` for recordings from strangers.
+        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
 
     Returns
     -------

@@ -107,7 +107,7 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
     if record.flags:
         st.caption(f"Remarks: {record.flags.replace('-', ' ')}")
     with st.expander("All figures", icon=":material/list:"):
-        st.dataframe(figure_lines(record), hide_index=True)
+        page_elements.table(figure_lines(record))
 
 
 def _verdict(one: RoundView, detail: DetectionDetail) -> None:

@@ -2,10 +2,10 @@
 
     OMP_NUM_THREADS=1 python benchmarks/round_merging.py --rows 20
 
-Rows are simulated (`rounds.simulate`). Precision and recall are of pairs of views: of the pairs
-that were merged, how many are one fruit, and the reverse. Beside it stands what position alone
-does: views of neighbouring stops nearer to each other than three standard deviations, one to one.
-Intervals are 95 %, from resampling rows.
+Rows are simulated (`cucumbervision_lab.simulation.rounds`). Precision and recall are of pairs of
+views: of the pairs that were merged, how many are one fruit, and the reverse. Beside it stands what
+position alone does: views of neighbouring stops nearer to each other than three standard
+deviations, one to one. Intervals are 95 %, from resampling rows.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ DAYS = {
     "2 days, 10 a metre": (2.0, SimulatedRow(per_m=10), 0.03),
     "3 days, 10 a metre": (3.0, SimulatedRow(per_m=10), 0.03),
     "2 days, swing 6 cm": (2.0, SimulatedRow(per_m=10), 0.06),
-    "2 days, upright": (2.0, SimulatedRow(per_m=10, **UPRIGHT), 0.03),  # type: ignore[arg-type]
+    "2 days, upright camera": (2.0, SimulatedRow(per_m=10, **UPRIGHT), 0.03),  # type: ignore[arg-type]
 }
 
 

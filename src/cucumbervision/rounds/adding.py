@@ -16,7 +16,6 @@ from cucumbervision.pipeline.run import read_captures
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
-    is_partial,
     middle_offset,
     middle_sd,
     pose_matrix,
@@ -253,7 +252,7 @@ def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> Detection
     sd = middle_sd(
         offset,
         tube=fruit.diameter_max_m is not None,
-        partial=is_partial(fruit.flags, fruit.hidden_share),
+        partial=fruit.partial,
         length_m=fruit.length_m,
     )
     return replace(fruit, offset_m=round(float(offset[0]), 5), offset_sd_m=round(float(sd[0]), 5))

@@ -11,7 +11,6 @@ from cucumbervision.errors import RoundError
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
-    is_partial,
     middle_offset,
     middle_sd,
     pose_matrix,
@@ -219,7 +218,7 @@ def _views(
         pose = frame.pose if frame.pose is not None else pose_matrix(0.0, sign_of_side(view.side))
         middle = np.array([record.centre_x_m, record.centre_y_m, record.centre_z_m], float)
         offset[k] = middle_offset(middle, pose)
-        partial[k] = is_partial(record.flags, record.hidden_share)
+        partial[k] = record.partial
         tube = record.diameter_max_m is not None
         sd[k] = middle_sd(offset[k], tube=tube, partial=bool(partial[k]), length_m=record.length_m)
         offset[k, 2] *= -1.0 if sides.index(view.side or "") else 1.0

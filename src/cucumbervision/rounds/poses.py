@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MIDDLE_SD_M",
-    "PARTIAL_FLAGS",
     "PoseLine",
-    "is_partial",
     "middle_offset",
     "middle_sd",
     "pose_matrix",
@@ -49,7 +47,7 @@ class PoseLine(BaseModel):
         Its standard deviation.
     row, side : str, optional
         Row and side; by default the operator's.
-    height_m, height_sd_m : float, optional
+    height_m : float, optional
         Of the camera above the ground; in all lines of a file or in none.
     yaw_deg, pitch_deg, roll_deg : float
         Turned to the right, upwards, and clockwise, against looking straight into the row.
@@ -192,11 +190,6 @@ def pose_matrix(
     return matrix
 
 
-# What the flags call a fruit of which part is out of sight.
-PARTIAL_FLAGS = frozenset({"cut-by-frame", "box-clipped", "end-hidden"})
-
-HIDDEN_SHARE = 0.15
-
 AXIS_SD_M = 0.005  # of a fitted tube's middle
 
 SURFACE_SD_M = 0.010  # of the middle of what is seen: a box's or a mask's
@@ -206,17 +199,6 @@ SURFACE_DEPTH_SD_M = 0.020  # the surface lies a radius before the axis
 PART_SHARE = 0.15  # of the length: how far the middle of a part is from the fruit's own
 
 TURN_SD = 0.02  # radians: how far a camera is turned off its pose
-
-
-def is_partial(flags: str, hidden_share: float | None) -> bool:
-    """Return whether a fruit's length is no more than a lower bound.
-
-    Examples
-    --------
-    >>> is_partial("sam-mask-small end-hidden", None), is_partial("", 0.05)
-    (True, False)
-    """
-    return bool(PARTIAL_FLAGS & set(flags.split())) or (hidden_share or 0.0) > HIDDEN_SHARE
 
 
 def middle_offset(middle_m: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -372,6 +372,7 @@ def _detections_of(
         row[0]: Candidate(
             own.get("verdict") is not Verdict.REJECTED,
             records[row[0]].length_m is not None,
+            not records[row[0]].partial,
             records[row[0]].view_score,
         )
         for row, own in rows

@@ -30,6 +30,10 @@ __all__ = [
 
 Point: TypeAlias = tuple[float, ...]
 
+# What the flags call a fruit of which part is out of sight, and the hidden share that says so too.
+PARTIAL_FLAGS = frozenset({"cut-by-frame", "box-clipped", "end-hidden"})
+HIDDEN_SHARE = 0.15
+
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
 
 
@@ -253,6 +257,21 @@ class DetectionRecord:
     keypoints: tuple[Point, ...] = ()
     mask: str | None = None
     methods: tuple[MethodRecord, ...] = ()
+
+    @property
+    def partial(self) -> bool:
+        """Whether part of the fruit is out of sight, so that its length is a lower bound.
+
+        Examples
+        --------
+        >>> DetectionRecord(1, flags="sam-mask-small end-hidden").partial
+        True
+        >>> DetectionRecord(1, hidden_share=0.05).partial
+        False
+        """
+        return bool(PARTIAL_FLAGS & set(self.flags.split())) or (
+            (self.hidden_share or 0.0) > HIDDEN_SHARE
+        )
 
 
 @dataclass(frozen=True)

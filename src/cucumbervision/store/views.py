@@ -386,6 +386,7 @@ class Candidate(NamedTuple):
 
     not_rejected: bool
     measured: bool
+    whole: bool
     view_score: float
 
 
@@ -402,8 +403,9 @@ def standings(
 ) -> dict[str, Standing]:
     """Return for each detection its group, named by the view that stands, and when it was picked.
 
-    A rejected view stands only where all are rejected, one without a length only where none
-    has one; then the highest view score counts, then the view that comes first.
+    A rejected view stands only where all are rejected, one without a length only where none has
+    one, one that shows part of the fruit only where none shows the whole; then the highest view
+    score counts, then the view that comes first.
 
     Parameters
     ----------
@@ -416,7 +418,7 @@ def standings(
 
     Examples
     --------
-    >>> views = {"a": Candidate(True, True, 0.4), "b": Candidate(True, True, 0.7)}
+    >>> views = {"a": Candidate(True, True, True, 0.4), "b": Candidate(True, True, True, 0.7)}
     >>> standings(views, {"a": 9.0}, [LinkRecord(LinkKind.SAME, "a", "b")])["a"]
     Standing(best='b', views=2, picked_s=9.0)
     """

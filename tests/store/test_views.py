@@ -45,13 +45,14 @@ def test_growth_and_other_rounds_fruit_join_nothing() -> None:
 
 def test_of_a_group_the_best_view_stands() -> None:
     candidates = {
-        "a": Candidate(True, False, 0.99),
-        "b": Candidate(False, True, 0.98),
-        "c": Candidate(True, True, 0.50),
-        "d": Candidate(True, True, 0.50),
+        "a": Candidate(True, False, True, 0.99),
+        "b": Candidate(False, True, True, 0.98),
+        "c": Candidate(True, True, True, 0.50),
+        "d": Candidate(True, True, True, 0.50),
+        "e": Candidate(True, True, False, 0.90),
     }
-    links = [same("ab"), same("bc"), same("cd")]
+    links = [same("ab"), same("bc"), same("cd"), same("de")]
     found = standings(candidates, {"b": 5.0, "d": 3.0}, links)
-    assert set(found.values()) == {("c", 4, 3.0)}
+    assert set(found.values()) == {("c", 5, 3.0)}
     alone = standings(candidates, {}, [])
-    assert {key: one.best for key, one in alone.items()} == {key: key for key in "abcd"}
+    assert {key: one.best for key, one in alone.items()} == {key: key for key in "abcde"}

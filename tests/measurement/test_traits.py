@@ -41,7 +41,7 @@ def test_inner_arc_for_each_10_cm_of_chord() -> None:
     angle = (0.30 - 0.03) / 0.15 / 2
     rise = 0.135 - (0.15 * np.cos(angle) - 0.015 * np.sin(angle))
     assert traits.inner_arc_m == pytest.approx(rise, abs=1e-4)
-    assert traits.inner_arc_m_per_10cm == pytest.approx(0.1 * rise / tube.chord_m, rel=2e-3)
+    assert traits.inner_arc_mm_per_10cm == pytest.approx(100 * rise / tube.chord_m, rel=2e-3)
 
 
 def test_radii_below_nothing_are_no_body() -> None:

@@ -113,6 +113,7 @@ def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: I
 def test_the_store_names_fields_by_their_si_units() -> None:
     names = [field(n).si_name for n in ("length_cm", "volume_ml", "inner_arc_mm", "tilt_deg")]
     assert names == ["length_m", "volume_m3", "inner_arc_m", "tilt_deg"]
+    assert field("inner_arc_mm_per_10cm").si_name == "inner_arc_mm_per_10cm"
 
 
 def test_the_method_named_is_the_one_that_measured(capture: Capture, instance: Instance) -> None:

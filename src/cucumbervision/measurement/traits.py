@@ -70,9 +70,9 @@ class TubeTraits:
     axis_m: NDArray[np.float64]
 
     @property
-    def inner_arc_m_per_10cm(self) -> float:
-        """Inner arc height in metres for each 10 cm of chord (UNECE FFV-15)."""
-        return 0.1 * self.inner_arc_m / self.lengths.chord_m
+    def inner_arc_mm_per_10cm(self) -> float:
+        """Inner arc height in mm for each 10 cm of chord (UNECE FFV-15)."""
+        return 100.0 * self.inner_arc_m / self.lengths.chord_m
 
     @property
     def diameter_max_m(self) -> float:

@@ -14,7 +14,17 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement
 
-__all__ = ["FIELDS", "Cell", "Column", "Field", "SeenFruit", "defused", "field", "fruit_row"]
+__all__ = [
+    "FIELDS",
+    "Cell",
+    "Column",
+    "Field",
+    "SeenFruit",
+    "defused",
+    "field",
+    "fruit_row",
+    "si_values",
+]
 
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
@@ -23,6 +33,7 @@ DENSITY_KG_M3 = 960.0  # an assumption for cucumbers, until a crop profile says 
 
 # Of a unit of the tables: the SI unit, how many of it that is, and the digits that are written.
 _UNITS = {"cm": ("m", 100.0, 3), "mm": ("m", 1e3, 2), "ml": ("m3", 1e6, 1), "g": ("kg", 1e3, 1)}
+_PLAIN: tuple[str, float, int | None] = ("", 1.0, None)
 _FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 _STORED_DIGITS = 9
 
@@ -64,13 +75,18 @@ class Column:
     @property
     def si_name(self) -> str:
         """The name with the SI unit in place of the table's, as the store has it."""
-        if self.unit not in _UNITS:
-            return self.name
-        return f"{self.name.removesuffix(self.unit)}{_UNITS[self.unit][0]}"
+        si, _, _ = self._scale
+        return f"{self.name.removesuffix(self.unit)}{si}" if si else self.name
+
+    @property
+    def _scale(self) -> tuple[str, float, int | None]:
+        # What is for each 10 cm of something has no SI unit of its own.
+        scaled = self.name.endswith(f"_{self.unit}")
+        return _UNITS.get(self.unit, _PLAIN) if scaled else _PLAIN
 
     def cell(self, value: Any, digits: int | None = None) -> Any:
         """Return an SI value in the column's unit, rounded to `digits` or as the unit is."""
-        _, scale, usual = _UNITS.get(self.unit, ("", 1.0, None))
+        _, scale, usual = self._scale
         digits = usual if digits is None else digits
         if value is None or digits is None:
             return value
@@ -114,7 +130,7 @@ class Field(Column):
         value: Cell = self.value(seen)
         if isinstance(value, str):
             return str(value)
-        digits = _STORED_DIGITS if self.unit in _UNITS else self.digits
+        digits = _STORED_DIGITS if self._scale[0] else self.digits
         return value if digits is None or value is None else round(value, digits)
 
 
@@ -208,8 +224,9 @@ FIELDS = (
     _number(
         "inner_arc_mm_per_10cm",
         "mm",
-        "fruit.traits.inner_arc_m_per_10cm",
+        "fruit.traits.inner_arc_mm_per_10cm",
         "the same for each 10 cm of chord (UNECE FFV-15)",
+        2,
     ),
     _number("diameter_max_mm", "mm", "fruit.traits.diameter_max_m", "largest diameter"),
     _number(
@@ -282,6 +299,11 @@ def field(name: str) -> Field:
 def fruit_row(seen: SeenFruit) -> dict[str, Cell]:
     """Return a fruit's row: a cell for every name of `FIELDS`, in the tables' units."""
     return {one.name: one.of(seen) for one in FIELDS}
+
+
+def si_values(seen: SeenFruit) -> dict[str, Cell]:
+    """Return what is known of a fruit in SI units, by `Column.si_name`."""
+    return {one.si_name: one.stored(seen) for one in FIELDS}
 
 
 def defused(text: str) -> str:

@@ -16,7 +16,7 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag, LengthDefinition
 from cucumbervision.perception.masks import encode_rle
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.fields import si_values
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -56,10 +56,7 @@ _DOUBTS = frozenset(
         *(Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE, Flag.DETECTOR_MASK),
     }
 )
-# The fields of a fruit that the store has a column for; it calls its number otherwise.
-_STORED = tuple(
-    one for one in FIELDS if one.si_name in {column.name for column in fields(DetectionRecord)}
-)
+_STORED = frozenset(column.name for column in fields(DetectionRecord))
 
 
 def records_from_result(
@@ -168,7 +165,7 @@ def fruit_record(seen: SeenFruit) -> DetectionRecord:
     """
     fruit = seen.fruit
     keypoints = fruit.instance.keypoints
-    cells: dict[str, Any] = {one.si_name: one.stored(seen) for one in _STORED}
+    cells: dict[str, Any] = {k: v for k, v in si_values(seen).items() if k in _STORED}
     centre = _centre(seen)
     if centre is not None:
         cells["centre_x_m"], cells["centre_y_m"], cells["centre_z_m"] = centre

@@ -13,6 +13,7 @@ from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
 from cucumbervision.dashboard.measuring import TakenStop
 from cucumbervision.dashboard.round_tables import grade_name
 from cucumbervision.measurement.selector import Selector
+from cucumbervision.pipeline.fields import si_values
 from cucumbervision.pipeline.overlay import draw_overlay
 
 if TYPE_CHECKING:
@@ -206,11 +207,12 @@ def _lengths(one: RoundView, taken: TakenStop) -> None:
     st.markdown(f"**Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved**")
     _, profile = resources.profile_of(one)
     lines = []
-    for row, fruit in zip(taken.result.rows(), taken.result.fruit, strict=True):
-        found = grade(GradingTraits.from_row(row), profile)
+    for seen in taken.result.seen:
+        fruit = seen.fruit
+        found = grade(GradingTraits.from_si(si_values(seen)), profile)
         lines.append(
             {
-                "Fruit": row["fruit"],
+                "Fruit": seen.number,
                 "Length": units.text(fruit.length.value_m) if fruit.length else "not measured",
                 "Class": grade_name(found),
                 "Method": fruit.method or fruit.reason,

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, cast
 
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.fields import FIELDS, Cell, Column
+from cucumbervision.pipeline.fields import FIELDS, Cell, Column, Field
 from cucumbervision.pipeline.fields import field as fruit_field
 from cucumbervision.store.records import DetectionRecord
 
@@ -26,19 +26,8 @@ __all__ = ["COLUMNS", "Charts", "ExportColumn", "RoundTables", "Table", "utc"]
 _NUMBER: dict[str, type] = {"text": str, "whole": int, "number": float, "yes/no": bool}
 
 
-@dataclass(frozen=True)
-class ExportColumn(Column):
-    """A column of a round's tables, and where a line has its value.
-
-    Parameters
-    ----------
-    name, unit, type, says
-        As in `Column`.
-    path : str
-        Attributes and keys of the line, joined by dots; a part that is None leaves the cell empty.
-        The value is in SI units, a time in seconds since 1970.
-    digits : int, optional
-        Digits that are written; those of the unit if not given.
+class ExportColumn(Field):
+    """A column of a round's tables: its path leads through a line of them; times are UTC.
 
     Examples
     --------
@@ -47,16 +36,9 @@ class ExportColumn(Column):
     (31.235, None)
     """
 
-    path: str
-    digits: int | None = None
-
     def of(self, line: Any) -> Cell:
         """Return a line's cell."""
-        value = line
-        for part in self.path.split("."):
-            if value is None:
-                return None
-            value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+        value = self.value(line)
         if value is None or value == "" or value != value:  # not a number
             return None
         if self.type == "number":

@@ -95,15 +95,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Field(Column):
-    """A column of the table of fruit, and how a fruit fills it.
+    """A column, and where its value is: in a `SeenFruit` for the table of fruit.
 
     Parameters
     ----------
     name, unit, type, says
         As in `Column`.
     path : str
-        Where the value is in a `SeenFruit`, in SI units: attributes and keys, joined by dots; a
-        part that is None leaves the cell empty.
+        Attributes and keys that lead to the value in SI units, joined by dots; a part that is
+        None leaves the cell empty.
     digits : int, optional
         Digits that are written; those of the unit if not given.
     """
@@ -111,23 +111,23 @@ class Field(Column):
     path: str
     digits: int | None = None
 
-    def value(self, seen: SeenFruit) -> Any:
+    def value(self, line: Any) -> Any:
         """Return the value in SI units; None where there is none."""
-        value: Any = seen
+        value = line
         for part in self.path.split("."):
             if value is None:
                 return None
             value = value.get(part) if isinstance(value, Mapping) else getattr(value, part)
         return value
 
-    def of(self, seen: SeenFruit) -> Cell:
+    def of(self, line: Any) -> Cell:
         """Return the cell of a table: in `unit`, rounded, enumerations as plain texts."""
-        cell: Cell = self.cell(self.value(seen), self.digits)
+        cell: Cell = self.cell(self.value(line), self.digits)
         return str(cell) if isinstance(cell, str) else cell
 
-    def stored(self, seen: SeenFruit) -> Cell:
+    def stored(self, line: Any) -> Cell:
         """Return the cell of the store: in SI units."""
-        value: Cell = self.value(seen)
+        value: Cell = self.value(line)
         if isinstance(value, str):
             return str(value)
         digits = _STORED_DIGITS if self._scale[0] else self.digits

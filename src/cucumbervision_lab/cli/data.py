@@ -214,7 +214,7 @@ def windows(
 ) -> None:
     """Cut windows around fruit: small pictures to train on, as large as they are in large ones."""
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.derive import write_windows
+    from cucumbervision_lab.datasets.windows import write_windows
 
     dataset = _open(folder, names)
     with ticking("cutting", len(dataset.pictures)) as tick:

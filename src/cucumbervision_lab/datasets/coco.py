@@ -8,7 +8,7 @@ other tools read the file as plain COCO with keypoints.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -55,12 +55,6 @@ _KEYPOINTS = 5
 _MOST_PIXELS = 2**30  # as OpenCV reads at most
 
 
-@dataclass(frozen=True)
-class _Source:
-    file: Path
-    split: str
-
-
 def read_coco(path: Path) -> DataSet:
     """Read a hub folder, a COCO file, or a Roboflow export of COCO.
 
@@ -82,17 +76,17 @@ def read_coco(path: Path) -> DataSet:
         If there is no such file, or it is no COCO.
     """
     sources = _find(path)
-    files = [read_json(source.file) for source in sources]
-    for source, data in zip(sources, files, strict=True):
+    files = [read_json(file) for file, _ in sources]
+    for (file, _), data in zip(sources, files, strict=True):
         if not isinstance(data, dict) or not isinstance(data.get("images"), list):
-            raise DataSetError("has no list of images", source=source.file, remedy="give COCO JSON")
+            raise DataSetError("has no list of images", source=file, remedy="give COCO JSON")
     root = path if path.is_dir() else path.parent
     names: list[str] = []
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
-    for source, data in zip(sources, files, strict=True):
+    for (file, split), data in zip(sources, files, strict=True):
         ids = _category_indices(data, names)
-        found, bad = _read_pictures(data, ids, source, root)
+        found, bad = _read_pictures(data, ids, file, split, root)
         pictures.extend(found)
         refused.extend(bad)
     points = _keypoint_names(files[0])
@@ -101,21 +95,21 @@ def read_coco(path: Path) -> DataSet:
 
 def coco_files(path: Path) -> list[Path]:
     """Return the COCO files of a set: one, or one a split."""
-    return [source.file for source in _find(path)]
+    return [file for file, _ in _find(path)]
 
 
-def _find(path: Path) -> list[_Source]:
+def _find(path: Path) -> list[tuple[Path, str]]:
     if path.is_file():
-        return [_Source(path, "")]
+        return [(path, "")]
     if (path / ANNOTATIONS).is_file():
-        return [_Source(path / ANNOTATIONS, "")]
+        return [(path / ANNOTATIONS, "")]
     found = [
-        _Source(path / folder / ROBOFLOW, split)
+        (path / folder / ROBOFLOW, split)
         for folder, split in _FOLDERS.items()
         if (path / folder / ROBOFLOW).is_file()
     ]
     if (path / ROBOFLOW).is_file():
-        found.append(_Source(path / ROBOFLOW, ""))
+        found.append((path / ROBOFLOW, ""))
     if not found:
         raise DataSetError(
             f"holds neither {ANNOTATIONS} nor train/{ROBOFLOW}",
@@ -151,7 +145,7 @@ def _keypoint_names(data: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _read_pictures(
-    data: Mapping[str, Any], ids: Mapping[int, int], source: _Source, root: Path
+    data: Mapping[str, Any], ids: Mapping[int, int], file: Path, split: str, root: Path
 ) -> tuple[list[LabelledPicture], list[CucumberVisionError]]:
     items: dict[Any, list[Any]] = {}
     refused: list[CucumberVisionError] = []
@@ -159,23 +153,21 @@ def _read_pictures(
         if isinstance(item, dict) and "image_id" in item:
             items.setdefault(item["image_id"], []).append(item)
         else:
-            refused.append(_fault(source.file, f"annotation {i}", "names no picture"))
+            refused.append(_fault(file, f"annotation {i}", "names no picture"))
     pictures = []
     for i, image in enumerate(data["images"]):
         key = image.get("id") if isinstance(image, dict) else None
         own = items.pop(key, [])
         try:
-            picture, bad = picture_of(image, own, ids, source.file, source.split, root)
+            picture, bad = picture_of(image, own, ids, file, split, root)
         except (KeyError, TypeError, ValueError, OverflowError, CucumberVisionError) as error:
-            refused.append(_fault(source.file, f"image {key if key is not None else i}", error))
+            refused.append(_fault(file, f"image {key if key is not None else i}", error))
         else:
             pictures.append(picture)
             refused.extend(bad)
     for key, lost in items.items():
         number = f"image {key}"
-        refused.append(
-            _fault(source.file, number, f"has {len(lost)} annotations but is not listed")
-        )
+        refused.append(_fault(file, number, f"has {len(lost)} annotations but is not listed"))
     return pictures, refused
 
 

@@ -23,7 +23,7 @@ from cucumbervision_lab.datasets.mask_axis import (
     keypoints_between,
     keypoints_of_mask,
 )
-from cucumbervision_lab.datasets.sheets import write_sheets
+from cucumbervision_lab.datasets.windows import write_sheets
 from cucumbervision_lab.detection.photo_audit import audited
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 

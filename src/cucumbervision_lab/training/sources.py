@@ -12,18 +12,14 @@ import numpy as np
 
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
-from cucumbervision_lab.datasets.derive import (
-    add_pseudo_masks,
-    merge_datasets,
-    write_windows,
-)
+from cucumbervision_lab.datasets.derive import add_pseudo_masks, merge_datasets
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.mask_axis import (
     DIRECTIONS,
     keypoints_between,
     keypoints_of_mask,
 )
-from cucumbervision_lab.datasets.windows import write_sheets
+from cucumbervision_lab.datasets.windows import write_sheets, write_windows
 from cucumbervision_lab.detection.photo_audit import audited
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 

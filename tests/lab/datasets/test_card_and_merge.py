@@ -10,11 +10,7 @@ import pytest
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.derive import (
-    convert_dataset,
-    merge_datasets,
-    parse_keep,
-)
+from cucumbervision_lab.datasets.derive import convert_dataset, merge_datasets, parse_keep
 from cucumbervision_lab.datasets.labels import DataSet, Label, keep_classes
 from cucumbervision_lab.datasets.splits import parse_shares
 

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["box_areas", "box_intersections", "box_iou", "box_ious", "share_inside", "suppress"]
+__all__ = ["box_areas", "box_iou", "box_ious", "share_inside", "suppress"]
 
 
 def box_areas(boxes: NDArray[Any]) -> NDArray[np.float64]:
@@ -17,7 +17,7 @@ def box_areas(boxes: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(np.clip(boxes[:, 2:] - boxes[:, :2], 0, None).prod(axis=1), np.float64)
 
 
-def box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+def _box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     """Compute the area that every pair of boxes shares.
 
     Parameters
@@ -51,7 +51,7 @@ def box_ious(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     >>> box_ious(np.array([[0.0, 0, 2, 1]]), np.array([[1.0, 0, 3, 1], [5, 5, 6, 6]])).round(3)
     array([[0.333, 0.   ]])
     """
-    shared = box_intersections(a, b)
+    shared = _box_intersections(a, b)
     union = box_areas(a)[:, None] + box_areas(b)[None] - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
@@ -84,7 +84,7 @@ def share_inside(boxes: NDArray[Any], regions: NDArray[Any]) -> NDArray[np.float
     >>> share_inside(np.array([[0.0, 0, 4, 1]]), np.array([[1.0, 0, 9, 9]]))
     array([0.75])
     """
-    shared = box_intersections(boxes, regions).max(axis=1, initial=0.0)
+    shared = _box_intersections(boxes, regions).max(axis=1, initial=0.0)
     return np.asarray(shared / np.maximum(box_areas(boxes), 1e-12))
 
 

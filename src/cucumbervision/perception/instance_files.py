@@ -30,7 +30,6 @@ __all__ = [
     "parse_yolo_line",
     "read_coco",
     "read_instances",
-    "read_yolo_classes",
 ]
 
 _KEYPOINTS = 5
@@ -172,7 +171,7 @@ def _coco_record(
     )
 
 
-def read_yolo_classes(folder: Path) -> list[str]:
+def _read_yolo_classes(folder: Path) -> list[str]:
     """Read the class names from `classes.txt` beside the labels; empty without one."""
     path = folder / "classes.txt"
     return path.read_text(encoding="utf-8").split("\n") if path.is_file() else []
@@ -384,7 +383,7 @@ def read_instances(path: Path | str) -> InstanceFile:
     elif path.suffix.lower() == ".json":
         pictures = read_coco(path)
     elif path.suffix.lower() == ".txt":
-        pictures = [_read_yolo_file(path, read_yolo_classes(path.parent))]
+        pictures = [_read_yolo_file(path, _read_yolo_classes(path.parent))]
     else:
         raise InstancesError(
             "is of no known kind", source=path, remedy="give COCO JSON or YOLO txt"
@@ -396,7 +395,7 @@ def _read_yolo_folder(folder: Path) -> list[Picture]:
     for place in (folder, folder / "labels"):
         files = sorted(f for f in place.glob("*.txt") if f.name != "classes.txt")
         if files:
-            names = read_yolo_classes(place) or read_yolo_classes(folder)
+            names = _read_yolo_classes(place) or _read_yolo_classes(folder)
             return [_read_yolo_file(file, names) for file in files]
     raise InstancesError("holds no label files", source=folder, remedy="give YOLO txt files")
 

@@ -36,22 +36,18 @@ if TYPE_CHECKING:
     _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 __all__ = [
-    "MIN_AGREEMENT",
-    "MIN_BOX_IOU",
-    "MIN_MASK_PX",
     "PROMPTS",
     "Segmenter",
-    "mask_fault",
 ]
 
 PROMPTS = ("box", "box+point", "point")
 """What a detection can be prompted by: its box, its centre, or both."""
 
-MIN_MASK_PX = 100
+_MIN_MASK_PX = 100
 
-MIN_BOX_IOU = 0.5
+_MIN_BOX_IOU = 0.5
 
-MIN_AGREEMENT = 0.6
+_MIN_AGREEMENT = 0.6
 """Least IoU with the detector's own mask, where there is one, that a mask is taken with."""
 
 _TOGETHER = 4  # prompts in one call of the decoder: more would only need more memory
@@ -209,7 +205,7 @@ class Segmenter:
         return embedding
 
 
-def mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
+def _mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
     """Return why a mask cannot be the fruit in a box; nothing if it can.
 
     Parameters
@@ -228,24 +224,24 @@ def mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
     --------
     >>> mask = np.zeros((40, 40), bool)
     >>> box = np.array([9.5, 9.5, 29.5, 29.5])
-    >>> mask_fault(mask, box)
+    >>> _mask_fault(mask, box)
     'mask-empty'
     >>> mask[10:12, 10:30] = True
-    >>> mask_fault(mask, box)
+    >>> _mask_fault(mask, box)
     'mask-small'
     >>> mask[10:16, 10:30] = True
-    >>> mask_fault(mask, box)
+    >>> _mask_fault(mask, box)
     'mask-off-box'
     >>> mask[10:24, 10:30] = True
-    >>> mask_fault(mask, box)
+    >>> _mask_fault(mask, box)
     ''
     """
     area = np.count_nonzero(mask)
     if not area:
         return "mask-empty"
-    if area < MIN_MASK_PX:
+    if area < _MIN_MASK_PX:
         return "mask-small"
-    return "" if box_iou(box_of_mask(mask), box) >= MIN_BOX_IOU else "mask-off-box"
+    return "" if box_iou(box_of_mask(mask), box) >= _MIN_BOX_IOU else "mask-off-box"
 
 
 def _clip(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64] | None:
@@ -287,8 +283,8 @@ def _with_mask(
         agreement = mask_ious(logits > 0, mask_to_sam(own, logits.shape[1:]))
     best = int((sure + agreement).argmax())
     mask = mask_from_logits(logits[best], height, width)
-    fault = mask_fault(mask, box)
-    if not fault and agreement[best] < MIN_AGREEMENT:
+    fault = _mask_fault(mask, box)
+    if not fault and agreement[best] < _MIN_AGREEMENT:
         fault = "mask-off-detector"
     if fault:
         return _without_mask(instance, fault)

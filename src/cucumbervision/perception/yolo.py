@@ -27,15 +27,12 @@ if TYPE_CHECKING:
 __all__ = [
     "BY_PLACE",
     "DEFAULT_CONFIDENCE",
-    "MAX_DETECTIONS",
-    "NMS_IOU",
     "ONE_TO_ONE_KEY",
     "ORDER_KEY",
     "YoloDetector",
     "YoloLayout",
     "choose_raw",
     "choose_rows",
-    "read_layout",
 ]
 
 ONE_TO_ONE_KEY = "one2one"
@@ -131,7 +128,7 @@ class YoloLayout:
         )
 
 
-def read_layout(network: Network) -> YoloLayout:
+def _read_layout(network: Network) -> YoloLayout:
     """Read what a network takes and gives.
 
     Parameters
@@ -242,9 +239,9 @@ def _bad_metadata(data: Mapping[str, str], key: str, source: str) -> ModelError:
     )
 
 
-MAX_DETECTIONS = 300
+_MAX_DETECTIONS = 300
 
-NMS_IOU = 0.7
+_NMS_IOU = 0.7
 
 
 def choose_rows(output: NDArray[np.floating], confidence: float) -> NDArray[np.float32]:
@@ -304,13 +301,13 @@ def choose_raw(
     half = boxes[:, 2:] / 2
     boxes = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
     if one_to_one:
-        best = _descending(scores.max(axis=1))[:MAX_DETECTIONS]
+        best = _descending(scores.max(axis=1))[:_MAX_DETECTIONS]
         # As Ultralytics: an anchor of the best may answer for more than one class.
-        flat = _descending(scores[best].ravel())[:MAX_DETECTIONS]
+        flat = _descending(scores[best].ravel())[:_MAX_DETECTIONS]
         index, labels = best[flat // classes], flat % classes
     else:
         labels = scores.argmax(axis=1)
-        index = suppress(boxes, scores.max(axis=1), labels, NMS_IOU)[:MAX_DETECTIONS]
+        index = suppress(boxes, scores.max(axis=1), labels, _NMS_IOU)[:_MAX_DETECTIONS]
         labels = labels[index]
     score = scores[index, labels]
     rows = np.column_stack([boxes[index], score, labels, extras[index]]).astype(np.float32)
@@ -365,7 +362,7 @@ class YoloDetector:
     ) -> None:
         self._network = open_network(path, runtime, full_precision=full_precision)
         self._most, self.ends = most, ends
-        self._layout = read_layout(self._network)
+        self._layout = _read_layout(self._network)
         self._confidence = confidence
         if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
             _log.warning(

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 __all__ = [
-    "FaultyDataSetError",
     "Finding",
     "check_dataset",
     "check_folder",
@@ -70,35 +69,19 @@ class Finding:
         return f"{self.where}: {self.fault}; {self.remedy}"
 
 
-class FaultyDataSetError(DataSetError):
-    """A data set with faults; `findings` has them all.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        At least one.
-    source : object
-        The data set.
-    """
-
-    def __init__(self, findings: Sequence[Finding], source: object) -> None:
-        self.findings = tuple(findings)
-        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-        super().__init__(
-            f"{findings[0]}{more}", source=source, remedy="list all: cucumbervision data check"
-        )
-
-
 def require_clean(findings: Sequence[Finding], source: object) -> None:
     """Refuse a data set that has faults.
 
     Raises
     ------
-    FaultyDataSetError
-        With all of them.
+    DataSetError
+        With the first of them, and how many there are.
     """
     if findings:
-        raise FaultyDataSetError(findings, source)
+        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+        raise DataSetError(
+            f"{findings[0]}{more}", source=source, remedy="list all: cucumbervision data check"
+        )
 
 
 def open_dataset(path: Path, names: Sequence[str] = ()) -> DataSet:

@@ -22,29 +22,24 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
 __all__ = [
-    "COPY_BITS",
-    "SCENE_COLOR",
-    "SCENE_CORNERS",
     "SHARES",
     "Fingerprint",
-    "color_distances",
     "copies",
     "find_scenes",
     "parse_shares",
     "scenes_by_name",
-    "shared_corners",
     "split_by_scene",
     "take_fingerprints",
     "views_of_one_scene",
 ]
 
-COPY_BITS = 6  # of 63: two photos of one heap differ by 16 and more
+_COPY_BITS = 6  # of 63: two photos of one heap differ by 16 and more
 
 COPY_COLOR = 0.3
 
-SCENE_COLOR = 0.42
+_SCENE_COLOR = 0.42
 
-SCENE_CORNERS = 8
+_SCENE_CORNERS = 8
 
 _NEAREST, _FAR_COLOR = 20, 0.6  # whose corners are compared at all
 
@@ -140,20 +135,20 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
     found = []
     for i, one in enumerate(left):
         bits = np.bitwise_count(turned ^ one.hashes[0]).min(axis=1)
-        for j in np.flatnonzero(bits <= COPY_BITS).tolist():
+        for j in np.flatnonzero(bits <= _COPY_BITS).tolist():
             if float(one.colors @ right[j].colors) >= 1 - COPY_COLOR**2:
                 found.append((i, j))
     return found
 
 
-def color_distances(prints: Sequence[Fingerprint]) -> NDArray[np.float32]:
+def _color_distances(prints: Sequence[Fingerprint]) -> NDArray[np.float32]:
     """Return the Hellinger distance of all pairs' colours, 0 to 1, shape (N, N)."""
     colors = np.stack([f.colors for f in prints])
     distances: NDArray[np.float32] = np.sqrt(np.maximum(0, 1 - colors @ colors.T))
     return distances
 
 
-def shared_corners(a: Fingerprint, b: Fingerprint) -> int:
+def _shared_corners(a: Fingerprint, b: Fingerprint) -> int:
     """Count the corners of two pictures that one shift, turn and scale carries onto each other."""
     import cv2
 
@@ -162,7 +157,7 @@ def shared_corners(a: Fingerprint, b: Fingerprint) -> int:
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(a.features, b.features, k=2)
     # Lowe 2004: a match is kept if it is clearly better than the second best.
     good = [m for m, second in pairs if m.distance < 0.75 * second.distance]
-    if len(good) < SCENE_CORNERS:
+    if len(good) < _SCENE_CORNERS:
         return 0
     start, end = a.points_px[[m.queryIdx for m in good]], b.points_px[[m.trainIdx for m in good]]
     # Its stubs do not know that there may be no answer.
@@ -173,8 +168,8 @@ def shared_corners(a: Fingerprint, b: Fingerprint) -> int:
 def views_of_one_scene(
     prints: Sequence[Fingerprint],
     *,
-    color: float = SCENE_COLOR,
-    corners: int = SCENE_CORNERS,
+    color: float = _SCENE_COLOR,
+    corners: int = _SCENE_CORNERS,
     wanted: Callable[[int, int], bool] | None = None,
 ) -> list[tuple[int, int]]:
     """Return the pairs of pictures that show the same scene.
@@ -197,7 +192,7 @@ def views_of_one_scene(
     """
     if len(prints) < 2:
         return []
-    distances = color_distances(prints)
+    distances = _color_distances(prints)
     np.fill_diagonal(distances, np.inf)
     found = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances < color), strict=True) if i < j}
     nearest = np.argsort(distances, axis=1, kind="stable")[:, :_NEAREST]
@@ -211,7 +206,7 @@ def views_of_one_scene(
         found = {pair for pair in found if wanted(*pair)}
         candidates = {pair for pair in candidates if wanted(*pair)}
     for i, j in sorted(candidates - found):
-        if shared_corners(prints[i], prints[j]) >= corners:
+        if _shared_corners(prints[i], prints[j]) >= corners:
             found.add((i, j))
     return sorted(found)
 

@@ -44,7 +44,6 @@ __all__ = [
     "WrittenYolo",
     "YoloFolder",
     "find_yolo",
-    "ignore_region",
     "label_file",
     "load_data_yaml",
     "read_label_line",
@@ -552,7 +551,7 @@ def _numbers(values: NDArray[np.float64]) -> str:
     return " ".join(f"{v:.6f}" for v in np.ravel(values))
 
 
-def ignore_region(picture: LabelledPicture) -> NDArray[np.bool_]:
+def _ignore_region(picture: LabelledPicture) -> NDArray[np.bool_]:
     """Return what is to be ignored in a picture: masks, or boxes without one, less every fruit.
 
     Returns
@@ -563,7 +562,7 @@ def ignore_region(picture: LabelledPicture) -> NDArray[np.bool_]:
     --------
     >>> crate = Label(np.array([0.5, 0.5, 4.5, 2.5]), ignore=True)
     >>> fruit = Label(np.array([2.5, 0.5, 4.5, 2.5]))
-    >>> ignore_region(LabelledPicture("a.png", 6, 4, (crate, fruit))).astype(int).tolist()
+    >>> _ignore_region(LabelledPicture("a.png", 6, 4, (crate, fruit))).astype(int).tolist()
     [[0, 0, 0, 0, 0, 0], [0, 1, 1, 0, 0, 0], [0, 1, 1, 0, 0, 0], [0, 0, 0, 0, 0, 0]]
     """
     region = np.zeros((picture.height, picture.width), bool)
@@ -585,7 +584,7 @@ def _paint(source: Path, target: Path, picture: LabelledPicture) -> None:
     import cv2
 
     color = read_color(source)
-    region = ignore_region(picture)
+    region = _ignore_region(picture)
     # The same noise at each writing, so that a set is reproducible.
     noise = np.random.default_rng(0).integers(96, 160, (*region.shape, 1), np.uint8)
     color = np.where(region[..., None], noise, color)

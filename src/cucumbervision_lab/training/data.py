@@ -53,7 +53,7 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
     Raises
     ------
     DataSetError
-        If it is no data set; with all its faults (`FaultyDataSetError`) if it has some.
+        If it is no data set, or has faults.
     TrainingError
         As `write_data_file`.
     """

@@ -25,9 +25,9 @@ from cucumbervision_lab.training.extras import import_ultralytics
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["ARCHITECTURES", "checkpoint_from_archive", "export_sam", "load_sam"]
+__all__ = ["checkpoint_from_archive", "export_sam", "load_sam"]
 
-ARCHITECTURES = ("mobile_sam", "sam_vit_b")
+_ARCHITECTURES = ("mobile_sam", "sam_vit_b")
 """Names of the networks that can be exported."""
 
 _OPSET = 17
@@ -89,7 +89,7 @@ def load_sam(checkpoint: Path, architecture: str) -> Any:
     checkpoint : Path
         State dictionary as Meta (`sam_vit_b_01ec64.pth`) or MobileSAM (`mobile_sam.pt`) publish it.
     architecture : str
-        One of `ARCHITECTURES`.
+        One of `_ARCHITECTURES`.
 
     Returns
     -------
@@ -103,9 +103,9 @@ def load_sam(checkpoint: Path, architecture: str) -> Any:
     ModelError
         If the file holds anything but weights, or weights of another network.
     """
-    if architecture not in ARCHITECTURES:
+    if architecture not in _ARCHITECTURES:
         raise ModelError(
-            f"no architecture {architecture!r}", remedy=f"use one of {', '.join(ARCHITECTURES)}"
+            f"no architecture {architecture!r}", remedy=f"use one of {', '.join(_ARCHITECTURES)}"
         )
     import_ultralytics()
     import torch
@@ -149,7 +149,7 @@ def export_sam(
     checkpoint : Path
         What `load_sam` reads.
     architecture : str
-        One of `ARCHITECTURES`.
+        One of `_ARCHITECTURES`.
     out : Path
         Folder of the files, made if need be.
     stem : str

@@ -10,10 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-__all__ = ["PRECISIONS", "channels_last", "choose_precision", "cpu_has_bfloat16", "narrow", "widen"]
-
-PRECISIONS = ("auto", "f32", "bf16")
-"""What can be asked for."""
+__all__ = ["channels_last", "choose_precision", "cpu_has_bfloat16", "narrow", "widen"]
 
 _FLAGS = ("avx512_bf16", "amx_bf16")
 
@@ -48,7 +45,7 @@ def choose_precision(asked: str, device: str) -> str:
     Parameters
     ----------
     asked : str
-        One of `PRECISIONS`.
+        'auto', 'f32' or 'bf16'.
     device : str
         'cpu', or anything else for a graphics card, where Ultralytics' own way is used.
 

@@ -4,7 +4,6 @@ import importlib.util
 import io
 import os
 import socket
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -91,16 +90,21 @@ def run(code: str, folder: Path, **limits: float) -> list[str]:
 
 @posix
 def test_a_hang_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
-    child = "import time, pathlib; time.sleep(3); pathlib.Path('alive').touch()"
-    faults = run(
-        f"import subprocess, time; subprocess.Popen([sys.executable, '-c', {child!r}], "
-        f"cwd={str(tmp_path)!r}); time.sleep(60)",
-        tmp_path,
-        wall_s=1.5,
+    import fcntl
+
+    lock, held = tmp_path / "lock", tmp_path / "held"
+    child = (
+        f"import fcntl, pathlib, time; lock = open({str(lock)!r}, 'w'); "
+        f"fcntl.flock(lock, fcntl.LOCK_EX); pathlib.Path({str(held)!r}).touch(); time.sleep(3600)"
     )
-    assert faults == ["a.bag: took longer than 1.5 s; copy or record it again"]
-    time.sleep(3.2)
-    assert not (tmp_path / "alive").exists()
+    code = f"import subprocess; subprocess.run([sys.executable, '-c', {child!r}])"
+    for number, wall_s in enumerate((2.0, 20.0, 200.0)):  # until the child had the time to start
+        faults = run(code, tmp_path / str(number), wall_s=wall_s)
+        assert faults == [f"a.bag: took longer than {wall_s:g} s; copy or record it again"]
+        if held.exists():
+            break
+    with lock.open("w") as stream:  # waits for as long as the child lives
+        fcntl.flock(stream, fcntl.LOCK_EX)
 
 
 @posix

@@ -44,8 +44,9 @@ def class_colors(names: Iterable[str]) -> alt.Scale:
     >>> class_colors(["out of grade", "class I", "class I"]).to_dict()
     {'domain': ['class I', 'out of grade'], 'range': ['#1B7837', '#E69F00']}
     """
-    classes = sorted(set(names) - set(OTHERS))  # 'class I' before 'class II'
-    others = [name for name in OTHERS if name in set(names)]
+    present = set(names)
+    classes = sorted(present - set(OTHERS))  # 'class I' before 'class II'
+    others = [name for name in OTHERS if name in present]
     greens = [GREENS[min(k, len(GREENS) - 1)] for k in range(len(classes))]
     return alt.Scale(
         domain=[*classes, *others], range=[*greens, *(OTHERS[name] for name in others)]

@@ -36,23 +36,17 @@ from cucumbervision.intake.limits import RecordingLimits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
     from typing import Any
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.errors import CucumberVisionError
-    from cucumbervision.intake.limits import RecordingLimits
 
 __all__ = ["REPORT", "Played", "open_guarded", "play_apart"]
 
 REPORT = "report.jsonl"
-
 _POLL_S = 0.05
-
 _TOLD = {
     error.__name__: error for error in (CameraError, CaptureError, DepthError, IntrinsicsError)
 }
-
 _OWN_NAMES = re.compile(r"(\d{6})(/(capture\.json|(color|depth)_\d{6}\.png))?|report\.jsonl")
 
 # What the process needs of the environment: nothing of ours is told to it.
@@ -61,14 +55,14 @@ _KEPT = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMRO
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a recording.
+    """Captures and errors of a recording.
 
     Parameters
     ----------
     captures : tuple of Path
         Native capture folders, in the recording's order.
     errors : tuple of CucumberVisionError
-        What could not be read; the captures stand all the same.
+        What could not be read; the captures are complete all the same.
     """
 
     captures: tuple[Path, ...]
@@ -142,7 +136,7 @@ def play_apart(
 
 
 def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimits) -> str:
-    """Wait for the process; give what went wrong, or nothing."""
+    """Wait for the process; return what went wrong, or nothing."""
     until = time.monotonic() + limits.wall_s
     looked = time.monotonic()
     while True:
@@ -162,7 +156,7 @@ def _ending(code: int) -> str:
     if -code in (getattr(signal, "SIGXCPU", None), getattr(signal, "SIGALRM", None)):
         return "took too long"
     if -code == getattr(signal, "SIGXFSZ", None):
-        return "unpacks to more than is taken"
+        return "unpacks to more than is accepted"
     return f"broke the player ({f'signal {-code}' if code < 0 else f'exit code {code}'})"
 
 

@@ -109,8 +109,9 @@ def _models() -> None:
     registry = resources.registry()
     tasks = {
         "segment": "finds fruit",
-        "pose": "finds their ends",
-        "prompted-mask": "draws outlines",
+        "pose": "finds landmarks",
+        "prompted-mask": "draws masks",
+        "ends": "tells the stem's end from the other",
     }
     lines = [
         {

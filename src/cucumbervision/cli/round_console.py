@@ -52,6 +52,13 @@ def _console() -> Console:
     return Console(highlight=False, width=None if Console().is_terminal else 120)
 
 
+def _table(title: str | None, left: Sequence[str], *right: str) -> Table:
+    table = Table(*left, title=title, title_justify="left")
+    for head in right:
+        table.add_column(head, justify="right")
+    return table
+
+
 def add_and_show(
     where: str,
     images: Path | None,
@@ -83,9 +90,7 @@ def merge_and_show(where: str, name: str, across_m: float | None) -> None:
         settings = MergeSettings(across_m=across_m, across_sd_m=0.05)
     with open_store(where) as store:
         rows = merge_round(store, find_round(store, name).key, settings)
-    table = Table("row", title="Merged rows", title_justify="left")
-    for head in ("stops", "views", "fruit", "expected", "stops known to"):
-        table.add_column(head, justify="right")
+    table = _table("Merged rows", ("row",), "stops", "views", "fruit", "expected", "stops known to")
     for row in rows:
         table.add_row(
             row.row,
@@ -113,9 +118,9 @@ def link_and_show(where: str, earlier: str, later: str) -> None:
     """Link the fruit of two rounds and show what was found."""
     with open_store(where) as store:
         rows = link_rounds(store, find_round(store, earlier).key, find_round(store, later).key)
-    table = Table("row", title="Fruit found again", title_justify="left")
-    for head in ("earlier", "later", "linked", "sure", "moved along"):
-        table.add_column(head, justify="right")
+    table = _table(
+        "Fruit found again", ("row",), "earlier", "later", "linked", "sure", "moved along"
+    )
     for row in rows:
         moved = f"{100 * row.shift_m:.0f} ± {100 * row.shift_sd_m:.0f} cm"
         counts = (row.earlier, row.later, row.links, row.sure)
@@ -137,11 +142,8 @@ def show_round(where: str, name: str, given: str | None, limit: int) -> None:
         lines = fruit_table(read_round(store, view.key))
     profile = _profile(given, view.record.profile)
     title = f"{view.record.name or view.key}: {len(lines)} fruit, lengths in cm"
-    table = Table(title=title, title_justify="left")
-    for head in ("no.", "row", "side"):
-        table.add_column(head)
-    for head in ("at, m", "length", "90 % interval", "all views", "seen"):
-        table.add_column(head, justify="right")
+    right = ("at, m", "length", "90 % interval", "all views", "seen")
+    table = _table(title, ("no.", "row", "side"), *right)
     for head in ("class", "remarks", "key"):
         table.add_column(head, overflow="fold")
     shown = lines[:limit] if limit else lines
@@ -187,9 +189,7 @@ def show_rounds(where: str) -> None:
     """Return rounds."""
     with open_store(where) as store:
         rounds = store.rounds()
-    table = Table("key", "name", "house", "began", "profile")
-    for head in ("stops", "views"):
-        table.add_column(head, justify="right")
+    table = _table(None, ("key", "name", "house", "began", "profile"), "stops", "views")
     for one in rounds:
         began = datetime.fromtimestamp(one.record.started_s).astimezone()
         text = began.strftime("%Y-%m-%d %H:%M")
@@ -210,9 +210,8 @@ def show_picks(where: str, name: str, given: str | None) -> None:
         profile = load_profile(given or view.record.profile or "long-cucumber")
         picks = pick_list(forecast_for(store, view.key, profile, days=0))
         numbers = {line.view.key: line.number for line in fruit_table(read_round(store, view.key))}
-    table = Table("no.", "row", "side", title=f"{len(picks)} to pick", title_justify="left")
-    for head in ("at, m", "length, cm", "ready"):
-        table.add_column(head, justify="right")
+    left = ("no.", "row", "side")
+    table = _table(f"{len(picks)} to pick", left, "at, m", "length, cm", "ready")
     table.add_column("class")
     for pick in picks:
         fruit = pick.fruit

@@ -18,15 +18,7 @@ if TYPE_CHECKING:
     from cucumbervision.exports.tables import RoundTables, Table
     from cucumbervision.pipeline.fields import Cell, Column
 
-__all__ = [
-    "SHEETS",
-    "ExportFormat",
-    "write_csv",
-    "write_exports",
-    "write_json_round",
-    "write_parquet",
-    "write_round_workbook",
-]
+__all__ = ["SHEETS", "ExportFormat", "write_exports"]
 
 
 class ExportFormat(StrEnum):
@@ -68,10 +60,10 @@ def write_exports(
     from cucumbervision.exports.sheet import write_sheet
 
     writers: dict[ExportFormat, Callable[[RoundTables, Path], list[Path]]] = {
-        ExportFormat.CSV: write_csv,
-        ExportFormat.XLSX: write_round_workbook,
-        ExportFormat.PARQUET: write_parquet,
-        ExportFormat.JSON: write_json_round,
+        ExportFormat.CSV: _write_csv,
+        ExportFormat.XLSX: _write_round_workbook,
+        ExportFormat.PARQUET: _write_parquet,
+        ExportFormat.JSON: _write_json_round,
         ExportFormat.HTML: write_sheet,
     }
     try:
@@ -90,7 +82,7 @@ def write_exports(
         ) from None
 
 
-def write_csv(tables: RoundTables, out: Path) -> list[Path]:
+def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as CSV: UTF-8, commas, decimal points; texts defused."""
     paths = []
     for table in tables.tables.values():
@@ -101,7 +93,7 @@ def write_csv(tables: RoundTables, out: Path) -> list[Path]:
     return paths
 
 
-def write_json_round(tables: RoundTables, out: Path) -> list[Path]:
+def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
     """Write all tables as one JSON file, with the columns' units and meaning."""
     path = out / "round.json"
     write_json(
@@ -122,7 +114,7 @@ def _columns(table: Table) -> list[dict[str, str]]:
     return [{"name": c.name, "unit": c.unit, "type": c.type, "says": c.says} for c in table.columns]
 
 
-def write_parquet(tables: RoundTables, out: Path) -> list[Path]:
+def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as Parquet; units and meaning with the columns, hashes with the file.
 
     Raises
@@ -174,7 +166,7 @@ _WIDE = frozenset({"key", "stop_key", "grade_rule", "reason", "flags", "name", "
 _SAFE = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
 
 
-def write_round_workbook(tables: RoundTables, out: Path) -> list[Path]:
+def _write_round_workbook(tables: RoundTables, out: Path) -> list[Path]:
     """Write `round.xlsx`: summary with charts, fruit, stops, forecast, picks, work, provenance.
 
     Heads have units and stay in place, numbers have formats, pictures are linked.
@@ -209,7 +201,6 @@ class _Writer:
             {"bold": True, "font_color": "white", "bg_color": HEAD_COLOR, "text_wrap": True}
         )
         self.bold = book.add_format({"bold": True, "font_size": 14})
-        self.wrap = book.add_format({"text_wrap": True, "valign": "top"})
         self.link = book.add_format({"font_color": "blue", "underline": 1})
         self._numbers: dict[str, Any] = {}
 
@@ -229,29 +220,19 @@ class _Writer:
         sheet.set_column(2, 2, 8)
         sheet.set_column(3, 3, 52)
         sheet.write_string(0, 0, str(cell_value(tables.title)), self.bold)
-        for at, text in enumerate(("what", "value", "unit", "what it says")):
-            sheet.write_string(1, at, text, self.head)
+        sheet.write_row(1, 0, ("what", "value", "unit", "what it says"), self.head)
         sheet.freeze_panes(2, 0)
-        line = 2
-        for column, cell in zip(tables["summary"].columns, tables["summary"].rows[0], strict=True):
-            sheet.write_string(line, 0, column.title.split(" [")[0])
+        facts = tables["summary"]
+        for line, (column, cell) in enumerate(zip(facts.columns, facts.rows[0], strict=True), 2):
+            sheet.write_row(line, 0, (column.title.split(" [")[0], "", column.unit, column.says))
             self.write(sheet, line, 1, cell, column)
-            sheet.write_string(line, 2, column.unit)
-            sheet.write_string(line, 3, column.says)
-            line += 1
-        if tables.note:
-            sheet.write_string(line, 0, "no forecast")
-            sheet.write_string(line, 1, str(cell_value(tables.note)))
-            line += 1
+        notes = [("no forecast", tables.note, "")] if tables.note else []
         for name in ("software", "licence", "source", "written_utc"):
-            sheet.write_string(line + 1, 0, name.replace("_", " "))
-            sheet.write_string(line + 1, 1, str(cell_value(str(tables.provenance[name]))))
-            line += 1
+            notes.append((name.replace("_", " "), tables.provenance[name], ""))
         for one in tables.provenance["hashes"]:
-            sheet.write_string(line + 1, 0, f"{one['kind']} SHA-256")
-            sheet.write_string(line + 1, 1, str(cell_value(one["sha256"])))
-            sheet.write_string(line + 1, 3, str(cell_value(one["name"])))
-            line += 1
+            notes.append((f"{one['kind']} SHA-256", one["sha256"], one["name"]))
+        for line, (what, value, name) in enumerate(notes, 3 + len(facts.columns)):
+            sheet.write_row(line, 0, (what, cell_value(value), "", cell_value(name)))
 
     def table(self, sheet: Any, table: Table, frozen: int) -> None:
         """Write a table with its head, formats, filter and links."""
@@ -285,15 +266,10 @@ class _Writer:
         """Write what each column says."""
         sheet.set_column(0, 2, 18)
         sheet.set_column(3, 3, 70)
-        for at, text in enumerate(("table", "column", "unit", "what it says")):
-            sheet.write_string(0, at, text, self.head)
-        line = 1
-        for table in tables.tables.values():
-            for column in table.columns:
-                cells = (table.name, column.name, column.unit, column.says)
-                for at, text in enumerate(cells):
-                    sheet.write_string(line, at, text)
-                line += 1
+        sheet.write_row(0, 0, ("table", "column", "unit", "what it says"), self.head)
+        columns = [(table.name, one) for table in tables.tables.values() for one in table.columns]
+        for line, (name, one) in enumerate(columns, 1):
+            sheet.write_row(line, 0, (name, one.name, one.unit, one.says))
         sheet.freeze_panes(1, 0)
 
     def charts(self, summary: Any, sheet: Any, tables: RoundTables) -> None:

@@ -59,7 +59,7 @@ def test_numpy_numbers_become_json() -> None:
 
 
 def test_json_keeps_every_digit_and_text_does_not() -> None:
-    table = Table.of("t", ["a"], [[1 / 3]], decimals=1)
+    table = Table.of("t", ["a:.1"], [[1 / 3]])
     assert table.as_json()["rows"][0]["a"] == 1 / 3
     assert table.text_rows() == [["0.3"]]
 

@@ -14,7 +14,7 @@ from cucumbervision.accuracy.length_tables import (
     group_table,
     truths_of,
 )
-from cucumbervision.accuracy.page import Cell, Column, Picture, Section, Table
+from cucumbervision.accuracy.page import Cell, Picture, Section, Table
 from cucumbervision.accuracy.statistics import score
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -76,6 +76,12 @@ GLOSSARY = (
     ),
 )
 
+_GLANCE = (
+    *("part", "outlines", "measurements", "fruit", "M6 centreline MAPE (%)", "worst (%):.1"),
+    *("measured (%):.1", "oracle MAPE (%)", "M6 thread MAPE (%)"),
+    *("M5 against centreline, MAPE (%)", "M5 against thread, MAPE (%)"),
+)
+
 
 def reading_section(title: str, intro: Sequence[str], readings: pd.DataFrame) -> Section:
     """Return a section over readings: accuracy, fruit by fruit, plots, and groups.
@@ -107,19 +113,6 @@ def glance_table(parts: Iterable[tuple[str, str, pd.DataFrame]]) -> Table:
     parts : iterable of (str, str, DataFrame)
         Each part's name, its outlines in words, and its readings.
     """
-    columns = (
-        Column("part"),
-        Column("outlines"),
-        Column("measurements"),
-        Column("fruit"),
-        Column("M6 centreline MAPE (%)"),
-        Column("worst (%)", 1),
-        Column("measured (%)", 1),
-        Column("oracle MAPE (%)"),
-        Column("M6 thread MAPE (%)"),
-        Column("M5 against centreline, MAPE (%)"),
-        Column("M5 against thread, MAPE (%)"),
-    )
     rows: list[tuple[Cell, ...]] = []
     for name, outlines, readings in parts:
         scored = {
@@ -149,7 +142,7 @@ def glance_table(parts: Iterable[tuple[str, str, pd.DataFrame]]) -> Table:
             )
         )
     comment = "Mean error in percent of the true length; a fruit not measured counts as 100 %."
-    return Table("At a glance", columns, tuple(rows), comment)
+    return Table.of("At a glance", _GLANCE, rows, comment)
 
 
 def main_truths(readings: pd.DataFrame) -> list[LengthDefinition]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from cucumbervision.accuracy.page import Cell, Column, Table
+from cucumbervision.accuracy.page import Cell, Table
 from cucumbervision.accuracy.statistics import Estimate, Metrics, compare, estimate, score
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -140,24 +140,24 @@ def method_metrics(scored: pd.DataFrame) -> dict[str, Metrics]:
     }
 
 
-_ACCURACY = (
-    Column("method"),
-    Column("captures"),
-    Column("fruit"),
-    Column("measured (%)", 1),
-    Column("MAE (cm)"),
-    Column("RMSE (cm)"),
-    Column("MAPE (%)"),
-    Column("95 % by capture (%)"),
-    Column("95 % by fruit (%)"),
-    Column("median error (%)"),
-    Column("worst error (%)", 1),
-    Column("R²", 3),
-    Column("Pearson r", 4),
-    Column("bias (%)", 2, signed=True),
-    Column("what it is"),
-)
-_LOWEST_IS_BEST = (4, 5, 6, 9, 10)
+_ACCURACY = {
+    "method": "method",
+    "count": "captures",
+    "fruit": "fruit",
+    "measured_percent": "measured (%):.1",
+    "mae_cm": "MAE (cm)",
+    "rmse_cm": "RMSE (cm)",
+    "mape_percent": "MAPE (%)",
+    "by_capture": "95 % by capture (%)",
+    "by_fruit": "95 % by fruit (%)",
+    "median_percent": "median error (%)",
+    "worst_percent": "worst error (%):.1",
+    "r2": "R²:.3",
+    "pearson_r": "Pearson r:.4",
+    "bias_percent": "bias (%):+.2",
+    "words": "what it is",
+}
+_LOWEST_IS_BEST = ("mae_cm", "rmse_cm", "mape_percent", "median_percent", "worst_percent")
 
 
 def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
@@ -170,38 +170,25 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
     truth : LengthDefinition
         What to hold them against.
     """
-    scored = against(readings, truth)
-    rows: list[tuple[Cell, ...]] = []
-    for method, part in scored.groupby("method", observed=True):
-        m, percent, fruit = (
-            score(part["length_m"], part["true_m"]),
-            part["error_percent"],
-            part["fruit"],
-        )
+    rows: list[dict[str, Any]] = []
+    for method, part in against(readings, truth).groupby("method", observed=True):
+        metrics, percent = score(part["length_m"], part["true_m"]), part["error_percent"]
         resamples = int(np.clip(_RESAMPLED_VALUES / len(part), 1000, _COUNT_OF_RESAMPLES))
         rows.append(
-            (
-                str(method),
-                m.count,
-                fruit.nunique(),
-                100 * m.measured,
-                m.mae_cm,
-                m.rmse_cm,
-                m.mape_percent,
-                span_text(estimate(percent, resamples=resamples)),
-                span_text(estimate(percent, fruit.tolist(), resamples=resamples)),
-                m.median_percent,
-                m.worst_percent,
-                m.r2,
-                m.pearson_r,
-                m.bias_percent,
-                DESCRIPTIONS.get(str(method), ""),
-            )
+            {
+                **vars(metrics),
+                "method": str(method),
+                "fruit": part["fruit"].nunique(),
+                "measured_percent": 100 * metrics.measured,
+                "by_capture": span_text(estimate(percent, resamples=resamples)),
+                "by_fruit": span_text(estimate(percent, part["fruit"], resamples=resamples)),
+                "words": DESCRIPTIONS.get(str(method), ""),
+            }
         )
-    ranked = [k for k, row in enumerate(rows) if row[0] != "oracle"]
+    ranked = [k for k, row in enumerate(rows) if row["method"] != "oracle"]
     bold = frozenset(
-        (min(ranked, key=lambda k: rows[k][column]), column)  # type: ignore[arg-type,return-value]
-        for column in _LOWEST_IS_BEST
+        (min(ranked, key=lambda k: float(rows[k][name])), list(_ACCURACY).index(name))
+        for name in _LOWEST_IS_BEST
         if len(ranked) > 1
     )
     comment = (
@@ -209,7 +196,7 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
         "error. Captures of one fruit resemble each other, so the interval by fruit is the "
         "honest one."
     )
-    return Table(f"Accuracy against the {truth}", _ACCURACY, tuple(rows), comment, bold)
+    return Table.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment, bold)
 
 
 def comparison_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table | None:
@@ -230,28 +217,30 @@ def comparison_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table |
     rows += _tests(errors, own, rivals) if own else []
     if not rows:
         return None
-    columns = (
-        Column("method"),
-        Column("against"),
-        Column("captures"),
-        Column("median difference (cm)", 3, signed=True),
-        Column("p"),
-        Column("level (0.05 / tests)", 4),
-        Column("differ"),
-        Column("fruit"),
-        Column("p by fruit"),
-    )
     comment = (
         "Wilcoxon's signed-rank test of the absolute errors, two-sided, Bonferroni's correction. "
         "A negative difference means that the first errs less. The test takes captures for "
         "independent, which captures of one fruit are not; 'p by fruit' therefore tests each "
         "fruit's mean error (with seven fruit it cannot fall below 0.016)."
     )
-    return Table(f"Who errs less, against the {truth}", columns, tuple(rows), comment)
+    return Table.of_records(f"Who errs less, against the {truth}", _TESTS, rows, comment)
 
 
-def _tests(errors: pd.DataFrame, first: str, others: Sequence[str]) -> list[tuple[Cell, ...]]:
-    rows: list[tuple[Cell, ...]] = []
+_TESTS = {
+    "method": "method",
+    "against": "against",
+    "captures": "captures",
+    "difference": "median difference (cm):+.3",
+    "p": "p",
+    "level": "level (0.05 / tests):.4",
+    "differ": "differ",
+    "fruit": "fruit",
+    "p_by_fruit": "p by fruit",
+}
+
+
+def _tests(errors: pd.DataFrame, first: str, others: Sequence[str]) -> list[dict[str, Any]]:
+    rows = []
     for second in others:
         both = errors[[first, second]].dropna() if first in errors else errors[:0]
         if len(both) < 5:
@@ -260,17 +249,17 @@ def _tests(errors: pd.DataFrame, first: str, others: Sequence[str]) -> list[tupl
         result = compare(both[first], both[second], len(others))
         fruit = compare(by_fruit[first], by_fruit[second], len(others))
         rows.append(
-            (
-                first,
-                second,
-                len(both),
-                result.median_difference,
-                _p_text(result.p_value),
-                result.alpha,
-                result.significant,
-                len(by_fruit),
-                _p_text(fruit.p_value),
-            )
+            {
+                "method": first,
+                "against": second,
+                "captures": len(both),
+                "difference": result.median_difference,
+                "p": _p_text(result.p_value),
+                "level": result.alpha,
+                "differ": result.significant,
+                "fruit": len(by_fruit),
+                "p_by_fruit": _p_text(fruit.p_value),
+            }
         )
     return rows
 
@@ -283,11 +272,7 @@ def fruit_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
         for m in scored["method"].cat.categories
         if m not in ("oracle", "reported") and not m.startswith("selector")
     ]
-    columns = (
-        Column("fruit"),
-        Column(f"true {truth} (cm)"),
-        *(Column(f"{method} (cm)") for method in methods),
-    )
+    heads = ["fruit", f"true {truth} (cm)", *(f"{method} (cm)" for method in methods)]
     rows: list[tuple[Cell, ...]] = []
     for case, part in scored.groupby("case", sort=False):
         fruit, true_m = part["fruit"].iloc[0], float(part["true_m"].iloc[0])
@@ -298,7 +283,7 @@ def fruit_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
     rows.append(("MAE (cm)", None, *[found[m].mae_cm for m in methods]))
     rows.append(("MAPE (%)", None, *[found[m].mape_percent for m in methods]))
     comment = "Length read and, in brackets, read less true, both in cm."
-    return Table(f"Fruit by fruit, against the {truth}", columns, tuple(rows), comment)
+    return Table.of(f"Fruit by fruit, against the {truth}", heads, rows, comment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,11 +415,9 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
     """
     methods = shown_methods(scored, truth)
     own = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"
-    columns = [Column(factor.head), Column("captures"), Column("fruit")]
-    columns += [Column(f"{method} MAPE (%)") for method in methods]
+    heads = [factor.head, "captures", "fruit", *(f"{method} MAPE (%)" for method in methods)]
     if own in methods:
-        columns += [Column(f"{own} median (%)"), Column(f"{own} worst (%)", 1)]
-        columns += [Column(f"{own} measured (%)", 1)]
+        heads += [f"{own} median (%)", f"{own} worst (%):.1", f"{own} measured (%):.1"]
     rows: list[tuple[Cell, ...]] = []
     for label, chosen in factor.groups.items():
         inside = scored[chosen]
@@ -450,8 +433,7 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
             measured = 100 * float(read["length_m"].notna().mean())
             row += [*worst, measured] if len(read) else [None] * 3
         rows.append(tuple(row))
-    title = f"By {factor.head}, against the {truth}"
-    return Table(title, tuple(columns), tuple(rows), factor.comment)
+    return Table.of(f"By {factor.head}, against the {truth}", heads, rows, factor.comment)
 
 
 def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:

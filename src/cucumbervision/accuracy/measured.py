@@ -145,7 +145,7 @@ def _typed(cells: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> list[str]:
-    """Name the methods to score: those that ran, by the report or by having a length at all."""
+    """Return the methods to score: those that ran, by the report or by having a length at all."""
     columns = {**METHOD_COLUMNS, **TUBE_COLUMNS}
     asked = report.get("config", {}).get("methods", [])
     return [

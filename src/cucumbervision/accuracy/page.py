@@ -6,7 +6,7 @@ import base64
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +53,18 @@ class Column:
     head: str
     decimals: int = 2
     signed: bool = False
+
+    @classmethod
+    def of(cls, head: str) -> Column:
+        """Return the column of a head that may end in how its numbers are shown.
+
+        Examples
+        --------
+        >>> Column.of("bias (%):+.1"), Column.of("fruit").decimals
+        (Column(head='bias (%)', decimals=1, signed=True), 2)
+        """
+        text, _, form = head.partition(":")
+        return cls(text, int(form[-1]), form[0] == "+") if form else cls(head)
 
     def show(self, cell: Cell) -> str:
         """Return a cell as text; an en dash where there is no number.
@@ -112,22 +124,41 @@ class Table:
     def of(
         cls,
         title: str,
-        heads: Sequence[str],
-        rows: Sequence[Sequence[Any]],
+        heads: Iterable[str],
+        rows: Iterable[Sequence[Any]],
         comment: str = "",
-        decimals: int = 2,
+        bold: frozenset[tuple[int, int]] = frozenset(),
     ) -> Table:
-        """Return a table of plain heads, all with as many decimals.
+        """Return a table of heads in words, as `Column.of` reads them.
 
         Examples
         --------
-        >>> table = Table.of("Burst", ["frames", "MAPE (%)"], [[1, 0.9], [5, 0.75]])
+        >>> table = Table.of("Burst", ["frames", "MAPE (%):.1"], [[1, 0.9], [5, 0.75]])
         >>> table.text_rows()
-        [['1', '0.90'], ['5', '0.75']]
+        [['1', '0.9'], ['5', '0.8']]
         """
-        columns = tuple(Column(head, decimals) for head in heads)
         cells = tuple(tuple(map(_python, row)) for row in rows)
-        return cls(title, columns, cells, comment)
+        return cls(title, tuple(map(Column.of, heads)), cells, comment, bold)
+
+    @classmethod
+    def of_records(
+        cls,
+        title: str,
+        columns: Mapping[str, str],
+        records: Iterable[Mapping[str, Any]],
+        comment: str = "",
+        bold: frozenset[tuple[int, int]] = frozenset(),
+    ) -> Table:
+        """Return a table of records' values by name: `columns` says which, under which heads.
+
+        Examples
+        --------
+        >>> rows = [{"method": "M1", "bias": 1.25, "count": 3}]
+        >>> Table.of_records("a", {"method": "method", "bias": "bias (%):+.1"}, rows).text_rows()
+        [['M1', '+1.2']]
+        """
+        rows = ([record[name] for name in columns] for record in records)
+        return cls.of(title, columns.values(), rows, comment, bold)
 
     @property
     def numeric(self) -> list[bool]:

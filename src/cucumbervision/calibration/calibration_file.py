@@ -60,7 +60,7 @@ class CalibratedCamera(_Strict):
         return cls(serial=serial, intrinsics=model, intrinsics_sha256=digest)
 
     def difference(self, intrinsics: Intrinsics, serial: str | None) -> str:
-        """Say how another camera differs; empty where it is the same.
+        """Return how another camera differs, in words; empty where it is the same.
 
         Serial numbers count where both are known; intrinsics to a hundredth of a pixel.
 
@@ -143,7 +143,7 @@ class CorrectionEntry(_Strict):
 
 
 class DepthScaleEntry(_Strict):
-    """What the camera reads over what is, from a bar of known length."""
+    """Ratio of what the camera reads to what is, from a bar of known length."""
 
     value: float = Field(gt=0.5, lt=2)
     standard_error: float = Field(ge=0)
@@ -191,7 +191,7 @@ class SiteCalibration(_Strict):
         return f"{self.name}@{hashlib.sha256(self.as_text().encode()).hexdigest()[:8]}"
 
     def entry(self, method: str, kind: LengthDefinition) -> CorrectionEntry | None:
-        """Give the correction of a method for a kind of length; None where there is none.
+        """Return the correction of a method for a kind of length; None where there is none.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class SiteCalibration(_Strict):
         return next(wanted, None)
 
     def as_text(self) -> str:
-        """Give the file's text."""
+        """Return the file's text."""
         return json.dumps(self.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
 
 

@@ -35,7 +35,7 @@ OUTLINE_SD_PX = 0.7
 
 @dataclass(frozen=True)
 class DepthScale:
-    """What the camera reads over what is.
+    """Ratio of what the camera reads to what is.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class DepthScale:
 
 
 def fit_depth_scale(measured_m: ArrayLike, reference_m: float, pixel_m: float = 0.0) -> DepthScale:
-    """Find the depth scale from captures of a bar.
+    """Compute the depth scale from captures of a bar.
 
     A depth camera that reads s times the true depth sees every point at (s x, s y, s z), since
     x = z (u - cx)/fx and y likewise; so every length reads s times too long, wherever the bar lies.
@@ -119,7 +119,7 @@ MIN_FRUIT = {Form.SCALE: 6, Form.SCALE_OFFSET: 10}
 
 @dataclass(frozen=True)
 class Spread:
-    """What is left of the error on fruit that took no part in the fit.
+    """Error that is left on fruit that took no part in the fit.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def corrected(raw_m: ArrayLike, scale: float, offset_m: float) -> NDArray[np.flo
 def fit_correction(
     raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashable], level: float = LEVEL
 ) -> Fit:
-    """Choose and fit a correction by leaving one fruit out at a time.
+    """Fit the correction that helps, by leaving one fruit out at a time.
 
     Relative errors are fitted, by Huber's estimator, each fruit with the same weight however
     often it was captured. A richer form is taken only where there are enough fruit for it
@@ -250,7 +250,7 @@ def fit_correction(
 def conformal_half_width(
     scores: ArrayLike, fruit: Sequence[Hashable] | NDArray[np.int64], level: float = LEVEL
 ) -> float | None:
-    """Give the score that a reading of a new fruit stays below with probability `level`.
+    """Compute the score that a reading of a new fruit stays below with probability `level`.
 
     Hierarchical conformal prediction (Lee, Barber and Willett, 2023): each of K fruit carries the
     weight 1/(K + 1), shared by its readings, and the new fruit 1/(K + 1) at infinity, so that

@@ -1,4 +1,4 @@
-"""Make a site's calibration from a run and hand-measured fruit, or from a bar of known length."""
+"""A site's calibration from a run and hand-measured fruit, or from a bar of known length."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def calibrate_depth(
     rows: Path | None = None,
     method: str | None = None,
 ) -> SiteCalibration:
-    """Find the camera's depth scale from captures of a bar of known length.
+    """Compute the camera's depth scale from captures of a bar of known length.
 
     Parameters
     ----------

@@ -87,35 +87,28 @@ def _show(site: SiteCalibration, out: Path) -> None:
     console.print(f"{site.tag} is in {out}", soft_wrap=True, markup=False)
 
 
-def _corrections_table(entries: Sequence[CorrectionEntry]) -> Table:
-    from cucumbervision.accuracy.page import Column, Table
+_CORRECTIONS = {
+    "truth_kind": "truth",
+    "method": "method",
+    "formula": "correction",
+    "fruit": "fruit",
+    "captures": "captures",
+    "error_before_percent": "error before %",
+    "error_after_percent": "after %",
+    "residual_sd_percent": "rest sd %",
+    "half_width_percent": "interval ± %",
+}
 
-    columns = (
-        Column("truth"),
-        Column("method"),
-        Column("correction"),
-        Column("fruit"),
-        Column("captures"),
-        Column("error before %"),
-        Column("after %"),
-        Column("rest sd %"),
-        Column("interval ± %"),
-    )
-    rows = tuple(
-        (
-            str(entry.truth_kind),
-            entry.method,
-            _formula(entry),
-            entry.fruit,
-            entry.captures,
-            entry.error_before_percent,
-            entry.error_after_percent,
-            entry.residual_sd_percent,
-            None if entry.interval.half_width is None else 100 * entry.interval.half_width,
-        )
-        for entry in entries
-    )
-    return Table("Corrections, tried on fruit left out of the fit", columns, rows)
+
+def _corrections_table(entries: Sequence[CorrectionEntry]) -> Table:
+    from cucumbervision.accuracy.page import Table
+
+    rows = []
+    for entry in entries:
+        half = entry.interval.half_width
+        percent = None if half is None else 100 * half
+        rows.append(vars(entry) | {"formula": _formula(entry), "half_width_percent": percent})
+    return Table.of_records("Corrections, tried on fruit left out of the fit", _CORRECTIONS, rows)
 
 
 def _formula(entry: CorrectionEntry) -> str:

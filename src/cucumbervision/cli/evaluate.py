@@ -17,14 +17,14 @@ __all__ = ["app"]
 
 app = typer.Typer(
     name="evaluate",
-    help="Hold lengths, or the networks, against ground truth.",
+    help="Compare lengths, or the networks, with ground truth.",
     no_args_is_help=True,
 )
 
 
 @app.callback()
 def _evaluate() -> None:
-    """Hold lengths, or the networks, against ground truth."""
+    """Compare lengths, or the networks, with ground truth."""
 
 
 @app.command()
@@ -42,7 +42,7 @@ def lengths(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the report.")],
 ) -> None:
-    """Hold every method against hand-measured lengths: a table here, a report in the folder."""
+    """Compare every method with hand-measured lengths: a table here, a report in the folder."""
     from cucumbervision.accuracy.measured import read_measured
     from cucumbervision.accuracy.own_report import write_own_report
     from cucumbervision.accuracy.own_truth import evaluate_lengths
@@ -59,38 +59,27 @@ def lengths(
     console.print(f"The report is in {out}/", soft_wrap=True, markup=False)
 
 
-def _scores_table(scores: Sequence[MethodScore]) -> Table:
-    from cucumbervision.accuracy.page import Column, Table
+_SCORES = {
+    "kind": "truth",
+    "method": "method",
+    "count": "captures",
+    "fruit": "fruit",
+    "measured_percent": "measured %:.0",
+    "mae_cm": "MAE cm",
+    "mape_percent": "MAPE %",
+    "low_percent": "95 % by fruit, from",
+    "high_percent": "to",
+    "median_percent": "median %",
+    "worst_percent": "worst %",
+    "bias_percent": "bias %:+.2",
+}
 
-    columns = (
-        Column("truth"),
-        Column("method"),
-        Column("captures"),
-        Column("fruit"),
-        Column("measured %", 0),
-        Column("MAE cm"),
-        Column("MAPE %"),
-        Column("95 % by fruit, from"),
-        Column("to"),
-        Column("median %"),
-        Column("worst %"),
-        Column("bias %", 2, signed=True),
-    )
-    rows = tuple(
-        (
-            str(one.kind),
-            one.method,
-            one.metrics.count,
-            one.fruit,
-            100 * one.metrics.measured,
-            one.metrics.mae_cm,
-            one.metrics.mape_percent,
-            one.low_percent,
-            one.high_percent,
-            one.metrics.median_percent,
-            one.metrics.worst_percent,
-            one.metrics.bias_percent,
-        )
+
+def _scores_table(scores: Sequence[MethodScore]) -> Table:
+    from cucumbervision.accuracy.page import Table
+
+    rows = [
+        vars(one.metrics) | vars(one) | {"measured_percent": 100 * one.metrics.measured}
         for one in scores
-    )
-    return Table("Errors against hand-measured lengths", columns, rows)
+    ]
+    return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)

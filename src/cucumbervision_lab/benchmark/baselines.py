@@ -182,7 +182,7 @@ BASELINES: dict[str, Baseline] = {
 
 
 def available_baselines() -> dict[str, Baseline]:
-    """Give those of `BASELINES` whose packages are installed.
+    """Return those of `BASELINES` whose packages are installed.
 
     Examples
     --------
@@ -259,7 +259,7 @@ def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.
 
 
 def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
-    """Put branches end to end; each shares an end with its neighbours."""
+    """Return branches joined end to end; each shares an end with its neighbours."""
     rest = [np.asarray(branch, float) for branch in branches]
     path = rest.pop(0)
     while rest:
@@ -278,7 +278,7 @@ def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
 
 
 def _half(loop_px: NDArray[Any]) -> NDArray[Any]:
-    """Give a line from its outline, which runs out along it and back again."""
+    """Return a line from its outline, which runs out along it and back again."""
     half = len(loop_px) // 2
     across = np.linalg.norm(loop_px - np.roll(loop_px, -half, axis=0), axis=1)
     return np.asarray(np.roll(loop_px, -int(across.argmax()), axis=0)[: half + 1])

@@ -126,7 +126,7 @@ class Case:
 
 
 def paper_cases(count: int = PAPER_CAPTURES) -> list[Case]:
-    """Give the paper's benchmark: 48 captures of seven cucumbers, in turn.
+    """Return the paper's benchmark: 48 captures of seven cucumbers, in turn.
 
     Examples
     --------
@@ -141,7 +141,7 @@ def paper_cases(count: int = PAPER_CAPTURES) -> list[Case]:
 
 
 def validation_cases() -> list[Case]:
-    """Give the paper's five validation specimens, one capture each, as the paper has it."""
+    """Return the paper's five validation specimens, one capture each, as the paper has it."""
     return [
         _plain_case(Suite.VALIDATION, k, k, VALIDATION_THREADS_CM)
         for k in range(len(VALIDATION_THREADS_CM))
@@ -174,7 +174,7 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
 
 
 def stress_cases(count: int, first: int = 0) -> list[Case]:
-    """Give independent fruit beyond the protocol, one capture each.
+    """Return independent fruit beyond the protocol, one capture each.
 
     Tilt 0 to 60 degrees, 0.3 to 1.2 m, straight to bent with a radius of 15 cm, hidden 0 to 60 %
     in the middle or at an end, sun and wet leaves.
@@ -225,7 +225,7 @@ def _stress_case(k: int) -> Case:
 
 
 def nearest_m(length_m: float, roll_deg: float, tilt_deg: float = 0.0) -> float:
-    """Give the distance from which a whole fruit fits into the picture.
+    """Compute the distance from which a whole fruit fits into the picture.
 
     A fruit tilted to the camera has one end nearer by half its depth, which is added.
 
@@ -278,7 +278,7 @@ class Simulated:
 
 
 def build_fruit(case: Case) -> Tube:
-    """Make the case's fruit, lying along x with its middle at the origin.
+    """Return the case's fruit, lying along x with its middle at the origin.
 
     Examples
     --------
@@ -317,7 +317,7 @@ def build_scene(case: Case) -> Scene:
 
 
 def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated:
-    """Take one capture of a case.
+    """Simulate one capture of a case.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def wrong_intrinsics() -> Table:
 
 
 def _line_error(tube: Tube, wrong: Intrinsics) -> float:
-    """Give the error of the axis itself, seen by the right camera and deprojected by the wrong."""
+    """Compute the error of the axis itself, deprojected by the wrong camera."""
     axis = tube.axis_m
     u, v = CAMERA.project(axis).T
     x, y = wrong.rays(u, v)
@@ -170,7 +170,7 @@ def selectors(readings: pd.DataFrame) -> Table:
 
 
 def length_conventions(readings: pd.DataFrame) -> Table:
-    """Say by how much thread and chord differ from the centreline, by size."""
+    """Compare thread and chord with the centreline from the centreline, by size."""
     rows: list[tuple[Cell, ...]] = []
     known = readings.dropna(subset=["thread_m", "centreline_m", "chord_m"])
     fruit = known.drop_duplicates("fruit", keep="last")

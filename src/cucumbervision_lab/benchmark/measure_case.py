@@ -54,7 +54,7 @@ class Disturbance:
         self.shift_px = shift_px
 
     def at(self, u_px: float, v_px: float) -> float:
-        """Give the shift at a position, the nearest pixel's; positions outside are clamped."""
+        """Return the shift at a position, the nearest pixel's; positions outside are clamped."""
         height, width = self.shift_px.shape
         column, row = round(np.clip(u_px, 0, width - 1)), round(np.clip(v_px, 0, height - 1))
         return float(self.shift_px[row, column])
@@ -119,7 +119,7 @@ SHORTEST_COS = 0.3  # an end that points along the view tells nothing of its own
 def oracle_length_m(
     truth: FruitTruth, mask: NDArray[np.bool_], camera: Intrinsics, rng: np.random.Generator
 ) -> float:
-    """Give the true centreline, wrong only by the mask's outline at both ends.
+    """Compute the true centreline, wrong only by the mask's outline at both ends.
 
     Each end is wrong by as many pixels as the mask's outline lies beyond (or short of) the exact
     one along the axis, plus the pixel grid's own rounding, drawn evenly from half a pixel either
@@ -157,7 +157,7 @@ def end_shift_px(
     back_px: NDArray[np.float64],
     tip_px: NDArray[np.float64],
 ) -> float | None:
-    """Give how far a mask reaches beyond the exact one, walking from inside over the tip.
+    """Compute how far a mask reaches beyond the exact one, walking from inside over the tip.
 
     Parameters
     ----------

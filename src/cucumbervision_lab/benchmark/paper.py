@@ -23,7 +23,7 @@ from cucumbervision.accuracy.length_tables import (
     length_and_error,
     span_text,
 )
-from cucumbervision.accuracy.page import Cell, Column, Section, Table
+from cucumbervision.accuracy.page import Cell, Section, Table
 from cucumbervision.accuracy.records import Masks
 from cucumbervision.accuracy.statistics import estimate, score
 from cucumbervision.measurement.result import LengthDefinition
@@ -129,7 +129,7 @@ NOTES = {
         "fruit, and its interval for M1 does not hold its own mean; neither is reproduced."
     ),
 }
-"""What the benchmark's numbers mean; the numbers themselves stand in its tables."""
+"""Notes on what the benchmark's numbers mean; the numbers themselves stand in its tables."""
 
 
 def paper_section(readings: pd.DataFrame) -> Section | None:
@@ -146,11 +146,7 @@ def paper_section(readings: pd.DataFrame) -> Section | None:
 def paper_validation_table() -> Table:
     """Return the paper's own validation table, less M5's column."""
     methods = PAPER_METHODS[:4]
-    columns = (
-        Column("fruit"),
-        Column("true thread (cm)"),
-        *(Column(f"{method} (cm)") for method in methods),
-    )
+    heads = ["fruit", "true thread (cm)", *(f"{method} (cm)" for method in methods)]
     rows: list[tuple[Cell, ...]] = []
     for one in PAPER_VALIDATION:
         true_m = one.thread_cm / 100
@@ -169,11 +165,11 @@ def paper_validation_table() -> Table:
         "The paper's readings of its own five fruit. Its column for M5 is left out: it prints an "
         "error of exactly 0.00 for all five, which no measurement gives."
     )
-    return Table("The paper's validation fruit, on its own captures", columns, tuple(rows), comment)
+    return Table.of("The paper's validation fruit, on its own captures", heads, rows, comment)
 
 
 def paper_table(readings: pd.DataFrame) -> Table | None:
-    """Put the paper's figures beside those of the same protocol here, against the thread.
+    """Return the paper's figures beside those of the same protocol here, against the thread.
 
     Returns
     -------
@@ -184,16 +180,8 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
     if protocol.empty:
         return None
     scored = against(protocol, LengthDefinition.THREAD)
-    columns = (
-        Column("method"),
-        Column("whose"),
-        Column("MAE (cm)"),
-        Column("RMSE (cm)"),
-        Column("MAPE (%)"),
-        Column("95 % by capture (%)"),
-        Column("median error (cm)"),
-        Column("R²"),
-    )
+    heads = ["method", "whose", "MAE (cm)", "RMSE (cm)", "MAPE (%)", "95 % by capture (%)"]
+    heads += ["median error (cm)", "R²"]
     rows: list[tuple[Cell, ...]] = []
     for method in (*PAPER_METHODS, "M6 thread"):
         rows += _printed(method)
@@ -207,7 +195,7 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
         "other is printed in two ways."
     )
     title = "The paper's figures, on its own captures, beside ours"
-    return Table(title, columns, tuple(rows), comment)
+    return Table.of(title, heads, rows, comment)
 
 
 def _printed(method: str) -> list[tuple[Cell, ...]]:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from cucumbervision.accuracy import length_report, page
 from cucumbervision.accuracy.length_tables import Factor, against, factors_of, shown_methods
-from cucumbervision.accuracy.page import Column, Picture, Section, Table
+from cucumbervision.accuracy.page import Picture, Section, Table
 from cucumbervision.accuracy.plots import as_png, method_style, new_figure
 from cucumbervision.accuracy.records import Masks
 from cucumbervision.accuracy.statistics import binomial_interval
@@ -265,32 +265,25 @@ def _covered(inside: pd.DataFrame, truth: LengthDefinition, level: float) -> dic
     }
 
 
+_COVERAGE = {
+    "factor": "by",
+    "group": "group",
+    "captures": "captures",
+    "fruit": "fruit",
+    "share": "holds the truth (%):.1",
+    "low": "95 % of that, low (%):.1",
+    "high": "95 % of that, high (%):.1",
+    "width_percent": "mean width (% of length):.1",
+    "as_stated": "as stated",
+}
+
+
 def coverage_table(groups: pd.DataFrame, level: float = 0.9, title: str = "Coverage") -> Table:
     """Return the coverage by group as a table."""
-    columns = (
-        Column("by"),
-        Column("group"),
-        Column("captures"),
-        Column("fruit"),
-        Column("holds the truth (%)", 1),
-        Column("95 % of that, low (%)", 1),
-        Column("95 % of that, high (%)", 1),
-        Column("mean width (% of length)", 1),
-        Column("as stated"),
-    )
-    cells = tuple(
-        (
-            row.factor,
-            row.group,
-            row.captures,
-            row.fruit,
-            100 * row.hits / row.captures,
-            100 * row.low,
-            100 * row.high,
-            row.width_percent,
-            bool(row.as_stated),
-        )
-        for row in groups.itertuples()
+    rows = groups.assign(
+        share=100 * groups["hits"] / groups["captures"],
+        low=100 * groups["low"],
+        high=100 * groups["high"],
     )
     comment = (
         f"An interval that states {100 * level:.0f} % should hold the true length that often, in "
@@ -299,7 +292,7 @@ def coverage_table(groups: pd.DataFrame, level: float = 0.9, title: str = "Cover
         "contains the level. It takes captures for independent; those of one fruit are not. Fruit "
         "that M6 did not measure have no interval and are not counted here."
     )
-    return Table(title, columns, cells, comment)
+    return Table.of_records(title, _COVERAGE, rows.to_dict("records"), comment)
 
 
 def coverage_plot(groups: pd.DataFrame, level: float = 0.9) -> bytes:

@@ -163,7 +163,7 @@ CARROT = "rgbd/carrot_realsense_1280"
 
 @dataclass(frozen=True)
 class BenchmarkPlan:
-    """What one run of the benchmark does.
+    """Options of a benchmark run.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class BenchmarkPlan:
 
 
 def plan_cases(plan: BenchmarkPlan) -> tuple[list[Case], list[Case]]:
-    """Give the cases of the protocol and of the stress set."""
+    """Return the cases of the protocol and of the stress set."""
     if plan.quick:
         return [*paper_cases(7), *validation_cases()[:2]], stress_cases(min(plan.stress, 8))
     return [*paper_cases(), *validation_cases()], stress_cases(plan.stress)
@@ -282,7 +282,7 @@ def learn_intervals(
 
 
 def provenance(plan: BenchmarkPlan) -> dict[str, Any]:
-    """Say by what a benchmark was run."""
+    """Return with what a benchmark was run."""
     return {
         "software": f"cucumbervision {__version__}",
         "versions": installed_versions(),

@@ -66,34 +66,30 @@ def benchmark(
         console.print(f"The report is {written}", soft_wrap=True, markup=False)
 
 
+_SUMMARY = {
+    "method": "method",
+    "measured_percent": "measured %:.0",
+    "mape_percent": "MAPE %",
+    "median_percent": "median %",
+    "worst_percent": "worst %:.1",
+    "bias_percent": "bias %:+.2",
+}
+
+
 def _summary_tables(readings: pd.DataFrame) -> list[Table]:
     """Return one table a suite and kind of mask: every method against the centreline."""
     from cucumbervision.accuracy.length_tables import against, method_metrics
-    from cucumbervision.accuracy.page import Column, Table
+    from cucumbervision.accuracy.page import Table
     from cucumbervision.measurement.result import LengthDefinition
     from cucumbervision_lab.benchmark.report import parts_of
 
-    columns = (
-        Column("method"),
-        Column("measured %", 0),
-        Column("MAPE %"),
-        Column("median %"),
-        Column("worst %", 1),
-        Column("bias %", 2, signed=True),
-    )
     tables = []
     for suite, masks, part in parts_of(readings):
+        found = method_metrics(against(part, LengthDefinition.CENTRELINE))
+        rows = [
+            vars(one) | {"method": method, "measured_percent": 100 * one.measured}
+            for method, one in found.items()
+        ]
         title = f"{suite} captures, {masks} masks ({part['case'].nunique()})"
-        rows = tuple(
-            (
-                method,
-                100 * m.measured,
-                m.mape_percent,
-                m.median_percent,
-                m.worst_percent,
-                m.bias_percent,
-            )
-            for method, m in method_metrics(against(part, LengthDefinition.CENTRELINE)).items()
-        )
-        tables.append(Table(f"{title}: error against the centreline", columns, rows))
+        tables.append(Table.of_records(f"{title}: error against the centreline", _SUMMARY, rows))
     return tables

@@ -49,7 +49,7 @@ def evaluate_models(
         int, typer.Option(min=1, help="Pictures at most for SAM and lengths, evenly spread.")
     ] = 40,
 ) -> None:
-    """Hold the networks against labelled pictures: precision, recall, keypoints, masks, lengths."""
+    """Compare the networks with labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.cli.figures import figures_console, print_table
     from cucumbervision_lab.cli.screen import part_bars
     from cucumbervision_lab.detection.figures import summarise
@@ -98,7 +98,7 @@ def evaluate_photos(
     ] = 0.30,
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:
-    """Hold the networks against audited real photos: recall and precision, each test apart."""
+    """Compare the networks with audited real photos: recall and precision, each test apart."""
     from cucumbervision.cli.figures import figures_console, print_table
     from cucumbervision_lab.cli.screen import part_bars
     from cucumbervision_lab.detection.report import photo_tables, write_photo_report

@@ -59,7 +59,7 @@ class AveragePrecision:
 def average_precision(
     frames: Sequence[Frame], judged: Judged, stage: Stage = Stage.SEGMENTED
 ) -> AveragePrecision:
-    """Hold detections against the truth as COCO does.
+    """Compute average precision as COCO does.
 
     Regions to be ignored, and optional fruit, are COCO's crowds: a detection that lies in one by
     enough of its own area counts neither way. A fruit without a mask (or keypoints) becomes such a
@@ -158,7 +158,7 @@ def _tally(frames: Sequence[Frame], judged: Judged, stage: Stage) -> _Tally:
 
 
 def _precisions(tally: _Tally, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give the average precision at each threshold, shape (T,), each frame counted so often.
+    """Compute the average precision at each threshold, shape (T,), each frame counted so often.
 
     The interpolation is COCO's (`COCOeval.accumulate`): precision made monotone, read off at 101
     recalls.
@@ -237,7 +237,7 @@ def _labelled(one: TrueFruit) -> NDArray[np.bool_]:
 
 
 def _has(one: SeenFruit, judged: Judged) -> bool:
-    """Say whether a detection can be judged; one without a mask is, and hits nothing."""
+    """Return whether a detection can be judged; one without a mask is, and hits nothing."""
     return judged is not Judged.KEYPOINTS or one.keypoints is not None
 
 

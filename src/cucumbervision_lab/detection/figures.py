@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from cucumbervision.accuracy.length_tables import DESCRIPTIONS
-from cucumbervision.accuracy.page import Cell, Column, Table
+from cucumbervision.accuracy.page import Cell, Table
 from cucumbervision.accuracy.records import Masks, readings_frame
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.measurement.result import LengthDefinition
@@ -266,166 +266,103 @@ _FALSE_SHOWN = 60
 
 def precision_table(summary: Summary) -> Table:
     """Return average precision as a table."""
-    columns = (
-        Column("network"),
-        Column("of"),
-        Column("fruit"),
-        Column("mAP50", 3),
-        Column("95 %"),
-        Column("mAP50-95", 3),
-        Column("95 % by scene"),
-    )
-    rows = tuple(
+    heads = ["network", "of", "fruit", "mAP50:.3", "95 %", "mAP50-95:.3", "95 % by scene"]
+    rows = [
         (
             str(one.stage),
             _JUDGED[one.judged],
-            one.found.at_50.count,
-            one.found.at_50.value,
-            span(one.found.at_50),
-            one.found.at_50_95.value,
-            span(one.found.at_50_95),
+            ap.at_50.count,
+            *_spanned(ap.at_50),
+            *_spanned(ap.at_50_95),
         )
         for one in summary.precisions
-    )
+        for ap in (one.found,)
+    ]
     comment = (
         "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "
         f"similarity with sigma {OKS_SIGMA:g} for all five, scaled by the visible mask's area."
     )
-    return Table("Average precision", columns, rows, comment)
+    return Table.of("Average precision", heads, rows, comment)
 
 
 def overall_table(summary: Summary, confidence: float) -> Table:
     """Return recall and precision at the confidence, stage by stage."""
-    rows = tuple(
-        (str(stage), *_estimate_cells(one.recall), *_estimate_cells(one.precision))
-        for stage, one in summary.overall
-    )
     comment = (
         f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
         f"to be ignored are not counted. '{Stage.KEPT}' has fruit found twice made one."
     )
-    return Table("Recall and precision", _shares("stage"), rows, comment)
+    named = [(str(stage), one) for stage, one in summary.overall]
+    return _share_table("Recall and precision", "stage", named, comment)
 
 
 def group_table(summary: Summary, factor: str) -> Table:
     """Return one factor's groups as a table."""
-    rows = tuple(
-        (one.group, *_estimate_cells(one.recall), *_estimate_cells(one.precision))
-        for one in summary.groups
-        if one.factor == factor
-    )
-    return Table(f"By {factor}", _shares("group"), rows)
+    named = [(one.group, one) for one in summary.groups if one.factor == factor]
+    return _share_table(f"By {factor}", "group", named)
 
 
 def end_table(ends: Sequence[EndScore], swapped: Estimate, title: str = "Ends") -> Table:
     """Return endpoint errors as a table."""
-    columns = (
-        Column("ends"),
-        Column("n"),
-        Column("scenes"),
-        Column("median (% of length)"),
-        Column("95 %"),
-        Column("90th percentile (% of length)"),
-        Column("95 % by scene"),
-    )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            one.ends,
-            one.median_percent.count,
-            one.median_percent.groups,
-            one.median_percent.value,
-            span(one.median_percent, 1, 2),
-            one.p90_percent.value,
-            span(one.p90_percent, 1, 2),
-        )
+    heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
+    heads += ["90th percentile (% of length)", "95 % by scene"]
+    rows = [
+        (one.ends, median.count, median.groups, *_spanned(median, 2), *_spanned(one.p90_percent, 2))
         for one in ends
+        for median in (one.median_percent,)
     ]
     share = "–" if math.isnan(swapped.value) else f"{100 * swapped.value:.2f} %"
     comment = (
         "Distance between the true and the found end, in percent of the line through the fruit's "
         "five true keypoints in the picture; fruit that the pose network found. Ends swapped on "
-        f"{share} of {swapped.count} fruit (95 % by scene: {span(swapped, 100, 2)}); swapped ends "
+        f"{share} of {swapped.count} fruit (95 % by scene: {span(swapped, 2, 100)}); swapped ends "
         "are judged as they are."
     )
-    return Table(title, columns, tuple(rows), comment)
+    return Table.of(title, heads, rows, comment)
 
 
 def overlap_table(summary: Summary) -> Table:
     """Return masks' overlaps as a table."""
-    columns = (
-        Column("pictures"),
-        Column("box of"),
-        Column("masks"),
-        Column("n"),
-        Column("scenes"),
-        Column("mean IoU", 4),
-        Column("95 % by scene"),
-        Column("median IoU", 4),
-        Column("95 %"),
-        Column("refused"),
-    )
-    rows = tuple(
+    heads = ["pictures", "box of", "masks", "n", "scenes", "mean IoU:.4", "95 % by scene"]
+    heads += ["median IoU:.4", "95 %", "refused"]
+    rows = [
         (
             one.pictures,
             "detector" if one.prompt_box == "found" else "true mask",
             one.masks,
-            one.mean.count,
-            one.mean.groups,
-            one.mean.value,
-            span(one.mean),
-            one.median.value,
-            span(one.median),
+            *(one.mean.count, one.mean.groups, *_spanned(one.mean), *_spanned(one.median)),
             one.refused,
         )
         for one in summary.overlaps
-    )
+    ]
     comment = (
         "Intersection over union with the true visible mask, of fruit that were found. A mask that "
         "SAM's checks refused counts as 0; there the detector's own stands in when measuring."
     )
-    return Table("Masks", columns, rows, comment)
+    return Table.of("Masks", heads, rows, comment)
 
 
 def length_table(summary: Summary, truth: str, group: str) -> Table:
     """Return lengths on true and on perceived masks, for one group of fruit."""
-    columns = (
-        Column("method"),
-        Column("masks"),
-        Column("fruit"),
-        Column("missed"),
-        Column("measured (%)", 1),
-        Column("mean error (%)"),
-        Column("95 % by scene"),
-        Column("of the measured (%)"),
-        Column("95 %"),
-        Column("median (%)"),
-        Column("bias (%)", 2, signed=True),
-        Column("what it is"),
-    )
+    heads = ["method", "masks", "fruit", "missed", "measured (%):.1", "mean error (%)"]
+    heads += ["95 % by scene", "of the measured (%)", "95 %", "median (%)", "bias (%):+.2"]
+    heads.append("what it is")
     some = [one for one in summary.lengths if one.truth == truth and one.group == group]
     order = {method: k for k, method in enumerate(dict.fromkeys(one.method for one in some))}
-    rows = tuple(
+    rows = [
         (
-            one.method,
-            _MASKS[one.masks],
-            one.metrics.count,
-            one.missed,
+            *(one.method, _MASKS[one.masks], one.metrics.count, one.missed),
             100 * one.metrics.measured,
-            one.error_percent.value,
-            span(one.error_percent, 1, 2),
-            one.measured_percent.value,
-            span(one.measured_percent, 1, 2),
-            one.metrics.median_percent,
-            one.metrics.bias_percent,
+            *(*_spanned(one.error_percent, 2), *_spanned(one.measured_percent, 2)),
+            *(one.metrics.median_percent, one.metrics.bias_percent),
             DESCRIPTIONS.get(one.method, ""),
         )
         for one in sorted(some, key=lambda one: (order[one.method], one.masks))
-    )
+    ]
     comment = (
         "Absolute error of the length; a fruit that was missed or not measured counts as 100 %, "
         "and 'of the measured' leaves those out."
     )
-    return Table(f"Length against the {truth}, {group} fruit", columns, rows, comment)
+    return Table.of(f"Length against the {truth}, {group} fruit", heads, rows, comment)
 
 
 def photo_table(photos: PhotoResult) -> Table:
@@ -435,9 +372,6 @@ def photo_table(photos: PhotoResult) -> Table:
     named += [(f"test: {name}", one) for name, one in photos.tests]
     named += [(f"half size: {name}", one) for name, one in photos.small]
     named += [(f"where: {name}", one) for name, one in settings]
-    rows = tuple(
-        (name, *_estimate_cells(one.recall), *_estimate_cells(one.precision)) for name, one in named
-    )
     comment = (
         f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
         "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
@@ -446,7 +380,7 @@ def photo_table(photos: PhotoResult) -> Table:
         + f"{photos.photos} photos of {photos.scenes} scenes"
         + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
     )
-    return Table("Real photos", _shares("photos"), rows, comment)
+    return _share_table("Real photos", "photos", named, comment)
 
 
 def photo_end_table(photos: PhotoResult) -> Table:
@@ -456,22 +390,17 @@ def photo_end_table(photos: PhotoResult) -> Table:
 
 def false_table(photos: PhotoResult) -> Table:
     """Return false detections on real photos by file and box, the surest first."""
-    columns = (
-        Column("photo"),
-        Column("scene"),
-        Column("confidence", 3),
-        Column("box (px)"),
-    )
     false = sorted((r for r in photos.found if r.outcome == "false"), key=lambda r: -r.score)
-    rows = tuple(
+    rows = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
         for r in false[:_FALSE_SHOWN]
-    )
+    ]
     title = f"False detections on real photos ({len(false)})"
-    return Table(title, columns, rows, "The photos themselves are not shown.")
+    heads = ["photo", "scene", "confidence:.3", "box (px)"]
+    return Table.of(title, heads, rows, "The photos themselves are not shown.")
 
 
-def span(one: Estimate, scale: float = 1.0, decimals: int = 3) -> str:
+def span(one: Estimate, decimals: int = 3, scale: float = 1.0) -> str:
     """Return an interval as text.
 
     Examples
@@ -484,21 +413,19 @@ def span(one: Estimate, scale: float = 1.0, decimals: int = 3) -> str:
     return f"{scale * one.low:.{decimals}f} to {scale * one.high:.{decimals}f}"
 
 
-def _shares(first: str) -> tuple[Column, ...]:
-    return (
-        Column(first),
-        Column("fruit"),
-        Column("scenes"),
-        Column("recall", 3),
-        Column("95 % by scene"),
-        Column("detections"),
-        Column("scenes with some"),
-        Column("precision", 3),
-        Column("95 % of it by scene"),
-    )
+def _spanned(one: Estimate, decimals: int = 3) -> tuple[float, str]:
+    return one.value, span(one, decimals)
 
 
-def _estimate_cells(one: Estimate | None) -> Sequence[Cell]:
-    if one is None:
-        return (None, None, None, "–")
-    return (one.count, one.groups, one.value, span(one))
+def _share_table(
+    title: str, first: str, named: Sequence[tuple[str, GroupScore]], comment: str = ""
+) -> Table:
+    """Return recall and precision by name."""
+    heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
+    heads += ["scenes with some", "precision:.3", "95 % of it by scene"]
+    rows = [(name, *_share_cells(one.recall), *_share_cells(one.precision)) for name, one in named]
+    return Table.of(title, heads, rows, comment)
+
+
+def _share_cells(one: Estimate | None) -> tuple[Cell, ...]:
+    return (None, None, None, "–") if one is None else (one.count, one.groups, *_spanned(one))

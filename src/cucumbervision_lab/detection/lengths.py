@@ -1,4 +1,4 @@
-"""What perceived masks cost in length: the whole pipeline beside the true masks."""
+"""Lengths on perceived masks beside those on true masks."""
 
 from __future__ import annotations
 

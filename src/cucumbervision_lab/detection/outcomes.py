@@ -1,4 +1,4 @@
-"""What became of every fruit and detection at one confidence, and recall and precision by group."""
+"""Outcomes of every fruit and detection at one confidence, and recall and precision by group."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ IN_IGNORED = 0.5
 
 @dataclass(frozen=True)
 class Matches:
-    """What became of the detections and of the true fruit of one picture.
+    """Matches between the detections and the true fruit of one picture.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def match_boxes(
 
 
 def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> int | None:
-    """Give the free box with the largest overlap, those that are required first."""
+    """Return the free box with the largest overlap, those that are required first."""
     free = np.where(taken, 0.0, overlaps)
     for part, start in ((free[:required], 0), (free[required:], required)):
         if part.size and part.max() >= MIN_IOU:
@@ -138,7 +138,7 @@ EDGE_PX = 1.5  # a box that comes as near to the border is cut by it
 
 @dataclass(frozen=True)
 class FruitRow:
-    """What became of one true fruit.
+    """Outcome of one true fruit.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class FruitRow:
 
 @dataclass(frozen=True)
 class FoundRow:
-    """What became of one detection.
+    """Outcome of one detection.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def matches_of(
 def fruit_rows(
     frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
 ) -> list[FruitRow]:
-    """Say of every fruit that is to be found whether it was."""
+    """Return of every fruit that is to be found whether it was."""
     rows = []
     for frame in frames:
         matches, seen, required = matches_of(frame, confidence, stage)
@@ -306,7 +306,7 @@ def _overlaps(frame: Frame, number: int, by: SeenFruit) -> tuple[float, float, f
 def found_rows(
     frames: Sequence[Frame], confidence: float, stage: Stage = Stage.KEPT
 ) -> list[FoundRow]:
-    """Say of every detection above a confidence what it hit."""
+    """Return of every detection above a confidence what it hit."""
     rows = []
     for frame in frames:
         matches, seen, _ = matches_of(frame, confidence, stage)
@@ -331,7 +331,7 @@ def found_rows(
 
 
 def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
-    """Hold the ends that the pose network sets against the true ones.
+    """Compare the ends that the pose network sets with the true ones.
 
     Every fruit that it found and whose five keypoints have a known place counts; swapped ends are
     judged as they are, and ends outside the picture are not.
@@ -360,7 +360,7 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
 
 
 def _placed(keypoints: NDArray[np.float64]) -> bool:
-    """Say whether it is known where all five lie, in the picture or outside."""
+    """Return whether it is known where all five lie, in the picture or outside."""
     return bool(((keypoints[:, 2] > 0) | keypoints[:, :2].any(axis=1)).all())
 
 
@@ -427,12 +427,12 @@ class GroupScore:
 
 
 def overall(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> GroupScore:
-    """Give recall and precision of everything."""
+    """Compute recall and precision of everything."""
     return GroupScore(ALL, ALL, math.nan, _recall(fruit), _precision(found))
 
 
 def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[GroupScore]:
-    """Give recall and precision by each factor.
+    """Compute recall and precision by each factor.
 
     Parameters
     ----------

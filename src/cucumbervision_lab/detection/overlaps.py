@@ -1,4 +1,4 @@
-"""What SAM makes of a box, and of a box with its centre, held against true masks."""
+"""Masks that SAM draws from a box, and from a box with its centre, against true masks."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def overlap_rows(
     simulated: bool = True,
     prompt_box: str = "found",
 ) -> list[OverlapRow]:
-    """Hold every mask of a picture's fruit against the true one.
+    """Compare every mask of a picture's fruit with the true one.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def overlap_rows(
 def draw_by_prompt(
     segmenter: Segmenter, color: NDArray[np.uint8], asked: Sequence[Instance]
 ) -> dict[str, tuple[Instance, ...]]:
-    """Let SAM draw every fruit's mask by each of `PROMPTS_COMPARED`, the shipped one last."""
+    """Return SAM's masks of every fruit by each of `PROMPTS_COMPARED`, the shipped one last."""
     drawn = {}
     for prompt in PROMPTS_COMPARED:
         segmenter.prompt = prompt

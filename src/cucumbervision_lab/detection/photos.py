@@ -45,7 +45,7 @@ Scores = tuple[tuple[str, GroupScore], ...]
 
 @dataclass(frozen=True)
 class PhotoResult:
-    """What the networks found on real photos, as figures.
+    """Figures of what the networks found on real photos.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class Networks:
 
 @dataclass(frozen=True, eq=False)
 class PictureResult:
-    """What was found in one picture.
+    """Result of the networks on one picture.
 
     Parameters
     ----------

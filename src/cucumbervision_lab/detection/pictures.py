@@ -120,7 +120,7 @@ class TrueFruit:
 
 @dataclass(frozen=True, eq=False)
 class SeenFruit:
-    """What a network found.
+    """Detection of a network.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class Frame:
     has_masks: bool = True
 
     def seen(self, stage: Stage) -> tuple[SeenFruit, ...]:
-        """Give the detections of one stage."""
+        """Return the detections of one stage."""
         return {
             Stage.SEGMENTED: self.segmented,
             Stage.POSED: self.posed,
@@ -205,14 +205,14 @@ def code_mask(mask: NDArray[np.bool_]) -> Code:
 
 
 def code_overlap(a: Code | None, b: Code | None) -> float:
-    """Give the intersection over union of two coded masks; 0 where one is missing or empty."""
+    """Compute the intersection over union of two coded masks; 0 where one is missing or empty."""
     if a is None or b is None:
         return 0.0
     return float(import_pycocotools().iou([a], [b], [0])[0, 0])
 
 
 def seen_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = None) -> SeenFruit:
-    """Keep what is judged of a detection, its mask coded (a full one takes a megabyte).
+    """Return what is judged of a detection, its mask coded (a full one takes a megabyte).
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
 
 
 def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
-    """Say in a few words what is wrong with a picture's files; nothing if they are there."""
+    """Return what is wrong with a picture's files, in a few words; empty if nothing is."""
     path = data.path(picture)
     if not path.is_file():
         return f"{picture.file} is missing"
@@ -333,7 +333,7 @@ def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
 
 
 def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:
-    """Take so many items, evenly spread over all.
+    """Return so many items, evenly spread over all.
 
     Examples
     --------
@@ -346,7 +346,7 @@ def spread(items: tuple[Any, ...], limit: int | None) -> tuple[Any, ...]:
 
 
 def frame_of(picture: LabelledPicture, data: DataSet, depth_m: NDArray[np.float32] | None) -> Frame:
-    """Give a picture's truth as the evaluation takes it.
+    """Return a picture's truth as the evaluation takes it.
 
     Cucumbers are to be found; a zucchini may be, and need not; other classes are nothing.
 
@@ -394,7 +394,7 @@ def _true_fruit(label: Label, depth_m: NDArray[np.float32] | None) -> TrueFruit:
 
 
 def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]) -> Capture | None:
-    """Give the RGB-D frame of a picture, or None where it has no depth or no camera.
+    """Return the RGB-D frame of a picture, or None where it has no depth or no camera.
 
     Raises
     ------

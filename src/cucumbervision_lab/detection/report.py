@@ -99,7 +99,7 @@ _GLOSSARY = (
 
 
 def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None) -> list[Table]:
-    """Give the tables that say most, for the screen and for the page's top.
+    """Return the tables that say most, for the screen and for the page's top.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
 
 
 def card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Give the figures of `results.json` that a model's card holds.
+    """Return the figures of `results.json` that a model's card holds.
 
     Examples
     --------

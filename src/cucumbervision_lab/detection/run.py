@@ -60,7 +60,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DetectionPlan:
-    """What is to be evaluated.
+    """Options of an evaluation.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class DetectionPlan:
 
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
-    """What was seen.
+    """Results of an evaluation.
 
     Parameters
     ----------

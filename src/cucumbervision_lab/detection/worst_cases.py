@@ -63,7 +63,7 @@ class WorstCase:
 
 
 def worst_cases(result: DetectionResult, summary: Summary) -> list[WorstCase]:
-    """Choose the worst cases of drawn pictures, at most eight of each kind.
+    """Return the worst cases of drawn pictures, at most eight of each kind.
 
     Parameters
     ----------

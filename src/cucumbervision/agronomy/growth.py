@@ -186,7 +186,7 @@ class GrowthPrior:
     spreads : Spreads
         How far houses, rows, fruit and days lie from it.
     curves : tuple of Curve
-        How growth may depend on length; the first stands unless links speak plainly for another.
+        How growth may depend on length; the first stands unless the links clearly favour another.
     """
 
     mean_m: float

@@ -107,7 +107,7 @@ class FilteredStates:
 def measured_histories(
     points: Sequence[Sequence[Point]], rows: Sequence[str], basis: Basis, until: float | None = None
 ) -> Histories:
-    """Sort the points of each fruit and lay them out step by step.
+    """Sort the points of each fruit and arrange them step by step.
 
     Parameters
     ----------

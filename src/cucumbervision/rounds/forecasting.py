@@ -119,7 +119,7 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
     """Return the relative standard deviation of the error that all lengths of a round share.
 
     That of the camera's depth scale where each stop was measured with a calibration that holds
-    one, from captures of a bar of known length; otherwise that of a camera that nobody calibrated.
+    one, from captures of a bar of known length; otherwise that of an uncalibrated camera.
 
     Parameters
     ----------

@@ -254,7 +254,7 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
 
 
 def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
-    """Return what somebody decided of a row's views."""
+    """Return the pairs of a row's views that were decided by hand."""
     index = {key: k for k, key in enumerate(row.fruit_keys)}
 
     def pairs(kind: LinkKind) -> NDArray[np.int64]:

@@ -29,7 +29,7 @@ __all__ = [
 
 UNLIKE = -8.0  # what a pair counts that is not among the likely ones
 
-HELD = 40.0  # what a pair counts that somebody merged by hand
+HELD = 40.0  # what a pair counts that was merged by hand
 
 
 def sweep(
@@ -209,7 +209,7 @@ class MergeSettings:
 
 @dataclass(frozen=True, eq=False)
 class ByHand:
-    """Pairs of views that somebody decided.
+    """Pairs of views that were decided by hand.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def merge_row(
     settings : MergeSettings, optional
         How to merge.
     by_hand : ByHand, optional
-        What somebody decided; it stands.
+        What was decided by hand; it stands.
 
     Returns
     -------

@@ -27,7 +27,7 @@ class RowStops:
     ----------
     at_m : ndarray of float64, shape (S, 3)
         The camera as it was given: along, up, and into the row; metres. Up and into the row
-        count from the usual camera of its side, so that they are 0 where nobody knows better.
+        count from the usual camera of its side, so that they are 0 unless a pose says otherwise.
     sd_m : ndarray of float64, shape (S, 3)
         Standard deviations of these, metres.
     side : ndarray of int64, shape (S,)

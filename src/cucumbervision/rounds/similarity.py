@@ -170,7 +170,7 @@ def position_ratio(
     ndarray of float64, shape (...)
     """
     density = log_density(gap_m, variance_m2).sum(axis=-1)
-    # An end that nobody knows to be hidden moves the middle up or down, by centimetres.
+    # A hidden end that no flag names moves the middle up or down, by centimetres.
     up, variance = gap_m[..., UP], variance_m2[..., UP]
     wide = variance + UNSEEN_END_M**2
     moved = -0.5 * (np.square(up) / wide + np.log(2 * np.pi * wide))

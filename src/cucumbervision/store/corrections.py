@@ -28,7 +28,7 @@ _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,53
 class Corrections(Database):
     """What can be said of a stored round by hand. Each method returns its line's number in the log.
 
-    `by` is who says so. All raise `StoreError` where a detection is not there.
+    `by` names the person. All raise `StoreError` where a detection is not there.
     """
 
     def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None, *, by: str = "") -> int:

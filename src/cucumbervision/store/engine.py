@@ -242,7 +242,7 @@ HEAD = REVISIONS[-1]
 VERSION_TABLE = "cucumbervision_version"
 MIGRATIONS = Path(__file__).with_name("migrations")
 
-_POSTGRES_LOCK = 0x63766D31  # any number that nobody else takes for an advisory lock
+_POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of migrations
 
 
 def migrate(engine: Engine) -> None:

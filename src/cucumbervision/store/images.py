@@ -215,7 +215,7 @@ class ImageStore:
             return False
         if found == sha256:
             return True
-        # Kept for whoever wants to know what happened to it.
+        # Kept, so that what happened to it can be looked into.
         path.replace(path.with_name(f"{path.name}.damaged-{uuid.uuid4().hex[:8]}"))
         return False
 

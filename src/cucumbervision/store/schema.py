@@ -77,7 +77,7 @@ _ACTIVE = text("ended_by_id IS NULL")
 
 
 class Base(DeclarativeBase):
-    """All tables; constraints are named, so that migrations can speak of them."""
+    """All tables; constraints are named, as migrations need."""
 
     metadata = MetaData(
         naming_convention={
@@ -229,7 +229,7 @@ class MethodLine(Base):
 
 
 class Action(Base):
-    """What somebody did by hand; lines are only ever added."""
+    """An action by hand; lines are only ever added."""
 
     __tablename__ = "actions"
 
@@ -244,7 +244,7 @@ class Action(Base):
 
 
 class Mark(Base):
-    """What somebody says of a fruit; of each slot the one that has not ended counts."""
+    """A mark on a detection, made by hand; of each slot the one that has not ended counts."""
 
     __tablename__ = "marks"
     __table_args__ = (

@@ -66,7 +66,7 @@ class Saved(StrEnum):
 
 
 class Verdict(StrEnum):
-    """What somebody thinks of a measured fruit."""
+    """A person's verdict on a measured fruit."""
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"
@@ -77,7 +77,7 @@ class LinkKind(StrEnum):
 
     SAME = "same"  # one fruit, seen twice in a round
     GROWTH = "growth"  # one fruit on an earlier and a later round
-    APART = "apart"  # two fruit: somebody said so, and no algorithm may link them
+    APART = "apart"  # two fruit, decided by hand: no algorithm may link them
 
 
 @dataclass(frozen=True)
@@ -174,14 +174,14 @@ class DetectionView:
         Where it is along the row, and how sure that is: the stop's fitted position, or the
         position as given, and the fruit's offset from it.
     record : DetectionRecord
-        The measurement that counts: the corrected one where somebody corrected the mask. Lists
+        The measurement that counts: the corrected one where the mask was corrected. Lists
         leave out mask, keypoints and methods.
     verdict : Verdict, optional
-        What somebody thinks of it.
+        A person's verdict on it.
     picked_s : float, optional
         When it was picked, as any view of the same fruit says.
     corrected : bool
-        Whether somebody corrected its mask.
+        Whether its mask was corrected.
     group : str
         The same for all views of one fruit in a round: the key of the best one.
     views : int
@@ -312,7 +312,7 @@ class DetectionDetail:
     view : DetectionView
         As in lists, but its record has mask, keypoints and methods.
     original : DetectionRecord
-        As it was first measured, with everything; equal to the view's where nobody corrected it.
+        As it was first measured, with everything; equal to the view's where it was not corrected.
     capture : CaptureRecord
         Its capture, with all fruit of it.
     stop : StopRecord
@@ -335,7 +335,7 @@ def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[s
     """Join detections that links say are the same fruit.
 
     What was linked by hand joins first, then the surest. A link that would bring two detections
-    together that somebody called two fruit joins nothing.
+    together that were parted by hand joins nothing.
 
     Parameters
     ----------

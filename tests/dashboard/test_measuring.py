@@ -1,16 +1,20 @@
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
+from cucumbervision.dashboard.jobs import Job
+from cucumbervision.dashboard.measuring import SharedMeasurer, measure_uploads, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import decode_rle
@@ -119,3 +123,35 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Share
     assert now.along_m == pytest.approx(bench[2].along_m, abs=0.01)
     store.undo(WALK)
     assert not store.detection(detail.view.key).view.corrected
+
+
+def test_uploads_become_stops_and_faults_become_notes(
+    store: Store, measurer: SharedMeasurer
+) -> None:
+    packed, folder = io.BytesIO(), bundled_captures() / "simulated-row-a"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name in ("a", "b"):
+            for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+                data = path.read_bytes()
+                if path.name == "capture.json":
+                    manifest = json.loads(data)
+                    manifest["stop"]["position_m"] = None
+                    data = json.dumps(manifest).encode()
+                archive.writestr(f"{name}/{path.relative_to(folder)}", data)
+    packed.seek(0)
+    pair = [  # without intrinsics: refused when it is opened
+        (
+            f"{part}_1.png",
+            io.BytesIO(cv2.imencode(".png", np.full((48, 64), 200, dtype))[1].tobytes()),
+        )
+        for part, dtype in (("color", np.uint8), ("depth", np.uint16))
+    ]
+    one, job = RoundRecord(key_of("uploads")), Job(1, "uploads")
+    store.save_round(one)
+    files = [("row.zip", packed), ("odd.png", io.BytesIO(b"MZ")), *pair]
+    assert measure_uploads(files, measurer, store, one.key, OPTIONS, 0.5, job) == 2
+    assert (job.total, job.done) == (4, 4)
+    assert [stop.position_m for stop in store.stops(one.key)] == [0.0, 0.5]
+    assert len(job.notes) == 2
+    assert "odd.png: is of no kind" in job.notes[0]
+    assert "intrinsics" in job.notes[1]

@@ -37,8 +37,9 @@ if TYPE_CHECKING:
         Measurement,
         Method,
         Reason,
+        Selector,
     )
-    from cucumbervision.measurement.selector import Selector, measure_fruit
+    from cucumbervision.measurement.selector import measure_fruit
     from cucumbervision.measurement.traits import TubeTraits
     from cucumbervision.perception.instances import Instance, MaskSource
     from cucumbervision.perception.sam import Segmenter
@@ -60,9 +61,10 @@ _NAMES = {
     "errors": "CucumberVisionError",
     "measurement.methods": "Region run_methods",
     "measurement.result": (
-        "Choice Flag FruitMeasurement Length LengthDefinition LengthKind Measurement Method Reason"
+        "Choice Flag FruitMeasurement Length LengthDefinition LengthKind Measurement Method Reason "
+        "Selector"
     ),
-    "measurement.selector": "Selector measure_fruit",
+    "measurement.selector": "measure_fruit",
     "measurement.traits": "TubeTraits",
     "perception.instances": "Instance MaskSource",
     "perception.sam": "Segmenter",

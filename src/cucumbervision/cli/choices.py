@@ -6,11 +6,9 @@ from enum import StrEnum
 
 __all__ = [
     "EXIT_CODES",
-    "LengthChoice",
     "PromptChoice",
     "RuntimeChoice",
     "SegmenterChoice",
-    "SelectorChoice",
 ]
 
 EXIT_CODES = (
@@ -19,21 +17,6 @@ EXIT_CODES = (
     "of the software was met, the rest was done; 130 interrupted."
 )
 """What commands that work through many captures exit with; shown by their --help."""
-
-
-class SelectorChoice(StrEnum):
-    """Values of `--selector`."""
-
-    best = "best"
-    paper = "paper"
-
-
-class LengthChoice(StrEnum):
-    """Values of `--length`."""
-
-    thread = "thread"
-    centreline = "centreline"
-    chord = "chord"
 
 
 class SegmenterChoice(StrEnum):

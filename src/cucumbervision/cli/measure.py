@@ -8,12 +8,11 @@ from typing import Annotated
 import typer
 
 from cucumbervision.cli.choices import (
-    LengthChoice,
     PromptChoice,
     RuntimeChoice,
     SegmenterChoice,
-    SelectorChoice,
 )
+from cucumbervision.measurement.result import LengthDefinition, Selector
 
 __all__ = ["measure"]
 
@@ -38,12 +37,10 @@ def measure(
         Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
     ] = None,
     methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")] = "all",
-    selector: Annotated[
-        SelectorChoice, typer.Option(help="How one method is chosen.")
-    ] = SelectorChoice.best,
+    selector: Annotated[Selector, typer.Option(help="How one method is chosen.")] = Selector.BEST,
     length: Annotated[
-        LengthChoice, typer.Option(help="Which length, where a tube could be fitted.")
-    ] = LengthChoice.thread,
+        LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
+    ] = LengthDefinition.THREAD,
     segmenter: Annotated[
         SegmenterChoice | None,
         typer.Option(help="Who draws the masks; given, it also redraws a data set's own."),
@@ -92,8 +89,6 @@ def measure(
     """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import run_and_show
-    from cucumbervision.measurement.result import LengthDefinition
-    from cucumbervision.measurement.selector import Selector
     from cucumbervision.pipeline.options import MeasureOptions, parse_methods
 
     options = MeasureOptions(
@@ -102,8 +97,8 @@ def measure(
         segmenter=None if segmenter is None else segmenter.value,
         prompt=prompt.value,
         methods=parse_methods(methods),
-        selector=Selector(selector.value),
-        length=LengthDefinition(length.value),
+        selector=selector,
+        length=length,
         confidence=confidence,
         runtime=runtime.value,
         full_precision=not fast,

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import EXIT_CODES, LengthChoice, RuntimeChoice
+from cucumbervision.cli.choices import EXIT_CODES, RuntimeChoice
+from cucumbervision.measurement.result import LengthDefinition
 
 __all__ = ["app"]
 
@@ -81,7 +82,9 @@ def add(
         Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
     ] = None,
     instances: Annotated[str, typer.Option(help="As in `measure`.")] = "auto",
-    length: Annotated[LengthChoice, typer.Option(help="As in `measure`.")] = LengthChoice.thread,
+    length: Annotated[
+        LengthDefinition, typer.Option(help="As in `measure`.")
+    ] = LengthDefinition.THREAD,
     confidence: Annotated[float, typer.Option(min=0.0, max=1.0, help="As in `measure`.")] = 0.30,
     calibration: Annotated[Path | None, typer.Option(help="Site's calibration.")] = None,
     runtime: Annotated[RuntimeChoice, typer.Option(help="As in `measure`.")] = RuntimeChoice.auto,
@@ -89,7 +92,6 @@ def add(
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
     from cucumbervision.cli.round_console import add_and_show
-    from cucumbervision.measurement.result import LengthDefinition
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.poses import read_poses
@@ -101,7 +103,7 @@ def add(
     place = Place(row, side, position, spacing, position_sd, sign, given)
     options = MeasureOptions(
         instances=instances,
-        length=LengthDefinition(length.value),
+        length=length,
         confidence=confidence,
         runtime=runtime.value,
         calibration=calibration,

@@ -11,8 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from cucumbervision.agronomy.picking import Rates
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.measurement.selector import Selector
+from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.pipeline.options import MeasureOptions
 
 __all__ = ["Settings", "Units", "read_settings", "settings_file", "write_settings"]

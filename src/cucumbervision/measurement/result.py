@@ -27,6 +27,7 @@ __all__ = [
     "Measurement",
     "Method",
     "Reason",
+    "Selector",
     "TubeFit",
     "calibration_key",
 ]
@@ -82,6 +83,17 @@ class Reason(StrEnum):
     OUTLINE_TOO_SHORT = "outline-too-short"
     NOT_A_TUBE = "not-a-tube"
     OUT_OF_RANGE = "out-of-range"
+
+
+class Selector(StrEnum):
+    """How one measurement is chosen.
+
+    `PAPER` follows the paper's decisions and counts only SAM's or the data set's own masks;
+    `BEST` lets the detector's mask stand in, and takes M6 first where it was run.
+    """
+
+    BEST = "best"
+    PAPER = "paper"
 
 
 class Choice(StrEnum):

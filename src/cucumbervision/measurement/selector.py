@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +20,7 @@ from cucumbervision.measurement.result import (
     LengthDefinition,
     Measurement,
     Method,
+    Selector,
 )
 from cucumbervision.perception.ends import SURE
 from cucumbervision.perception.instances import MaskSource
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["Selector", "choose", "end_flags", "measure_fruit"]
+__all__ = ["choose", "end_flags", "measure_fruit"]
 
 # Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
 IN_SIGHT = 0.40
@@ -112,17 +112,6 @@ def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[
 ELONGATED = 1.8
 
 EDGE_PX = 1.0
-
-
-class Selector(StrEnum):
-    """How one measurement is chosen.
-
-    `PAPER` follows the paper's decisions and counts only SAM's or the data set's own masks;
-    `BEST` lets the detector's mask stand in, and takes M6 first where it was run.
-    """
-
-    BEST = "best"
-    PAPER = "paper"
 
 
 def choose(

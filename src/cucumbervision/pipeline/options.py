@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import LengthDefinition, Method
-from cucumbervision.measurement.selector import Selector
+from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,8 +9,8 @@ import numpy as np
 
 from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.measurement.cloud import masked_points
-from cucumbervision.measurement.result import Method
-from cucumbervision.measurement.selector import Selector, choose, measure_fruit
+from cucumbervision.measurement.result import Method, Selector
+from cucumbervision.measurement.selector import choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision_lab.benchmark.cases import Simulated, simulate

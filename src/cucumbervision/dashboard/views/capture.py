@@ -12,7 +12,7 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
 from cucumbervision.dashboard.measuring import TakenStop
 from cucumbervision.dashboard.round_tables import grade_name
-from cucumbervision.measurement.selector import Selector
+from cucumbervision.measurement.result import Selector
 from cucumbervision.pipeline.fields import si_values
 from cucumbervision.pipeline.overlay import draw_overlay
 

@@ -44,16 +44,7 @@ _PROVIDERS = {
     "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
 }
 _GPU_REMEDY = "install onnxruntime-gpu in place of onnxruntime, or choose the runtime auto"
-_ONNX_DTYPES = {
-    "tensor(float)": np.float32,
-    "tensor(float16)": np.float16,
-    "tensor(double)": np.float64,
-    "tensor(uint8)": np.uint8,
-    "tensor(int8)": np.int8,
-    "tensor(int32)": np.int32,
-    "tensor(int64)": np.int64,
-    "tensor(bool)": np.bool_,
-}
+_ONNX_FLOATS = {"float": "float32", "double": "float64"}  # others are called as in NumPy
 
 
 @dataclass(frozen=True)
@@ -319,7 +310,9 @@ def _open_onnxruntime(
 
 def _onnx_info(arg: Any) -> TensorInfo:
     shape = tuple(n if isinstance(n, int) else None for n in arg.shape)
-    return TensorInfo(arg.name, shape, np.dtype(_ONNX_DTYPES.get(arg.type, np.object_)))
+    kind = arg.type.removeprefix("tensor(").removesuffix(")")
+    kind = _ONNX_FLOATS.get(kind, kind)
+    return TensorInfo(arg.name, shape, np.dtype(kind if kind in np.sctypeDict else "object"))
 
 
 @lru_cache(maxsize=1)

@@ -8,6 +8,8 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import DataSetError
@@ -331,11 +333,12 @@ def _joined(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
     >>> _joined(5, [(1, 3), (3, 4)])
     [0, 1, 2, 1, 1]
     """
-    group = np.arange(count)
-    for i, j in pairs:
-        a, b = sorted((group[i], group[j]))
-        group[group == b] = a
-    return [int(g) for g in group]
+    i, j = np.array(pairs, int).reshape(-1, 2).T
+    links = coo_array((np.ones(len(i), bool), (i, j)), (count, count))
+    _, first, group = np.unique(
+        connected_components(links, directed=False)[1], return_index=True, return_inverse=True
+    )
+    return [int(k) for k in first[group]]
 
 
 def split_by_scene(dataset: DataSet, shares: Sequence[float] = SHARES, *, seed: int = 0) -> DataSet:

@@ -14,7 +14,7 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.derive import add_pseudo_masks, merge_datasets
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.datasets.mask_axis import (
+from cucumbervision_lab.datasets.polygons import (
     DIRECTIONS,
     keypoints_between,
     keypoints_of_mask,

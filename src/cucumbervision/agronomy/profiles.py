@@ -278,13 +278,8 @@ def profiles_folder() -> Path:
     return Path(platformdirs.user_config_dir("cucumbervision", appauthor=False)) / "profiles"
 
 
-def profiles(folder: Path | None = None) -> tuple[ProfileEntry, ...]:
+def profiles() -> tuple[ProfileEntry, ...]:
     """Return every profile, the user's own first; one of a shipped name takes its place.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Another folder of the user's own than `profiles_folder`.
 
     Returns
     -------
@@ -296,21 +291,19 @@ def profiles(folder: Path | None = None) -> tuple[ProfileEntry, ...]:
     >>> [entry.name for entry in profiles() if entry.shipped]
     ['aubergine', 'courgette', 'green-bean', 'long-cucumber', 'mini-cucumber']
     """
-    own = [_entry(path, shipped=False) for path in sorted(_folder(folder).glob("*.toml"))]
+    own = [_entry(path, shipped=False) for path in sorted(profiles_folder().glob("*.toml"))]
     names = {entry.name for entry in own}
     shipped = [_entry(path, shipped=True) for path in sorted(_SHIPPED.glob("*.toml"))]
     return (*own, *(entry for entry in shipped if entry.name not in names))
 
 
-def load_profile(name_or_path: str | Path, folder: Path | None = None) -> CropProfile:
+def load_profile(name_or_path: str | Path) -> CropProfile:
     """Read a crop profile.
 
     Parameters
     ----------
     name_or_path : str or Path
         A profile's name, or a TOML file.
-    folder : Path, optional
-        Another folder of the user's own than `profiles_folder`.
 
     Raises
     ------
@@ -330,19 +323,15 @@ def load_profile(name_or_path: str | Path, folder: Path | None = None) -> CropPr
     text = str(name_or_path)
     if isinstance(name_or_path, Path) or text.endswith(".toml") or Path(text).name != text:
         return _read(Path(name_or_path))
-    for place in (_folder(folder), _SHIPPED):
+    for place in (profiles_folder(), _SHIPPED):
         path = place / f"{text}.toml"
         if path.is_file():
             return _read(path)
-    known = ", ".join(entry.name for entry in profiles(folder))
+    known = ", ".join(entry.name for entry in profiles())
     raise ProfileError(
         f"no crop profile is called {text!r}",
-        remedy=f"take one of {known}, or put your own {text}.toml into {_folder(folder)}",
+        remedy=f"take one of {known}, or put your own {text}.toml into {profiles_folder()}",
     )
-
-
-def _folder(folder: Path | None) -> Path:
-    return profiles_folder() if folder is None else folder
 
 
 def _entry(path: Path, *, shipped: bool) -> ProfileEntry:

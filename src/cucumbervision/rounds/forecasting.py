@@ -175,19 +175,12 @@ def _believed_length(record: DetectionRecord) -> tuple[float, float]:
     return length, max(record.length_sd_m or 0.0, UNKNOWN_SD * length)
 
 
-def growth_links(store: Store, round_key: str, least: float | None = None) -> list[Link]:
+def growth_links(store: Store, round_key: str) -> list[Link]:
     """Return what is known of growth up to a round: its fruit followed back through earlier ones.
 
-    Parameters
-    ----------
-    store : Store
-        Where the rounds are.
-    round_key : str
-        The last round.
-    least : float, optional
-        Probability from which a link counts; those by hand always do.
+    Links count that are sure enough (`LinkSettings.least`), and all that were made by hand.
     """
-    least = LinkSettings().least if least is None else least
+    least = LinkSettings().least
     days = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
     views = {round_key: {view.key: view for view in store.detections(round_key)}}
     # A fruit has one name in all rounds: the key of the view that stands in the last one.

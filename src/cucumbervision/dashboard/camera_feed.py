@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -112,19 +112,6 @@ class Preview:
     quality: DepthQuality | None = None
     number: int = 0
     message: str = ""
-
-
-class Feed(Protocol):
-    """A source of frames to show and of captures to measure."""
-
-    def preview(self) -> Preview:
-        """Return the newest frame, at once."""
-
-    def take(self, burst: int, stop: Stop) -> Capture:
-        """Return a capture; may wait for its frames."""
-
-    def close(self) -> None:
-        """Release the device or file."""
 
 
 class CameraFeed:
@@ -263,8 +250,7 @@ class Replay:
             if self._newest.state == "opening" and (
                 self._loader is None or not self._loader.is_alive()
             ):
-                self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
-                self._loader.start()
+                self._start()
             return self._newest
 
     def take(self, burst: int, stop: Stop) -> Capture:  # noqa: ARG002, a replay's bursts are fused
@@ -284,19 +270,14 @@ class Replay:
             raise CaptureError(
                 preview.message or "nothing to replay", remedy="choose another replay"
             )
-        self.turn()
+        with self._lock:
+            self._newest = Preview("opening", preview.capture, None, preview.number)
+            self._start()
         return replace(preview.capture, stop=stop)
 
-    def turn(self) -> None:
-        """Load the next capture."""
-        with self._lock:
-            self._newest = Preview("opening", self._newest.capture, None, self._newest.number)
-            self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
-            self._loader.start()
-
-    def close(self) -> None:
-        """Release the recording."""
-        self._refs = iter(())
+    def _start(self) -> None:
+        self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
+        self._loader.start()
 
     def _load(self) -> None:
         number = self._newest.number + 1
@@ -312,3 +293,7 @@ class Replay:
                 return
             self._refs = iter(self._source)
         self._newest = Preview("absent", number=number, message=f"{self._source.path}: {fault}")
+
+
+Feed: TypeAlias = CameraFeed | Replay
+"""A source of frames to show and of captures to measure."""

@@ -47,6 +47,7 @@ METHOD_COLORS = {
 }
 MASK_COLOR, KEYPOINT_COLOR, BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
 QUALITY = 85
+THUMBNAIL_PX = 96
 RULER_PX = 7
 BAR_M = {"cm": 0.10, "in": 0.1016}
 
@@ -212,9 +213,7 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
     return float(np.linalg.norm(points[1] - points[0]))
 
 
-def crop(
-    thumbnail: NDArray[np.uint8], record: DetectionRecord, width_px: int, side_px: int = 96
-) -> NDArray[np.uint8]:
+def crop(thumbnail: NDArray[np.uint8], record: DetectionRecord, width_px: int) -> NDArray[np.uint8]:
     """Return a fruit cut out of its capture's thumbnail, as a square.
 
     Parameters
@@ -223,8 +222,6 @@ def crop(
         The capture's thumbnail.
     width_px : int
         Width of the capture itself.
-    side_px : int
-        Side of the square.
 
     Examples
     --------
@@ -244,7 +241,7 @@ def crop(
     padded = cv2.copyMakeBorder(thumbnail, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
     left, top = np.clip([left + reach, top + reach], 0, 2 * reach).tolist()
     cut = padded[top : top + side, left : left + side]
-    small = cv2.resize(cut, (side_px, side_px), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(cut, (THUMBNAIL_PX, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
     return cast("NDArray[np.uint8]", small)
 
 

@@ -196,7 +196,9 @@ def measure_uploads(
     """
     job.total, saved = len(files), 0
     with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
-        accepted = accept_uploads(files, Path(folder), report=lambda *_: job.step())
+        accepted = accept_uploads(
+            files, Path(folder), burst=options.reading.burst, report=lambda *_: job.step()
+        )
         job.notes += [str(refused.error) for refused in accepted.refused]
         for ref in _references(accepted, options, job):
             try:

@@ -18,7 +18,7 @@ from cucumbervision.dashboard.camera_feed import CameraFeed, Feed, Replay
 from cucumbervision.dashboard.fruit_view import as_data_url, crop
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer
-from cucumbervision.dashboard.round_tables import RoundLists, read_lists, round_version
+from cucumbervision.dashboard.round_tables import RoundLists, read_lists
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
     REPLAY_VARIABLE,
@@ -171,7 +171,9 @@ def merge(round_key: str) -> None:
 
 def _version(one: RoundView) -> tuple[object, ...]:
     """Return what changes whenever a page of the round would."""
-    return (*round_version(store(), one), _mergings()[one.key], profile_of(one)[0])
+    newest = store().log(one.key, limit=1)
+    counts = one.stops, one.fruit, one.last_s, newest[0].number if newest else 0
+    return (one.key, *counts, _mergings()[one.key], profile_of(one)[0])
 
 
 _OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView, RoundView
+    from cucumbervision.store.views import DetectionView
 
 __all__ = [
     "RoundLists",
@@ -30,7 +30,6 @@ __all__ = [
     "map_lines",
     "method_lines",
     "read_lists",
-    "round_version",
     "statistics",
 ]
 
@@ -55,12 +54,6 @@ class RoundLists:
     grades: Mapping[str, Grade]
     methods: Mapping[str, tuple[MethodRecord, ...]]
     detections: int
-
-
-def round_version(store: Store, one: RoundView) -> tuple[object, ...]:
-    """Return what changes whenever a round's lists would: its size and its newest log entry."""
-    newest = store.log(one.key, limit=1)
-    return (one.key, one.stops, one.fruit, one.last_s, newest[0].number if newest else 0)
 
 
 def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists:
@@ -152,13 +145,11 @@ def map_lines(lists: RoundLists, units: Units) -> list[dict[str, Any]]:
     """Return a line for each fruit with a position: along the row, height, class, length."""
     return [
         {
-            "key": view.key,
             "row": f"Row {view.row or '?'}" + (f", {view.side}" if view.side else ""),
             "along": round(view.along_m, 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
             "class": grade_name(lists.grades[view.key]),
-            "method": view.record.method or "–",
             "views": view.views,
             "picked": view.picked_s is not None,
             "capture": view.capture,

@@ -162,3 +162,30 @@ def test_a_smaller_color_picture() -> None:
     aligned = align_depth_to_color(depth, DEPTH_K, half, (160, 90), np.eye(3), (0, 0, 0))
     assert aligned.shape == (90, 160)
     assert (aligned == np.float32(0.7)).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients", "expected"),
+    [
+        # By hand at (0.3, 0.2), r² = 0.13: x + 2 p1 x y + p2 (r² + 2 x²) and its mirror image.
+        (Distortion.BROWN_CONRADY, (0, 0, 0.01, 0, 0), (0.3 + 0.0012, 0.2 + 0.0021)),
+        (Distortion.BROWN_CONRADY, (0, 0, 0, 0.01, 0), (0.3 + 0.0031, 0.2 + 0.0012)),
+        # The radial factor 1.13 first: the SDK's two other models take x and y times it.
+        (Distortion.BROWN_CONRADY, (1, 0, 0, 0.01, 0), (0.339 + 0.0031, 0.226 + 0.0012)),
+        (
+            Distortion.INVERSE_BROWN_CONRADY,
+            (1, 0, 0, 0.01, 0),
+            (0.339 + 0.01 * (0.13 + 2 * 0.339**2), 0.226 + 0.02 * 0.339 * 0.226),
+        ),
+        (
+            Distortion.MODIFIED_BROWN_CONRADY,
+            (1, 0, 0.01, 0, 0),
+            (0.339 + 0.02 * 0.339 * 0.226, 0.226 + 0.01 * (0.13 + 2 * 0.226**2)),
+        ),
+    ],
+)
+def test_each_term_of_the_lens_by_hand(
+    model: Distortion, coefficients: tuple[float, ...], expected: tuple[float, float]
+) -> None:
+    seen = distort(np.array(0.3), np.array(0.2), model, coefficients)
+    assert tuple(float(s) for s in seen) == pytest.approx(expected, abs=1e-12)

@@ -3,7 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.geometry.curve import natural_spline, polyline_length
+from cucumbervision.geometry.curve import (
+    arc_positions,
+    natural_spline,
+    points_along,
+    polyline_length,
+)
 
 
 def test_a_straight_line_has_its_own_length() -> None:
@@ -39,3 +44,30 @@ def test_one_place_is_no_curve() -> None:
 
 def test_polyline_of_one_vertex_has_no_length() -> None:
     assert polyline_length(np.zeros((1, 3))) == 0.0
+
+
+def test_a_spline_through_three_points_by_hand() -> None:
+    # With y = 0, 1, 0 at x = 0, 1, 2 the second derivative is 0 at both ends and -3 in the middle:
+    # y = (3 x - x^3) / 2 up to there, 11/16 halfway.
+    _, path = natural_spline(np.array([[0.0, 0, 5], [1.0, 1, 5], [2.0, 0, 5]]), 5)
+    assert path[:, 1] == pytest.approx([0, 11 / 16, 1, 11 / 16, 0])
+    assert path[:, 2] == pytest.approx(5)
+
+
+def test_two_points_make_a_straight_line_of_as_many_samples_as_asked() -> None:
+    length, path = natural_spline(np.array([[0.0, 0, 0], [0.3, 0.4, 0]]), 11)
+    assert length == pytest.approx(0.5)
+    assert len(path) == 11
+    assert len(natural_spline(np.array([[0.0, 0, 0], [0.3, 0.4, 0]]))[1]) == 1000
+
+
+def test_points_along_a_bent_line() -> None:
+    corner = np.array([[0, 0], [3, 0], [3, 1]])
+    assert arc_positions(corner).tolist() == [0, 3, 4]
+    assert points_along(corner, (0.0, 0.5, 0.75, 0.875, 1.0)).tolist() == [
+        [0, 0],
+        [2, 0],
+        [3, 0],
+        [3, 0.5],
+        [3, 1],
+    ]

@@ -95,3 +95,9 @@ def test_evenly_spaced_controls_make_a_straight_line() -> None:
     t = np.linspace(0, 1, 33)
     controls = np.arange(7) - 1.0  # a spline of four segments: its ends lie one control in
     np.testing.assert_allclose(cubic_basis(t, 4) @ controls, 4 * t, atol=1e-12)
+
+
+def test_a_ball_that_swallows_both_ends_leaves_the_axis_whole() -> None:
+    centres = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.02, 0, 0]])
+    axis = axis_path(centres, np.array([0.01, 0.1, 0.01]))
+    assert axis[:, 0] == pytest.approx([-0.01, 0.0, 0.01, 0.02, 0.03])

@@ -84,3 +84,12 @@ def test_path_ends_are_the_length_apart() -> None:
     result = measure_m3(cloud)
     assert result.path_m is not None
     assert np.linalg.norm(result.path_m[1] - result.path_m[0]) == pytest.approx(result.length_m)
+
+
+def test_a_mask_far_from_the_corner_keeps_its_place() -> None:
+    camera = Intrinsics(640, 480, 500.0, 400.0, 320.0, 240.0)
+    depth = np.full((480, 640), 0.5, np.float32)
+    mask = np.zeros((480, 640), bool)
+    mask[40, 570] = True
+    points = masked_points(depth, mask, camera)
+    assert points[0] == pytest.approx([0.5 * 250 / 500, 0.5 * -200 / 400, 0.5])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.measurement.m6 import measure_m6
+from cucumbervision.measurement.m6 import measure_m6, view_tube
 from cucumbervision.measurement.result import LengthKind, Measurement, Reason, TubeFit
 from cucumbervision.measurement.traits import TubeLengths
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -306,3 +306,24 @@ def test_a_rigid_body_reads_the_same_from_frame_to_frame(shared_data: Path) -> N
     assert len(lengths) == 10
     assert np.mean(lengths) == pytest.approx(0.171, rel=0.03)
     assert np.std(lengths, ddof=1) / np.mean(lengths) < 0.004
+
+
+def test_depth_points_keep_off_the_rim_and_carry_the_sensors_error(camera: Intrinsics) -> None:
+    mask = np.zeros((480, 848), bool)
+    mask[100:120, 300:330] = True
+    view = view_tube(np.full((480, 848), 0.5, np.float32), mask, camera)
+    assert view is not None
+    u = view.points_m[:, 0] / view.points_m[:, 2] * camera.fx_px + camera.cx_px
+    v = view.points_m[:, 1] / view.points_m[:, 2] * camera.fy_px + camera.cy_px
+    assert (u.min(), v.min()) == pytest.approx((303, 103))
+    # z² s / (f B) with the depth camera's f, and whole millimetres, evenly: 1/sqrt(12).
+    noise = 0.5**2 * 0.08 / (610 * 0.69 * 0.05)
+    assert view.points_sd_m == pytest.approx(np.hypot(noise, 0.001 / np.sqrt(12)))
+
+
+def test_what_stands_nearer_far_beyond_an_end_does_not_hide_it(camera: Intrinsics) -> None:
+    tube = arc_tube(0.18, 0.018).moved(rotation(), (0, 0, 0.55))
+    # The fruit ends 100 px from the middle; the leaf begins 50 px, 2.5 radii, farther out.
+    _, fit = fitted(measure_m6(*covered(tube, camera, slice(574, 848), 0.4), camera))
+    assert fit.ends_seen == (True, True)
+    assert fit.depth_rms_m < 0.001

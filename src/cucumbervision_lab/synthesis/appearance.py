@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from cucumbervision.errors import CaptureError
+from cucumbervision_lab.synthesis.compose import Setting
 from cucumbervision_lab.synthesis.lighting import Light, random_light
 from cucumbervision_lab.synthesis.skin import LOOKS, Skin, random_skin
 from cucumbervision_lab.synthesis.textures import jitter, material_color
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = [
     "FAR",
     "ROLES",
-    "SETTINGS",
     "SHOWS_FRUIT",
     "Assets",
     "Style",
@@ -173,8 +173,6 @@ def _read(path: Path, flag: int) -> NDArray[Any] | None:
     return None if picture is None or picture.size == 0 else np.asarray(picture)
 
 
-SETTINGS = ("hanging", "bench", "crate")
-
 ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
 
 FAR = "far"
@@ -214,13 +212,7 @@ _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
     ),
 }
 
-_PLANES: dict[str, tuple[str, ...]] = {
-    "bench": ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil"),
-    "crate": ("plastic", "mesh", "wood", "cardboard"),
-    "floor": ("concrete", "soil", "film", "paper", "cloth"),
-    "wall": ("film", "plastic", "concrete", "wood", "paper"),
-    "far": (FAR,),
-}
+_BENCHES = ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil")
 
 
 @dataclass(frozen=True)
@@ -270,12 +262,10 @@ def random_style(
     rng: np.random.Generator,
     scene: Scene,
     assets: Assets,
-    setting: str,
+    setting: Setting | str,
     *,
     leaf_roles: Sequence[str] | None = None,
     stem_roles: Sequence[str] | None = None,
-    plane_roles: Sequence[str] | None = None,
-    varieties: Sequence[str] | None = None,
     up: Vector | None = None,
 ) -> Style:
     """Sample a random appearance for a scene.
@@ -288,16 +278,12 @@ def random_style(
         Its bodies.
     assets : Assets
         Richer pictures to take.
-    setting : str
-        "hanging", "bench" or "crate".
+    setting : Setting or str
+        Where the fruit are: the first plane is what they lie on unless they hang; the other
+        planes show the far view.
     leaf_roles, stem_roles : sequence of str, optional
         What each leaf and stem is; by default all leaves are leaves, and stems of less than
         2.5 mm radius strings.
-    plane_roles : sequence of str, optional
-        What each plane is: "bench", "crate", "floor", "wall" or "far" (shows the far view); by
-        default the first is a bench unless fruit hang, and the rest are far.
-    varieties : sequence of str, optional
-        What each fruit is (`skin.LOOKS`); by default most fruit of a scene are of one variety.
     up : tuple of float, optional
         Unit vector up, camera coordinates; by default -y, or off the first plane towards the
         camera when the fruit lie.
@@ -309,7 +295,7 @@ def random_style(
     Raises
     ------
     ValueError
-        If the setting or a role is none of these.
+        If the setting or a role is unknown.
 
     Examples
     --------
@@ -321,19 +307,24 @@ def random_style(
     >>> len(style.materials), style.light.up
     (1, (0.0, 0.0, -1.0))
     """
-    _check(setting, (*(leaf_roles or ()), *(stem_roles or ())), plane_roles or ())
+    hanging = Setting(setting) is Setting.HANGING
     leaves = tuple(leaf_roles) if leaf_roles is not None else ("leaf",) * len(scene.leaves)
     stems = tuple(stem_roles) if stem_roles is not None else _stem_roles(scene)
-    light = random_light(rng, assets, _up(scene, setting) if up is None else up)
-    planes = tuple(plane_roles or _plane_roles(len(scene.planes), setting))
-    materials = _materials(rng, planes)
+    if unknown := {*leaves, *stems} - {*ROLES}:
+        raise ValueError(f"no role {min(unknown)!r}: choose one of {', '.join(ROLES)}")
+    light = random_light(rng, assets, _up(scene, hanging=hanging) if up is None else up)
+    bench = () if hanging else tuple(str(rng.choice(_BENCHES)) for _ in scene.planes[:1])
+    beyond = len(scene.planes) - len(bench)
     far = str(rng.choice(["photo", "leaves", "film", "dark"], p=[0.45, 0.25, 0.22, 0.08]))
     return Style(
-        skins=_skins(rng, scene, assets, varieties),
+        skins=_skins(rng, scene, assets),
         light=light,
         far=far,
-        materials=materials,
-        material_colors=_material_colors(rng, materials),
+        materials=(*bench, *[FAR] * beyond),
+        material_colors=(
+            *(material_color(rng, name) for name in bench),
+            *[(0.0, 0.0, 0.0)] * beyond,
+        ),
         leaf_colors=_leaf_colors(rng, leaves),
         stem_colors=_stem_colors(rng, stems),
         leaf_roles=leaves,
@@ -345,19 +336,8 @@ def random_style(
     )
 
 
-def _check(setting: str, roles: Sequence[str], plane_roles: Sequence[str]) -> None:
-    for given, known, what in (
-        ((setting,), SETTINGS, "setting"),
-        (roles, ROLES, "role of a leaf or stem"),
-        (plane_roles, tuple(_PLANES), "role of a plane"),
-    ):
-        for name in given:
-            if name not in known:
-                raise ValueError(f"no {what} {name!r}: choose one of {', '.join(known)}")
-
-
-def _up(scene: Scene, setting: str) -> Vector:
-    if setting == "hanging" or not scene.planes:
+def _up(scene: Scene, *, hanging: bool) -> Vector:
+    if hanging or not scene.planes:
         return 0.0, -1.0, 0.0
     plane = scene.planes[0]
     # The side of the plane that the camera, at the origin, is on.
@@ -370,17 +350,13 @@ def _stem_roles(scene: Scene) -> tuple[str, ...]:
     return tuple("string" if stem.radius_m < 0.0025 else "stem" for stem in scene.stems)
 
 
-def _skins(
-    rng: np.random.Generator, scene: Scene, assets: Assets, varieties: Sequence[str] | None
-) -> tuple[Skin, ...]:
+def _skins(rng: np.random.Generator, scene: Scene, assets: Assets) -> tuple[Skin, ...]:
     names = tuple(LOOKS)
     main = names[rng.choice(len(names), p=[0.36, 0.22, 0.14, 0.16, 0.12])]
     kin = random_skin(rng, main, assets)
     skins = []
-    for k in range(len(scene.fruit)):
-        if varieties is not None:
-            skins.append(random_skin(rng, varieties[k], assets))
-        elif rng.random() < 0.15:
+    for _ in scene.fruit:
+        if rng.random() < 0.15:
             skins.append(random_skin(rng, names[rng.integers(len(names))], assets))
         else:
             skins.append(_sibling(rng, kin, random_skin(rng, main, assets)))
@@ -398,25 +374,6 @@ def _sibling(rng: np.random.Generator, kin: Skin, other: Skin) -> Skin:
         bloom=other.bloom,
         neck=other.neck,
     )
-
-
-def _plane_roles(count: int, setting: str) -> tuple[str, ...]:
-    first = "far" if setting == "hanging" else "bench"
-    return (first, *["far"] * (count - 1))[:count]
-
-
-def _materials(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[str, ...]:
-    # All planes of a role are of one make: a crate has four sides.
-    known = {role: str(rng.choice(_PLANES[role])) for role in sorted(set(roles))}
-    return tuple(known[role] for role in roles)
-
-
-def _material_colors(rng: np.random.Generator, materials: tuple[str, ...]) -> tuple[Color, ...]:
-    known: dict[str, Color] = {}
-    for name in materials:
-        if name not in known:
-            known[name] = (0.0, 0.0, 0.0) if name == FAR else material_color(rng, name)
-    return tuple(known[name] for name in materials)
 
 
 def _leaf_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:

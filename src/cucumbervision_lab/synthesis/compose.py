@@ -208,7 +208,7 @@ def _on_the_plant(
                 leaf_roles.append("leaf")
     before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
     leaf_roles += ["leaf"] * len(before)
-    ends = [_ends_of(rng, fruit) for fruit in placed]
+    ends = [_end_details(rng, fruit) for fruit in placed]
     petals = tuple(leaf for one in ends for leaf in one[0])
     rods = tuple(rod for one in ends for rod, _ in one[1])
     stem_roles += [role for one in ends for _, role in one[1]]
@@ -294,7 +294,7 @@ def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, 
     )
 
 
-def _ends_of(
+def _end_details(
     rng: np.random.Generator, fruit: Tube
 ) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
     """Return a fruit's withered blossom and its stalk, which tell its ends apart."""
@@ -407,7 +407,8 @@ def _laid(
     placed, kept = place_lying(rng, camera, ground, bodies, inner_m if crated else None)
     rods = crate_rods(rng, ground, inner_m) if crated else ()
     ends = [
-        _ends_of(rng, fruit) if real[k] else ((), ()) for k, fruit in zip(kept, placed, strict=True)
+        _end_details(rng, fruit) if real[k] else ((), ())
+        for k, fruit in zip(kept, placed, strict=True)
     ]
     petals = tuple(leaf for one in ends for leaf in one[0])
     tips = tuple(rod for one in ends for rod in one[1])

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from scipy.special import ndtri
 
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.geometry.camera import distort
@@ -125,8 +127,6 @@ def smooth_field(
     ...     field[6:].ravel())[0, 1]), 1)  # by hand: exp(-6² / (4 · 6²)) = 0.78
     (1.0, 0.8)
     """
-    import cv2
-
     height, width = shape
     scale = max(1.0, sigma_px / _COARSE_SIGMA)
     coarse = int(np.ceil(height / scale)) + 4, int(np.ceil(width / scale)) + 4
@@ -184,8 +184,6 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     Matched
         The part that a burst shares.
     """
-    import cv2
-
     blurred = cv2.GaussianBlur(disparity_px, (0, 0), matcher.ramp_px)
     soft = np.asarray(blurred, np.float32)
     reach = 2 * int(np.ceil(2.0 * matcher.ramp_px)) + 1
@@ -214,15 +212,11 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:
-    import cv2
-
     side = 2 * radius_px + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
 
 
 def _steps(disparity_px: NDArray[np.float32], window_px: int) -> NDArray[np.float32]:
-    import cv2
-
     window = np.ones((window_px, window_px), np.uint8)
     return cv2.dilate(disparity_px, window) - cv2.erode(disparity_px, window)
 
@@ -230,8 +224,6 @@ def _steps(disparity_px: NDArray[np.float32], window_px: int) -> NDArray[np.floa
 def _fattened(
     disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    import cv2
-
     # The matching window sees the nearer side's edge before its middle is there; how much before
     # depends on the texture, so the border is ragged.
     texture = smooth_field(disparity_px.shape, 3.0, rng)
@@ -244,16 +236,12 @@ def _fattened(
 
 
 def _thin(disparity_px: NDArray[np.float32], matcher: Matcher) -> NDArray[np.bool_]:
-    import cv2
-
     window = np.ones((matcher.thin_px, matcher.thin_px), np.uint8)
     opened = cv2.morphologyEx(disparity_px, cv2.MORPH_OPEN, window)
     return np.asarray(disparity_px - opened > matcher.jump_px)
 
 
 def _quantile(share: float) -> float:
-    from scipy.special import ndtri
-
     return float(ndtri(share))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -26,7 +26,6 @@ __all__ = [
     "RayGrid",
     "Stem",
     "ball_bounds",
-    "cast_capsules",
     "cast_leaf",
     "cast_plane",
     "cast_stem",
@@ -271,38 +270,35 @@ def _refine(
     part[found] = np.where(best < 1e2, low, 0)
 
 
-def cast_capsules(
-    vertices_m: NDArray[np.float64], radius_m: float, camera: Intrinsics
-) -> Hit | None:
-    """Intersect the rays with a round rod along a polyline, its ends and joints round.
+def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
+    """Intersect each pixel's ray with a stem or string, its ends and joints round.
 
     Parameters
     ----------
-    vertices_m : ndarray of float64, shape (K, 3)
-        In the camera's coordinates, metres.
-    radius_m : float
-        Of the rod, metres.
+    stem : Stem
+        In the camera's coordinates.
     camera : Intrinsics
         The camera.
 
     Returns
     -------
     Hit or None
-        `part` is the segment's index; None when no pixel sees the rod.
+        `part` is the segment's index; None when no pixel sees the stem.
 
     Raises
     ------
     ValueError
-        If the rod reaches behind the camera.
+        If the stem reaches behind the camera.
 
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> rod = np.array([[0.0, -0.1, 0.5], [0.0, 0.1, 0.5]])
-    >>> hit = cast_capsules(rod, 0.005, Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0))
+    >>> rod = Stem(np.array([[0.0, -0.1, 0.5], [0.0, 0.1, 0.5]]), 0.005)
+    >>> hit = cast_stem(rod, Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0))
     >>> round(float(hit.depth_m.min()), 6)
     0.495
     """
+    vertices_m, radius_m = stem.vertices_m, stem.radius_m
     grid = ray_grid(camera)
     bounds = [ball_bounds(vertex, radius_m) for vertex in vertices_m]
     windows = [
@@ -346,6 +342,8 @@ def _cylinder(
 
 
 LOBES = 5  # a cucumber leaf has five
+TEETH = 41
+NOTCH, NOTCH_RAD = 0.35, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,6 +363,9 @@ class Leaf:
         (bend_along s² + bend_across t²) / 2.
     lobe : float
         By how much of the ellipse the five lobes stand out and in, 0 to 0.5.
+    teeth : float
+        By how much of the ellipse a serrated edge stands out and in, 0 to 0.1; such a leaf has a
+        notch where its stalk joins, too.
     """
 
     centre_m: NDArray[np.float64]
@@ -373,17 +374,12 @@ class Leaf:
     half_width_m: float
     bend_per_m: tuple[float, float] = (0.0, 0.0)
     lobe: float = 0.0
+    teeth: float = 0.0
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Leaf:
         """Return the leaf turned about the origin by a 3x3 rotation, then moved by metres."""
-        return Leaf(
-            self.centre_m @ turn.T + np.asarray(by_m, dtype=float),
-            self.frame @ turn.T,
-            self.half_length_m,
-            self.half_width_m,
-            self.bend_per_m,
-            self.lobe,
-        )
+        centre = self.centre_m @ turn.T + np.asarray(by_m, dtype=float)
+        return replace(self, centre_m=centre, frame=self.frame @ turn.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -504,7 +500,7 @@ def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
 
 def _bounds(leaf: Leaf) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # The rays to the corners of the box that holds the blade hold those to the blade.
-    s, t = ((1 + leaf.lobe) * half for half in (leaf.half_length_m, leaf.half_width_m))
+    s, t = ((1 + leaf.lobe + leaf.teeth) * half for half in (leaf.half_length_m, leaf.half_width_m))
     rise = [k * half**2 / 2 for k, half in zip(leaf.bend_per_m, (s, t), strict=True)]
     low, high = sum(min(r, 0.0) for r in rise), sum(max(r, 0.0) for r in rise)
     corners = np.array([(p, q, n) for p in (-s, s) for q in (-t, t) for n in (low, high)])
@@ -518,19 +514,20 @@ def _bounds(leaf: Leaf) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.bool_]:
     p, q = s / leaf.half_length_m, t / leaf.half_width_m
     square = p * p + q * q
-    if leaf.lobe == 0:
+    if leaf.lobe == leaf.teeth == 0:
         return np.asarray(square <= 1)
-    inside = np.asarray(square <= (1 - leaf.lobe) ** 2)
-    # Only between the innermost and the outermost reach of the lobes does the angle matter.
-    unsure = ~inside & (square <= (1 + leaf.lobe) ** 2)
-    rim = 1 + leaf.lobe * np.cos(LOBES * np.arctan2(q[unsure], p[unsure]))
+    # Only between the innermost and the outermost reach of the edge does the angle matter.
+    innermost = 1 - leaf.lobe - leaf.teeth - (NOTCH if leaf.teeth else 0)
+    inside = np.asarray(square <= innermost**2)
+    unsure = ~inside & (square <= (1 + leaf.lobe + leaf.teeth) ** 2)
+    angle = np.arctan2(q[unsure], p[unsure])
+    rim = 1 + leaf.lobe * np.cos(LOBES * angle)
+    if leaf.teeth:
+        # A triangular wave, and a notch at the stalk, where the angle is 180 degrees.
+        rim += leaf.teeth * (4 * np.abs((TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
+        rim -= NOTCH * np.exp(-(((np.pi - np.abs(angle)) / NOTCH_RAD) ** 2))
     inside[unsure] = square[unsure] <= rim * rim
     return inside
-
-
-def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
-    """Intersect the rays with a stem or string; as `cast_capsules`."""
-    return cast_capsules(stem.vertices_m, stem.radius_m, camera)
 
 
 def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:

@@ -39,11 +39,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.appearance import Assets
-    from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.lighting import Light
-    from cucumbervision_lab.synthesis.raycast import Leaf, Plane, Stem
     from cucumbervision_lab.synthesis.scene import Scene, View
-    from cucumbervision_lab.synthesis.skin import Skin
 
     Array = NDArray[np.float32]
 
@@ -63,6 +60,24 @@ class _Layers:
     gloss: Array
     through: Array
     far: NDArray[np.bool_]
+
+    @classmethod
+    def empty(cls, count: int) -> _Layers:
+        normal = np.tile(np.array([0, 0, -1], np.float32), (count, 1))
+        albedo, gloss, through = (np.zeros(s, np.float32) for s in ((count, 3), count, count))
+        return cls(albedo, normal, gloss, through, np.zeros(count, np.bool_))
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    # What every material needs to be shaded.
+    scene: Scene
+    view: View
+    camera: Intrinsics
+    style: Style
+    assets: Assets
+    rng: np.random.Generator
+    layers: _Layers
 
 
 def shade(
@@ -119,31 +134,28 @@ def shade(
     depth = view.depth_m.astype(np.float32)
     x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
     points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
-    layers = _empty(view)
+    job = _Job(scene, view, camera, style, assets, rng, _Layers.empty(view.kind.size))
     far = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
     photos = [leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
     tiles: dict[str, Array] = {}
     for kind, index, at in _bodies(view):
         here = points[at]
         if kind == Kind.FRUIT:
-            skin, tube = style.skins[index], scene.fruit[index]
-            surface = view.share.ravel()[at], view.normal.reshape(-1, 3)[at]
-            _fruit(rng, layers, at, tube, skin, here, surface, camera, assets)
+            _fruit(job, at, index, here)
         elif kind == Kind.LEAF:
-            photo = photos[rng.integers(_PHOTOS)]
-            _leaf(rng, layers, at, scene.leaves[index], style, index, here, camera, photo)
+            _leaf(job, at, index, here, photos[rng.integers(_PHOTOS)])
         elif kind == Kind.STEM:
-            _stem(rng, layers, at, scene.stems[index], style, index, here)
+            _stem(job, at, index, here)
         elif kind == Kind.PLANE and style.materials[index] != FAR:
             name = style.materials[index]
             if name not in tiles:
                 seen_m = float(np.median(here[:, 2])) / camera.fx_px
                 tiles[name] = material_tile(rng, name, style.material_colors[index], seen_m)
-            _plane(layers, at, scene.planes[index], tiles[name], name, here)
+            _plane(job, at, index, here, tiles[name])
         else:
-            layers.albedo[at] = far[at]
-            layers.far[at] = True
-    return _lit(rng, layers, view, camera, style, assets)
+            job.layers.albedo[at] = far[at]
+            job.layers.far[at] = True
+    return _lit(job)
 
 
 def _check(scene: Scene, style: Style) -> None:
@@ -160,19 +172,6 @@ def _check(scene: Scene, style: Style) -> None:
             raise ValueError(f"the style has {len(looks)} looks for {len(bodies)} {name}")
 
 
-def _empty(view: View) -> _Layers:
-    count = view.kind.size
-    normal = np.zeros((count, 3), np.float32)
-    normal[:, 2] = -1
-    return _Layers(
-        np.zeros((count, 3), np.float32),
-        normal,
-        np.zeros(count, np.float32),
-        np.zeros(count, np.float32),
-        np.zeros(count, np.bool_),
-    )
-
-
 def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
     # One stable sort of 16-bit keys gives the pixels of every body at once.
     most = int(view.body.max()) + 2
@@ -187,18 +186,9 @@ def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
     return found
 
 
-def _fruit(
-    rng: np.random.Generator,
-    layers: _Layers,
-    at: NDArray[np.intp],
-    tube: Tube,
-    skin: Skin,
-    points: Array,
-    surface: tuple[Array, Array],
-    camera: Intrinsics,
-    assets: Assets,
-) -> None:
-    share, normal = surface
+def _fruit(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
+    tube, view, layers = job.scene.fruit[index], job.view, job.layers
+    share, normal = view.share.ravel()[at], view.normal.reshape(-1, 3)[at]
     balls = len(tube.radii_m)
     along = np.gradient(tube.centres_m, axis=0)
     steps = np.linalg.norm(along, axis=1)
@@ -206,8 +196,8 @@ def _fruit(
     run = tube.radii_m[0] + np.concatenate([[0.0], np.cumsum((steps[1:] + steps[:-1]) / 2)])
     length = float(run[-1] + tube.radii_m[-1])
     radius = float(np.quantile(tube.radii_m, 0.8))
-    texel = max(1.1 * float(np.median(points[:, 2])) / camera.fx_px, 0.0003)
-    maps = skin_maps(rng, skin, length, radius, texel, assets)
+    texel = max(1.1 * float(np.median(points[:, 2])) / job.camera.fx_px, 0.0003)
+    maps = skin_maps(job.rng, job.style.skins[index], length, radius, texel, job.assets)
     k = np.clip(np.rint(share * (balls - 1)), 0, balls - 1).astype(np.int32)
     tangent = along.astype(np.float32)[k]
     lean = np.einsum("ij,ij->i", normal, tangent)
@@ -220,7 +210,7 @@ def _fruit(
         np.einsum("ij,ij->i", normal, aside), np.einsum("ij,ij->i", normal, out)
     ) / np.float32(2 * np.pi)
     rows, columns = maps.albedo.shape[:2]
-    x = (angle + np.float32(rng.random())) % 1 * columns - np.float32(0.5)
+    x = (angle + np.float32(job.rng.random())) % 1 * columns - np.float32(0.5)
     y = np.clip(from_blossom / np.float32(length), 0, 1) * (rows - 1)
     layers.albedo[at] = sample(maps.albedo, x, y)
     relief = sample(maps.relief, x, y)
@@ -236,22 +226,15 @@ def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
 
 
 def _leaf(
-    rng: np.random.Generator,
-    layers: _Layers,
-    at: NDArray[np.intp],
-    leaf: Leaf,
-    style: Style,
-    index: int,
-    points: Array,
-    camera: Intrinsics,
-    photo: tuple[Array, ...],
+    job: _Job, at: NDArray[np.intp], index: int, points: Array, photo: tuple[Array, ...]
 ) -> None:
+    rng, style, layers, leaf = job.rng, job.style, job.layers, job.scene.leaves[index]
     frame = leaf.frame.astype(np.float32)
     local = (points - leaf.centre_m.astype(np.float32)) @ frame.T
     flip = np.float32(rng.choice((-1.0, 1.0)))
     x = leaf_texel(local[:, 0] / np.float32(leaf.half_length_m))
     y = leaf_texel(flip * local[:, 1] / np.float32(leaf.half_width_m))
-    level = leaf_level(camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
+    level = leaf_level(job.camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
     found = sample(leaf_texture(int(rng.integers(LEAF_TEXTURES)), level), x, y)
     below = found[:, 2:] * np.float32(style.leaf_relief)
     bend = np.asarray(leaf.bend_per_m, np.float32)
@@ -275,16 +258,9 @@ def _leaf(
     layers.through[at] = np.float32(0.55)
 
 
-def _stem(
-    rng: np.random.Generator,
-    layers: _Layers,
-    at: NDArray[np.intp],
-    stem: Stem,
-    style: Style,
-    index: int,
-    points: Array,
-) -> None:
-    line = stem.vertices_m.astype(np.float32)
+def _stem(job: _Job, at: NDArray[np.intp], index: int, points: Array) -> None:
+    rng, style, layers = job.rng, job.style, job.layers
+    line = job.scene.stems[index].vertices_m.astype(np.float32)
     first, step = line[:-1], np.diff(line, axis=0)
     long = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
     best = np.full(len(at), np.inf, np.float32)
@@ -314,14 +290,8 @@ def _stem(
     layers.through[at] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
 
 
-def _plane(
-    layers: _Layers,
-    at: NDArray[np.intp],
-    plane: Plane,
-    tile: Array,
-    material: str,
-    points: Array,
-) -> None:
+def _plane(job: _Job, at: NDArray[np.intp], index: int, points: Array, tile: Array) -> None:
+    plane, layers = job.scene.planes[index], job.layers
     normal = plane.normal / np.linalg.norm(plane.normal)
     normal = normal * -np.sign(normal @ plane.point_m)
     aside = np.cross(normal, (0.0, 1.0, 0.15) if abs(normal[1]) < 0.9 else (1.0, 0.1, 0.0))
@@ -332,22 +302,18 @@ def _plane(
     pixel = (place * np.float32(size / TILE_M)) % size
     layers.albedo[at] = sample(tile, pixel[:, 0], pixel[:, 1])
     layers.normal[at] = normal.astype(np.float32)
-    layers.gloss[at] = np.float32({"steel": 0.5, "plastic": 0.4}.get(material, 0.03))
+    layers.gloss[at] = np.float32(
+        {"steel": 0.5, "plastic": 0.4}.get(job.style.materials[index], 0.03)
+    )
 
 
-def _lit(
-    rng: np.random.Generator,
-    layers: _Layers,
-    view: View,
-    camera: Intrinsics,
-    style: Style,
-    assets: Assets,
-) -> NDArray[np.float32]:
+def _lit(job: _Job) -> NDArray[np.float32]:
+    view, camera, style, layers = job.view, job.camera, job.style, job.layers
     shape = view.kind.shape
     grid = ray_grid(camera)
     far = layers.far.reshape(shape)
     depth = np.where((view.depth_m > 0) & ~far, view.depth_m, _FAR_M).astype(np.float32)
-    maps = light_maps(rng, style.light, assets)
+    maps = light_maps(job.rng, style.light, job.assets)
     normal = layers.normal.reshape(*shape, 3)
     albedo = layers.albedo.reshape(*shape, 3)
     gloss, through = layers.gloss.reshape(shape), layers.through.reshape(shape)
@@ -376,7 +342,9 @@ def _lit(
     light = albedo * front
     light += scale_colors(gleam, shine * (0.3 + 0.7 * open_) * gloom)
     if style.light.sun_strength > 0:
-        light += _sunlit(rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light)
+        light += _sunlit(
+            job.rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light
+        )
     light[far] = albedo[far]
     return light
 

@@ -372,8 +372,6 @@ _COLORS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "cardboard": ((176, 142, 100), (196, 164, 120)),
     "paper": ((242, 242, 240), (224, 226, 230)),
     "soil": ((86, 66, 48), (120, 98, 74), (60, 52, 44)),
-    "mesh": ((34, 36, 38), (50, 120, 70), (40, 100, 170)),
-    "film": ((228, 230, 232), (190, 196, 198), (160, 166, 168)),
 }
 
 MATERIALS = tuple(_COLORS)
@@ -481,16 +479,6 @@ def _clods(rng: np.random.Generator) -> NDArray[np.float32]:
     return np.clip(1 + 0.4 * clod + 0.35 * crumb, 0.12, 2.2)
 
 
-def _holes(rng: np.random.Generator) -> NDArray[np.float32]:
-    period, share = float(rng.uniform(20, 60)), float(rng.uniform(0.45, 0.75))
-    line = np.arange(_TILE_PX, dtype=np.float32)
-    row, column = np.abs((line / period) % 1 - 0.5)[:, None], np.abs((line / period) % 1 - 0.5)
-    slanted = rng.random() < 0.5
-    far = row + column if slanted else np.maximum(row, column)
-    hole = smoothstep(0.5 * share + 0.03, 0.5 * share - 0.03, far)
-    return np.asarray((1 - 0.9 * hole) * (1 + 0.03 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 3)))
-
-
 _TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
     "wood": _boards,
     "steel": _brushed,
@@ -498,7 +486,6 @@ _TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
     "concrete": _rough,
     "cardboard": _rough,
     "soil": _clods,
-    "mesh": _holes,
 }
 
 

@@ -131,8 +131,7 @@ def test_a_material_has_its_colour(material: str) -> None:
     assert tile.shape == (512, 512, 3)
     assert tile.dtype == np.float32
     assert 0 < tile.min() <= tile.max() < 1
-    # Holes of a mesh are dark, so that it is darker than its plastic.
-    expected = to_linear(color) * (0.6 if material == "mesh" else 1.0)
+    expected = to_linear(color)
     assert np.allclose(tile.mean(axis=(0, 1)), expected, rtol=0.35, atol=0.01)
 
 

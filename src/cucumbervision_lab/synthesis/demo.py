@@ -1,33 +1,57 @@
-"""The captures that come with the package: drawn, free to pass on, with exact truth."""
+"""The captures that come with the package: simulated, free to pass on, with exact truth.
+
+`python -m cucumbervision_lab.synthesis.demo FOLDER` writes them anew.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from cucumbervision.capture.files import read_color, read_depth, write_jpeg
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.writer import write_native
+from cucumbervision_lab.synthesis.appearance import FAR, Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
-from cucumbervision_lab.synthesis.paint import bench_backdrop, leafy_backdrop, paint
-from cucumbervision_lab.synthesis.scene import Scene, View, render
-from cucumbervision_lab.synthesis.sensor import noisy_depth
+from cucumbervision_lab.synthesis.color_camera import Exposure, expose
+from cucumbervision_lab.synthesis.compose import Setting
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.lighting import Light
+from cucumbervision_lab.synthesis.placing import foliage
+from cucumbervision_lab.synthesis.raycast import Plane, Stem
+from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, render, truth_of
+from cucumbervision_lab.synthesis.shading import shade
+from cucumbervision_lab.synthesis.skin import random_skin
+from cucumbervision_lab.synthesis.textures import jitter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-__all__ = ["SCENES", "Pose", "Scene", "draw_scene", "place", "write_demo"]
+__all__ = ["SCENES", "DemoScene", "Pose", "build_scene", "draw_scene", "place", "write_demo"]
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.2, 424.3, 239.6)  # a D435's colour camera at 848x480
+BENCH_M = 0.522
+STUB_M = 0.008
+WOOD = (172.0, 138.0, 100.0)
+LAYERS = (
+    (0.12, 1.3),
+    (0.35, 1.5),
+    (0.6, 1.5),
+)  # metres behind the fruit, leaf area for each area of view
 FRAMES = 5
-JPEG_QUALITY = 92
+JPEG_QUALITY = 90
+STILL = Exposure(
+    highlights=1.2, stops=-0.25, contrast=1.1, saturation=1.1, shot=0.0003, read=0.001, quality=0
+)
 
 
 @dataclass(frozen=True)
@@ -56,12 +80,14 @@ class Pose:
 
 @dataclass(frozen=True)
 class DemoScene:
-    """A named scene: the fruit in it, what lies behind at which depth, and the random seed."""
+    """A named scene: its fruit, where they are, their skin's kind and sRGB, light, seed."""
 
     name: str
     fruit: tuple[Pose, ...]
-    backdrop: Literal["leaves", "bench"]
-    backdrop_m: float
+    setting: Setting
+    look: str
+    base: tuple[float, float, float]
+    light: Light
     seed: int
 
 
@@ -73,8 +99,10 @@ SCENES = (
             Pose(0.265, 0.023, 0.42, 0.30, -97.0, -6.0, 30.0, (0.02, 0.0, 0.55)),
             Pose(0.148, 0.018, 0.30, 0.20, -80.0, 8.0, 160.0, (0.20, 0.03, 0.50)),
         ),
-        "leaves",
-        0.85,
+        Setting.HANGING,
+        "long",
+        (38.0, 82.0, 36.0),
+        Light((-0.45, -0.75, -0.48), (1.08, 1.0, 0.92), sun_strength=1.6, shade=0.35),
         1,
     ),
     DemoScene(
@@ -83,20 +111,24 @@ SCENES = (
             Pose(0.205, 0.019, 0.22, 0.30, -60.0, 12.0, 0.0, (-0.12, 0.02, 0.47)),
             Pose(0.310, 0.024, 0.60, 0.25, -93.0, 20.0, 200.0, (0.13, 0.0, 0.60)),
         ),
-        "leaves",
-        0.95,
+        Setting.HANGING,
+        "long",
+        (34.0, 76.0, 34.0),
+        Light((-0.45, -0.75, -0.48), (1.08, 1.0, 0.92), sun_strength=3.0, shade=0.35),
         2,
     ),
     DemoScene(
         "simulated-bench",
         (
-            Pose(0.162, 0.020, np.inf, 0.15, 4.0, 0.0, 0.0, (-0.16, -0.09, 0.50)),
-            Pose(0.121, 0.017, 0.35, 0.15, 22.0, 0.0, 0.0, (0.16, -0.08, 0.50)),
-            Pose(0.248, 0.022, 0.50, 0.25, -8.0, 0.0, 180.0, (0.02, 0.09, 0.50)),
+            Pose(0.162, 0.020, np.inf, 0.15, 4.0, 0.0, 0.0, (-0.16, -0.09, 0.502)),
+            Pose(0.121, 0.017, 0.35, 0.15, 22.0, 0.0, 0.0, (0.16, -0.08, 0.505)),
+            Pose(0.248, 0.022, 0.50, 0.25, -20.0, 0.0, 180.0, (0.02, 0.09, 0.500)),
         ),
-        "bench",
-        0.525,
-        3,
+        Setting.BENCH,
+        "slicing",
+        (40.0, 86.0, 36.0),
+        Light((-0.5, -0.5, -0.7), (1.04, 1.0, 0.96), sun_strength=1.5, up=(0.0, 0.0, -1.0)),
+        4,
     ),
 )
 
@@ -114,55 +146,135 @@ def place(pose: Pose) -> Tube:
     return tube.moved(turn, pose.at_m)
 
 
-def draw_scene(
-    scene: DemoScene, camera: Intrinsics = CAMERA, frames: int = FRAMES
-) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], View, list[Tube]]:
-    """Generate a burst of a scene.
+def build_scene(demo: DemoScene) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
+    """Build a scene: the fruit on their vines before leaves, or lying on a bench.
 
     Parameters
     ----------
-    scene : DemoScene
-        What to draw.
-    camera : Intrinsics
-        The camera.
+    demo : DemoScene
+        What to build.
+
+    Returns
+    -------
+    scene : Scene
+        In the camera's coordinates.
+    leaf_roles, stem_roles : tuple of str
+        What each leaf and stem stands for, as `random_style` takes them.
+    """
+    rng = np.random.default_rng(demo.seed)
+    fruit = tuple(place(pose) for pose in demo.fruit)
+    if demo.setting is Setting.BENCH:
+        stubs = tuple(_stub(tube) for tube in fruit)
+        return Scene(fruit, (), stubs, (Plane.facing(BENCH_M),)), (), ("stalk",) * len(stubs)
+    back = max(float((tube.centres_m[:, 2] + tube.radii_m).max()) for tube in fruit)
+    layers = [foliage(rng, CAMERA, back + near, 0.2, density) for near, density in LAYERS]
+    leaves = tuple(replace(leaf, teeth=0.04) for layer in reversed(layers) for leaf in layer)
+    vines = [stem for tube in fruit for stem in _vine(rng, tube)]
+    wall = Plane.facing(back + 1.2)
+    scene = Scene(fruit, leaves, tuple(vines), (wall,))
+    return scene, ("leaf",) * len(leaves), ("stem", "stalk", "string") * len(fruit)
+
+
+def _stub(tube: Tube) -> Stem:
+    """Return the short end of the stalk that a picked fruit keeps."""
+    pole, inner = tube.poles_m[1], tube.centres_m[-1]
+    out = (pole - inner) / np.linalg.norm(pole - inner)
+    return Stem(np.stack([pole - 0.003 * out, pole + STUB_M * out]), 0.0035)
+
+
+def _vine(rng: np.random.Generator, tube: Tube) -> tuple[Stem, Stem, Stem]:
+    """Return the main stem that a fruit hangs from, the fruit's stalk, and the stem's string."""
+    pole, inner = tube.poles_m[1], tube.centres_m[-1]
+    out = (pole - inner) / np.linalg.norm(pole - inner)
+    aside = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.025, 0.04))
+    node = pole + np.array([aside, -0.035, 0.03])
+    y = np.linspace(-0.5, 0.5, 11)
+    sway = 0.006 * np.cumsum(rng.normal(size=11))
+    line = np.stack([node[0] + sway - sway[5], node[1] + y, node[2] + 0 * y], axis=1)
+    # A quadratic Bézier curve that leaves the fruit along its axis and bends away from the camera.
+    s = np.linspace(0, 1, 8)[:, None]
+    bend = pole + 0.02 * out + np.array([0.0, 0.0, 0.02])
+    stalk = (1 - s) ** 2 * (pole - 0.003 * out) + 2 * s * (1 - s) * bend + s**2 * node
+    twine = line + np.array([0.008, 0.0, 0.004])
+    return Stem(line, 0.0045), Stem(stalk, 0.0022), Stem(twine, 0.001)
+
+
+def draw_scene(
+    demo: DemoScene, frames: int = FRAMES
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], tuple[FruitTruth, ...]]:
+    """Render a burst of a scene.
+
+    Parameters
+    ----------
+    demo : DemoScene
+        What to render.
     frames : int
         Size of the burst.
 
     Returns
     -------
     colors : list of ndarray of uint8, shape (H, W, 3)
-        RGB, each frame with its own noise and a little motion blur but one.
+        RGB, each frame with its own noise and all but one with a little motion blur.
     depths_m : list of ndarray of float32, shape (H, W)
         As a D435 reads it, metres.
-    rendering : View
-        The exact picture.
-    tubes : list of Tube
-        The bodies.
+    truth : tuple of FruitTruth
+        Of each fruit.
     """
-    rng = np.random.default_rng(scene.seed)
-    tubes = [place(pose) for pose in scene.fruit]
-    exact = render(Scene.of(*tubes, backdrop_m=scene.backdrop_m), camera)
-    draw = leafy_backdrop if scene.backdrop == "leaves" else bench_backdrop
-    backdrop = draw(camera.width, camera.height, rng)
-    still = cv2.GaussianBlur(paint(exact, backdrop, rng), (0, 0), 0.6).astype(np.float64)
+    scene, leaf_roles, stem_roles = build_scene(demo)
+    light = _shaded(demo, scene, leaf_roles, stem_roles)
+    view = render(scene, CAMERA)
+    rng = np.random.default_rng([demo.seed, 1])
     sharpest = int(rng.integers(frames))
-    colors = []
-    for k in range(frames):
-        seen = still if k == sharpest else cv2.blur(still, (3, 1 + k % 2))
-        noisy = seen + rng.normal(0, 2.0, seen.shape)
-        colors.append(np.clip(noisy, 0, 255).astype(np.uint8))
-    return colors, noisy_depth(exact.depth_m, camera.fx_px, frames, rng), exact, tubes
+    colors = [
+        expose(light, STILL if k == sharpest else replace(STILL, motion_px=2.0), rng, view.depth_m)
+        for k in range(frames)
+    ]
+    depths_m = sense(scene, D4xx.like(CAMERA), rng, frames)
+    return colors, depths_m, truth_of(scene, CAMERA, view)
+
+
+def _shaded(
+    demo: DemoScene, scene: Scene, leaf_roles: tuple[str, ...], stem_roles: tuple[str, ...]
+) -> NDArray[np.float32]:
+    # Shaded at twice the size and averaged, which smooths every outline.
+    rng = np.random.default_rng([demo.seed, 2])
+    fine = replace(
+        CAMERA,
+        width=2 * CAMERA.width,
+        height=2 * CAMERA.height,
+        fx_px=2 * CAMERA.fx_px,
+        fy_px=2 * CAMERA.fy_px,
+        cx_px=2 * CAMERA.cx_px + 0.5,
+        cy_px=2 * CAMERA.cy_px + 0.5,
+    )
+    style = random_style(
+        rng, scene, Assets(), demo.setting.value, leaf_roles=leaf_roles, stem_roles=stem_roles
+    )
+    kin = replace(random_skin(rng, demo.look, Assets()), tip_reach=0.14)
+    skins = tuple(replace(kin, base=jitter(rng, demo.base, 0.06), bloom=0.08) for _ in scene.fruit)
+    bench = demo.setting is Setting.BENCH
+    style = replace(
+        style,
+        light=demo.light,
+        skins=skins,
+        far="leaves",
+        materials=("wood" if bench else FAR,),
+        material_colors=(WOOD,),
+        gloom_per_m=0.0 if bench else 2.2,
+    )
+    light = shade(scene, render(scene, fine), fine, style, Assets(), rng)
+    return np.asarray(cv2.resize(light, CAMERA.size, interpolation=cv2.INTER_AREA))
 
 
 def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]:
-    """Generate the bundled captures as native capture folders, each with a `truth.json`.
+    """Write the bundled captures as native capture folders, each with a `truth.json`.
 
     Parameters
     ----------
     folder : Path
         Where the capture folders go.
-    scenes : sequence of Scene
-        Which to draw.
+    scenes : sequence of DemoScene
+        Which to render.
 
     Returns
     -------
@@ -173,41 +285,43 @@ def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]
 
 
 def _write_scene(folder: Path, scene: DemoScene, step: int) -> Path:
-    colors, depths, exact, tubes = draw_scene(scene)
-    masks = tuple(exact.mask(k) for k in range(len(tubes)))
+    colors, depths, truth = draw_scene(scene)
     capture = Capture(
         colors[0],
         depths[0],
         CAMERA,
         name=scene.name,
-        masks=masks,
+        masks=tuple(fruit.visible for fruit in truth),
         stop=Stop(row="demo", side="left", position_m=round(0.4 * step, 2), step=step),
         simulated=True,
         provenance={"drawn_by": "cucumbervision_lab.synthesis.demo", "seed": scene.seed},
     )
     manifest = write_native(capture, folder, burst=list(zip(colors, depths, strict=True)))
-    _colors_as_jpeg(manifest)
-    truth = [
+    _compress(manifest)
+    lengths = [
         {
-            "centreline_m": round(tube.centreline_m, 5),
-            "thread_m": round(tube.thread_m, 5),
-            "chord_m": round(tube.chord_m, 5),
-            "visible_px": int(mask.sum()),
+            "centreline_m": round(fruit.centreline_m, 5),
+            "thread_m": round(fruit.thread_m, 5),
+            "chord_m": round(fruit.chord_m, 5),
+            "visible_px": int(fruit.visible.sum()),
         }
-        for tube, mask in zip(tubes, masks, strict=True)
+        for fruit in truth
     ]
-    (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(lengths, indent=1) + "\n", encoding="utf-8")
     return folder
 
 
-def _colors_as_jpeg(manifest: Path) -> None:
+def _compress(manifest: Path) -> None:
     # Noisy colour as PNG would make the package three times as large.
     content = json.loads(manifest.read_text(encoding="utf-8"))
     for frame in content["frames"]:
-        png = manifest.parent / frame["color"]
-        jpeg = png.with_suffix(".jpg")
-        picture = np.asarray(cv2.imread(str(png)))
-        cv2.imwrite(str(jpeg), picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        png, depth = manifest.parent / frame["color"], manifest.parent / frame["depth"]
+        write_jpeg(png.with_suffix(".jpg"), read_color(png), JPEG_QUALITY)
         png.unlink()
-        frame["color"] = jpeg.name
+        frame["color"] = png.with_suffix(".jpg").name
+        cv2.imwrite(str(depth), read_depth(depth), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     manifest.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_demo(Path(sys.argv[1]))

@@ -49,4 +49,6 @@ def test_they_read_as_simulated_bursts_with_masks() -> None:
         assert capture.simulated
         assert capture.burst_size == 5
         assert capture.stop.row == "demo"
-        assert capture.fill > 0.95
+        # The camera's model leaves holes between leaves, few on fruit.
+        assert capture.fill > 0.75
+        assert all((capture.depth_m[mask] > 0).mean() > 0.95 for mask in capture.masks)

@@ -16,7 +16,7 @@ from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import load_registry
-from cucumbervision.perception.sam import PROMPTS, Segmenter, mask_fault
+from cucumbervision.perception.sam import PROMPTS, Segmenter, _mask_fault
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
@@ -232,4 +232,4 @@ def test_wrong_names_are_told() -> None:
 def test_a_mask_that_shares_exactly_half_with_its_box_counts(rows: int, fault: str) -> None:
     mask = np.zeros((60, 60), bool)
     mask[10 : 10 + rows, 10:40] = True
-    assert mask_fault(mask, np.array([9.5, 9.5, 39.5, 49.5])) == fault
+    assert _mask_fault(mask, np.array([9.5, 9.5, 39.5, 49.5])) == fault

@@ -107,7 +107,7 @@ def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape
     >>> x = np.linspace(0, 0.2, 33)
     >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
     >>> centres, radii = shape.balls(3)
-    >>> centres[:, [0, 2]].round(4).tolist(), radii.round(4).tolist()
+    >>> (centres[:, [0, 2]].round(4) + 0.0).tolist(), radii.round(4).tolist()
     ([[0.0, 0.5], [0.1, 0.5], [0.2, 0.5]], [0.02, 0.02, 0.02])
     """
     basis = cubic_basis(np.linspace(0, 1, len(curve_m)), BEND_SEGMENTS)

@@ -2,15 +2,17 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from pathlib import Path
 
 import pytest
 
 from cucumbervision.accuracy.measured import Measured, Reading, read_measured
+from cucumbervision.accuracy.own_report import write_own_report
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.errors import CucumberVisionError, TruthError
+from cucumbervision.errors import CucumberVisionError, MissingExtraError, TruthError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
@@ -190,3 +192,15 @@ def test_what_is_no_run_is_refused(tmp_path: Path, name: str, content: str, text
     (tmp_path / name).write_text(content)
     with pytest.raises(CucumberVisionError, match=text):
         read_measured(tmp_path)
+
+
+def test_without_pandas_scores_and_records_are_written_all_the_same(
+    run: Path, table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured, truth = read_measured(run), read_truth(table)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"cucumbervision\[report\]"):
+        write_own_report(evaluate_lengths(measured, truth), tmp_path, measured, truth)
+    assert {p.name for p in tmp_path.iterdir()} == {"scores.json", "records.jsonl"}
+    scores = json.loads((tmp_path / "scores.json").read_text(encoding="utf-8"))["scores"]
+    assert {one["method"] for one in scores} >= {"M3", "M6 thread", "reported"}

@@ -14,12 +14,11 @@ from cucumbervision.accuracy.length_tables import (
     group_table,
     truths_of,
 )
-from cucumbervision.accuracy.page import Cell, Picture, Section, Table
-from cucumbervision.accuracy.statistics import score
+from cucumbervision.accuracy.page import Picture, Section, Table
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     import pandas as pd
 
@@ -28,7 +27,6 @@ __all__ = [
     "GROUPED_CAPTURES",
     "accuracy_entries",
     "fruit_entries",
-    "glance_table",
     "group_entries",
     "main_truths",
     "plot_entries",
@@ -56,16 +54,6 @@ GLOSSARY = (
         "This program's own method: a tube with round ends, fitted to depth and outline together. "
         "It gives all three lengths ('M6' is its centreline).",
     ),
-    (
-        "skan, PlantCV, rectangle",
-        "Other people's tools on the same mask and depth: the longest path and the longest segment "
-        "of the mask's skeleton, lifted into space, and the long side of its smallest rectangle.",
-    ),
-    (
-        "oracle",
-        "Not a method: it knows the true tube and errs only by what the outline says about the two "
-        "ends. Nobody can be expected to do better on the same masks.",
-    ),
     ("MAE, RMSE", "Mean absolute error, and root mean square error, which weighs large ones more."),
     ("MAPE", "Mean absolute error in percent of the true length."),
     ("bias", "Mean signed error of the fruit measured; negative means read too short."),
@@ -74,12 +62,6 @@ GLOSSARY = (
         "95 % by capture, by fruit",
         "Range of the MAPE if captures, or whole fruit, are drawn again at random (bootstrap).",
     ),
-)
-
-_GLANCE = (
-    *("part", "outlines", "measurements", "fruit", "M6 centreline MAPE (%)", "worst (%):.1"),
-    *("measured (%):.1", "oracle MAPE (%)", "M6 thread MAPE (%)"),
-    *("M5 against centreline, MAPE (%)", "M5 against thread, MAPE (%)"),
 )
 
 
@@ -103,46 +85,6 @@ def reading_section(title: str, intro: Sequence[str], readings: pd.DataFrame) ->
         *group_entries(readings, truths),
     ]
     return Section(title, tuple(intro), tuple(entries))
-
-
-def glance_table(parts: Iterable[tuple[str, str, pd.DataFrame]]) -> Table:
-    """Sum parts up: M6 beside the oracle and the paper's M5.
-
-    Parameters
-    ----------
-    parts : iterable of (str, str, DataFrame)
-        Each part's name, its outlines in words, and its readings.
-    """
-    rows: list[tuple[Cell, ...]] = []
-    for name, outlines, readings in parts:
-        scored = {
-            truth: against(readings, truth)
-            for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
-        }
-        mape = {
-            (truth, str(method)): float(percent.mean())
-            for truth, frame in scored.items()
-            for method, percent in frame.groupby("method", observed=True)["error_percent"]
-        }
-        read = scored[LengthDefinition.CENTRELINE].query("method == 'M6'")
-        tube = score(read["length_m"], read["true_m"]) if len(read) else None
-        rows.append(
-            (
-                name,
-                outlines,
-                readings["case"].nunique(),
-                readings["fruit"].nunique(),
-                tube.mape_percent if tube else None,
-                tube.worst_percent if tube else None,
-                100 * tube.measured if tube else None,
-                mape.get((LengthDefinition.CENTRELINE, "oracle")),
-                mape.get((LengthDefinition.THREAD, "M6 thread")),
-                mape.get((LengthDefinition.CENTRELINE, "M5")),
-                mape.get((LengthDefinition.THREAD, "M5")),
-            )
-        )
-    comment = "Mean error in percent of the true length; a fruit not measured counts as 100 %."
-    return Table.of("At a glance", _GLANCE, rows, comment)
 
 
 def main_truths(readings: pd.DataFrame) -> list[LengthDefinition]:

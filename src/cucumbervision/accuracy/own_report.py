@@ -9,19 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
-from cucumbervision.accuracy.page import write_report
+from cucumbervision.accuracy.page import Table, write_report
 from cucumbervision.accuracy.records import append_record, readings_frame
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from cucumbervision.accuracy.measured import Measured
-    from cucumbervision.accuracy.own_truth import OwnTruth
+    from cucumbervision.accuracy.own_truth import MethodScore, OwnTruth
     from cucumbervision.accuracy.truth import Truth
 
-__all__ = ["RECORDS", "SCORES", "write_own_report"]
+__all__ = ["RECORDS", "SCORES", "scores_table", "write_own_report"]
 
 RECORDS = "records.jsonl"
 SCORES = "scores.json"
@@ -58,13 +59,38 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
         ) from error
 
 
+_SCORES = {
+    "kind": "truth",
+    "method": "method",
+    "count": "captures",
+    "fruit": "fruit",
+    "measured_percent": "measured %:.0",
+    "mae_cm": "MAE cm",
+    "mape_percent": "MAPE %",
+    "low_percent": "95 % by fruit, from",
+    "high_percent": "to",
+    "median_percent": "median %",
+    "worst_percent": "worst %",
+    "bias_percent": "bias %:+.2",
+}
+
+
+def scores_table(scores: Sequence[MethodScore]) -> Table:
+    """Return each method's errors against each kind of hand-measured length."""
+    rows = [
+        vars(one.metrics) | vars(one) | {"measured_percent": 100 * one.metrics.measured}
+        for one in scores
+    ]
+    return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)
+
+
 def _write_page(found: OwnTruth, out: Path, provenance: dict[str, Any]) -> None:
     if not found.records:
         raise CucumberVisionError(
             "there is nothing to report", source=out, remedy="measure at least one fruit first"
         )
     readings = readings_frame(found.records)
-    from cucumbervision.accuracy.length_report import GLOSSARY, glance_table, reading_section
+    from cucumbervision.accuracy.length_report import GLOSSARY, reading_section
 
     count, fruit = readings["case"].nunique(), readings["fruit"].nunique()
     intro = (
@@ -74,7 +100,7 @@ def _write_page(found: OwnTruth, out: Path, provenance: dict[str, Any]) -> None:
     write_report(
         out,
         "Lengths against one's own ground truth",
-        glance_table([(TITLE, "–", readings)]),
+        scores_table(found.scores),
         [reading_section(TITLE, intro, readings)],
         notes=[("", "\n\n".join(found.notes))],
         provenance=provenance,

@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.accuracy.own_truth import MethodScore
-    from cucumbervision.accuracy.page import Table
 
 __all__ = ["app"]
 
@@ -44,7 +38,7 @@ def lengths(
 ) -> None:
     """Compare every method with hand-measured lengths: a table here, a report in the folder."""
     from cucumbervision.accuracy.measured import read_measured
-    from cucumbervision.accuracy.own_report import write_own_report
+    from cucumbervision.accuracy.own_report import scores_table, write_own_report
     from cucumbervision.accuracy.own_truth import evaluate_lengths
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.cli.figures import figures_console, print_table
@@ -52,34 +46,8 @@ def lengths(
     measured, table = read_measured(measurements), read_truth(truth)
     found = evaluate_lengths(measured, table)
     console = figures_console()
-    print_table(console, _scores_table(found.scores))
+    print_table(console, scores_table(found.scores))
     for note in found.notes:
         console.print(note, soft_wrap=True, markup=False)
     write_own_report(found, out, measured, table)
     console.print(f"The report is in {out}/", soft_wrap=True, markup=False)
-
-
-_SCORES = {
-    "kind": "truth",
-    "method": "method",
-    "count": "captures",
-    "fruit": "fruit",
-    "measured_percent": "measured %:.0",
-    "mae_cm": "MAE cm",
-    "mape_percent": "MAPE %",
-    "low_percent": "95 % by fruit, from",
-    "high_percent": "to",
-    "median_percent": "median %",
-    "worst_percent": "worst %",
-    "bias_percent": "bias %:+.2",
-}
-
-
-def _scores_table(scores: Sequence[MethodScore]) -> Table:
-    from cucumbervision.accuracy.page import Table
-
-    rows = [
-        vars(one.metrics) | vars(one) | {"measured_percent": 100 * one.metrics.measured}
-        for one in scores
-    ]
-    return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)

@@ -46,14 +46,14 @@ class AveragePrecision:
 
     Parameters
     ----------
-    at_50 : Estimate
+    map50 : Estimate
         Average precision where a hit needs an IoU (keypoints: an OKS) of 0.50.
-    at_50_95 : Estimate
+    map50_95 : Estimate
         Its mean over 0.50, 0.55 … 0.95.
     """
 
-    at_50: Estimate
-    at_50_95: Estimate
+    map50: Estimate
+    map50_95: Estimate
 
 
 def average_precision(

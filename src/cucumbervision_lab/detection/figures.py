@@ -94,22 +94,22 @@ class OverlapScore:
     ----------
     pictures : str
         'drawn' or 'real'.
-    prompt_box : str
-        'found' or 'true'.
+    box : str
+        Whose box was the prompt: 'found' (the detector's) or 'true'.
     masks : str
         'network alone', 'SAM, box', 'SAM, box + centre', or 'what is measured': the last, or the
         network's where SAM's was refused.
-    mean, median : Estimate
+    mean_iou, median_iou : Estimate
         Intersection over union, a refused mask of SAM counting as 0.
     refused : int
         How many were refused.
     """
 
     pictures: str
-    prompt_box: str
+    box: str
     masks: str
-    mean: Estimate
-    median: Estimate
+    mean_iou: Estimate
+    median_iou: Estimate
     refused: int
 
 
@@ -271,9 +271,9 @@ def precision_table(summary: Summary) -> Table:
         (
             str(one.stage),
             _JUDGED[one.judged],
-            ap.at_50.count,
-            *_spanned(ap.at_50),
-            *_spanned(ap.at_50_95),
+            ap.map50.count,
+            *_spanned(ap.map50),
+            *_spanned(ap.map50_95),
         )
         for one in summary.precisions
         for ap in (one.found,)
@@ -327,9 +327,14 @@ def overlap_table(summary: Summary) -> Table:
     rows = [
         (
             one.pictures,
-            "detector" if one.prompt_box == "found" else "true mask",
+            "detector" if one.box == "found" else "true mask",
             one.masks,
-            *(one.mean.count, one.mean.groups, *_spanned(one.mean), *_spanned(one.median)),
+            *(
+                one.mean_iou.count,
+                one.mean_iou.groups,
+                *_spanned(one.mean_iou),
+                *_spanned(one.median_iou),
+            ),
             one.refused,
         )
         for one in summary.overlaps
@@ -352,7 +357,7 @@ def length_table(summary: Summary, truth: str, group: str) -> Table:
         (
             *(one.method, _MASKS[one.masks], one.metrics.count, one.missed),
             100 * one.metrics.measured,
-            *(*_spanned(one.error_percent, 2), *_spanned(one.measured_percent, 2)),
+            *(*_spanned(one.error_percent, 2), *_spanned(one.error_of_measured_percent, 2)),
             *(one.metrics.median_percent, one.metrics.bias_percent),
             DESCRIPTIONS.get(one.method, ""),
         )

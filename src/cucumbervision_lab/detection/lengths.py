@@ -52,7 +52,7 @@ class LengthScore:
         Its errors, what was missed or not measured counting as 100 %.
     error_percent : Estimate
         Mean absolute error, the same, with its interval by scene.
-    measured_percent : Estimate
+    error_of_measured_percent : Estimate
         Mean absolute error of what was measured.
     """
 
@@ -63,7 +63,7 @@ class LengthScore:
     missed: int
     metrics: Metrics
     error_percent: Estimate
-    measured_percent: Estimate
+    error_of_measured_percent: Estimate
 
 
 def length_records(

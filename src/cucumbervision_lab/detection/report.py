@@ -12,6 +12,7 @@ from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.page import HTML_NAME, Picture, Section, render_page
 from cucumbervision.accuracy.records import readings_frame
+from cucumbervision.accuracy.statistics import Estimate
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.fields import defused
@@ -38,9 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.accuracy.page import Table
-    from cucumbervision.accuracy.statistics import Estimate
     from cucumbervision_lab.detection.figures import EndScore, Summary
-    from cucumbervision_lab.detection.lengths import LengthScore
     from cucumbervision_lab.detection.outcomes import GroupScore
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
@@ -85,8 +84,8 @@ _GLOSSARY = (
     ("IoU", "Intersection over union: 1 where two boxes or masks are the same, 0 where apart."),
     (
         "object keypoint similarity",
-        "COCO's likeness of keypoints: 1 where all agree, falling with their distance over the "
-        "fruit's size.",
+        "COCO's measure of how well keypoints agree: 1 where all do, falling with their distance "
+        "over the fruit's size.",
     ),
     (
         "95 % by scene",
@@ -168,9 +167,8 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
         _write_rows(out / "detections.csv", summary.found, FoundRow)
         _write_rows(out / "ends.csv", summary.end_rows, EndRow)
         _write_rows(out / "masks.csv", result.overlaps, OverlapRow)
-        if result.records:
-            lengths = readings_frame(result.records)[list(_LENGTH_COLUMNS)]
-            _write_csv(out / "lengths.csv", lengths)
+        readings = readings_frame(result.records) if result.records else pd.DataFrame()
+        _write_csv(out / "lengths.csv", readings.reindex(columns=_LENGTH_COLUMNS))
         if result.photos:
             _write_photo_rows(result.photos, out)
         page = _page(result, summary)
@@ -239,7 +237,7 @@ def _page(result: DetectionResult, summary: Summary) -> str:
     sections += _worst_sections(result, summary)
     notes = [("", _intro(result))]
     return render_page(
-        "What the networks see",
+        "Detection evaluation: what the networks find",
         notes,
         first,
         sections,
@@ -268,7 +266,7 @@ def _group_section(summary: Summary) -> Section:
     intro = (
         "Recall goes by the fruit's own properties, precision by the detection's: its box's size, "
         "whether it reaches the border, and the depth in its middle. How much of a false "
-        "detection is hidden nobody can say.",
+        "detection is hidden is not known.",
     )
     return Section("By distance, size, occlusion and edge", intro, tuple(entries))
 
@@ -327,62 +325,38 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
         "licence": LICENCE,
         "pictures": len(result.frames),
         "average_precision": [
-            {
-                "stage": str(one.stage),
-                "of": one.judged.name.lower(),
-                "map50": _estimate(one.found.at_50),
-                "map50_95": _estimate(one.found.at_50_95),
-            }
+            {"stage": str(one.stage), "of": one.judged.name.lower(), **_estimates(one.found)}
             for one in summary.precisions
         ],
         "overall": {str(stage): _scores(one) for stage, one in summary.overall},
-        "groups": [
-            {"factor": one.factor, "group": one.group, **_scores(one)} for one in summary.groups
-        ],
+        "groups": [_estimates(one, leave=("middle",)) for one in summary.groups],
         "ends": _end_numbers(summary.ends),
         "ends_swapped": _estimate(summary.swapped),
-        "masks": [
-            {
-                "pictures": one.pictures,
-                "box": one.prompt_box,
-                "masks": one.masks,
-                "mean_iou": _estimate(one.mean),
-                "median_iou": _estimate(one.median),
-                "refused": one.refused,
-            }
-            for one in summary.overlaps
+        "masks": [_estimates(one) for one in summary.overlaps],
+        "lengths": [
+            {**_estimates(one, leave=("metrics",)), **json_value(vars(one.metrics))}
+            for one in summary.lengths
         ],
-        "lengths": [_length_numbers(one) for one in summary.lengths],
         "photos": None if result.photos is None else _photo_numbers(result.photos),
     }
 
 
 def _end_numbers(ends: Sequence[EndScore]) -> dict[str, Any]:
+    return {one.ends: _estimates(one, leave=("ends",)) for one in ends}
+
+
+def _estimates(one: Any, leave: Sequence[str] = ()) -> dict[str, Any]:
+    """Return a score's fields as JSON holds them, but for those to leave out."""
     return {
-        one.ends: {
-            "median_percent": _estimate(one.median_percent),
-            "p90_percent": _estimate(one.p90_percent),
-        }
-        for one in ends
+        name: _estimate(value) if isinstance(value, Estimate) else json_value(value)
+        for name, value in vars(one).items()
+        if name not in leave
     }
 
 
 def _estimate(one: Estimate) -> dict[str, Any]:
     interval = {"value": one.value, "low": one.low, "high": one.high}
     return {**json_value(interval), "n": one.count, "scenes": one.groups}
-
-
-def _length_numbers(one: LengthScore) -> dict[str, Any]:
-    return {
-        "truth": str(one.truth),
-        "group": one.group,
-        "masks": str(one.masks),
-        "method": one.method,
-        "missed": one.missed,
-        "error_percent": _estimate(one.error_percent),
-        "error_of_measured_percent": _estimate(one.measured_percent),
-        **json_value(asdict(one.metrics)),
-    }
 
 
 def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
@@ -401,8 +375,7 @@ def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
 
 
 def _scores(one: GroupScore) -> dict[str, Any]:
-    precision = None if one.precision is None else _estimate(one.precision)
-    return {"recall": _estimate(one.recall), "precision": precision}
+    return _estimates(one, leave=("factor", "group", "middle"))
 
 
 def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:

@@ -177,16 +177,16 @@ def test_average_precision_and_recall(result: DetectionResult) -> None:
     # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
     expected = (51 + 50 * 2 / 3) / 101
     for key in ((Stage.SEGMENTED, Judged.BOXES), (Stage.POSED, Judged.BOXES)):
-        assert found[key].at_50.value == pytest.approx(expected)
-        assert found[key].at_50_95.value == pytest.approx(expected, abs=1e-6)
+        assert found[key].map50.value == pytest.approx(expected)
+        assert found[key].map50_95.value == pytest.approx(expected, abs=1e-6)
     masks = found[Stage.SEGMENTED, Judged.MASKS]
-    assert masks.at_50.value == pytest.approx(expected)
+    assert masks.map50.value == pytest.approx(expected)
     # All five are 3 px off: OKS = exp(-9 / (2 area 0.1²)).
     area = _area(result)
     similarity = math.exp(-9 / (2 * area * 0.1**2))
     passed = sum(similarity >= t for t in np.arange(0.5, 0.96, 0.05).round(2))
     keypoints = found[Stage.POSED, Judged.KEYPOINTS]
-    assert keypoints.at_50_95.value == pytest.approx(expected * passed / 10)
+    assert keypoints.map50_95.value == pytest.approx(expected * passed / 10)
     assert 5 <= passed <= 9
     for _, one in summary.overall:
         assert (one.recall.value, one.recall.count, one.recall.groups) == (1.0, 2, 2)
@@ -212,10 +212,10 @@ def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
 def test_masks_and_lengths(result: DetectionResult) -> None:
     summary = summarise(result)
     overlaps = {one.masks: one for one in summary.overlaps}
-    assert overlaps["network alone"].mean.value > 0.9  # blocks of four pixels
-    assert overlaps["SAM, box"].mean.value > 0.93
-    assert overlaps["SAM, box + centre"].mean.value > 0.93
-    assert {one.mean.count for one in overlaps.values()} == {1}
+    assert overlaps["network alone"].mean_iou.value > 0.9  # blocks of four pixels
+    assert overlaps["SAM, box"].mean_iou.value > 0.93
+    assert overlaps["SAM, box + centre"].mean_iou.value > 0.93
+    assert {one.mean_iou.count for one in overlaps.values()} == {1}
     assert {r.masks for r in result.records} == {Masks.EXACT, Masks.PERCEIVED}
     scores = {
         (one.masks, one.method): one
@@ -240,7 +240,7 @@ def test_missed_fruit_count_in_full(scene: DrawnFruit, tmp_path: Path) -> None:
     assert [one.metrics.mape_percent for one in perceived] == pytest.approx(
         [100.0] * len(perceived)
     )
-    assert {one.measured_percent.count for one in perceived} == {0}
+    assert {one.error_of_measured_percent.count for one in perceived} == {0}
     assert all(one.missed == 0 for one in found if one.masks is Masks.EXACT)
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.accuracy.measured import Measured, Reading, read_measured
-from cucumbervision.accuracy.own_report import write_own_report
-from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
+from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths, write_own_report
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError, MissingExtraError, TruthError

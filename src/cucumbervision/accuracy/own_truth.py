@@ -1,19 +1,25 @@
-"""Hand-measured lengths against a run: matched, checked, and every method scored."""
+"""Hand-measured lengths against a run: matched, checked, every method scored, and the report."""
 
 from __future__ import annotations
 
+import json
 import math
+import platform
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, installed_versions, source_offer
 from cucumbervision.accuracy.measured import REPORTED, Reading
-from cucumbervision.accuracy.records import Masks, Record
+from cucumbervision.accuracy.page import Table, write_report
+from cucumbervision.accuracy.records import Masks, Record, append_record, readings_frame
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
-from cucumbervision.errors import TruthError
+from cucumbervision.capture.files import json_value
+from cucumbervision.errors import CucumberVisionError, TruthError
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
 if TYPE_CHECKING:
@@ -23,6 +29,8 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.measured import Measured
 
 __all__ = [
+    "RECORDS",
+    "SCORES",
     "MethodScore",
     "OwnTruth",
     "comparable",
@@ -30,11 +38,16 @@ __all__ = [
     "match_truth",
     "own_records",
     "score_methods",
+    "scores_table",
+    "write_own_report",
 ]
 
 KIND_OF = {calibration_key(Method.M6, kind): kind for kind in LengthDefinition}
+
 LONGEST_M, SHORTEST_M = 1.0, 0.01
+
 LEAST_FRUIT = 3
+
 # Ratio of the written to the measured length, how far around it, what was written, what to do.
 UNITS = (
     (10.0, 1.8, "10 times that: millimetres", "divide by 10"),
@@ -298,3 +311,112 @@ def _notes(
 def _some(names: Sequence[str]) -> str:
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(names[:3]) + more
+
+
+RECORDS = "records.jsonl"
+
+SCORES = "scores.json"
+
+TITLE = "Your own fruit"
+
+
+def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
+    """Write the report over one's own fruit, its records and its scores.
+
+    `out` gets `scores.json` (what the command prints), `records.jsonl`, and the report.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the folder cannot be written.
+    MissingExtraError
+        If what draws the page is not installed; scores and records are written before it.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / RECORDS).unlink(missing_ok=True)
+        for record in found.records:
+            append_record(out / RECORDS, record)
+        provenance = _provenance(measured, truth)
+        floor = found.floor and asdict(found.floor)
+        scores = [json_value(asdict(one)) for one in found.scores]
+        head = {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores}
+        text = json.dumps(head, indent=1, ensure_ascii=False)
+        (out / SCORES).write_text(text + "\n", encoding="utf-8")
+        _write_page(found, out, provenance)
+    except OSError as error:
+        raise CucumberVisionError(
+            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
+        ) from error
+
+
+_SCORES = {
+    "kind": "truth",
+    "method": "method",
+    "count": "captures",
+    "fruit": "fruit",
+    "measured_percent": "measured %:.0",
+    "mae_cm": "MAE cm",
+    "mape_percent": "MAPE %",
+    "low_percent": "95 % by fruit, from",
+    "high_percent": "to",
+    "median_percent": "median %",
+    "worst_percent": "worst %",
+    "bias_percent": "bias %:+.2",
+}
+
+
+def scores_table(scores: Sequence[MethodScore]) -> Table:
+    """Return each method's errors against each kind of hand-measured length."""
+    rows = [
+        vars(one.metrics) | vars(one) | {"measured_percent": 100 * one.metrics.measured}
+        for one in scores
+    ]
+    return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)
+
+
+def _write_page(found: OwnTruth, out: Path, provenance: dict[str, Any]) -> None:
+    if not found.records:
+        raise CucumberVisionError(
+            "there is nothing to report", source=out, remedy="measure at least one fruit first"
+        )
+    readings = readings_frame(found.records)
+    from cucumbervision.accuracy.length_report import GLOSSARY, reading_section
+
+    count, fruit = readings["case"].nunique(), readings["fruit"].nunique()
+    intro = (
+        "Fruit measured by hand, held against what this program read from their captures.",
+        f"{count} measurements of {fruit} fruit.",
+    )
+    write_report(
+        out,
+        "Lengths against one's own ground truth",
+        scores_table(found.scores),
+        [reading_section(TITLE, intro, readings)],
+        notes=[("", "\n\n".join(found.notes))],
+        provenance=provenance,
+        glossary=GLOSSARY,
+        numbers={"records": count},
+    )
+
+
+def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
+    report = measured.report
+    return {
+        "measurements": str(measured.path),
+        "measured_with": report.get("software"),
+        "config_sha256": report.get("config_sha256"),
+        "models": report.get("models", []),
+        "calibration": (report.get("calibration") or {}).get("tag"),
+        "truth": str(truth.path),
+        "truth_sha256": truth.sha256,
+    }
+
+
+def _software() -> dict[str, Any]:
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
+        "versions": {"python": platform.python_version(), **installed_versions()},
+    }

@@ -38,8 +38,7 @@ def lengths(
 ) -> None:
     """Compare every method with hand-measured lengths: a table here, a report in the folder."""
     from cucumbervision.accuracy.measured import read_measured
-    from cucumbervision.accuracy.own_report import scores_table, write_own_report
-    from cucumbervision.accuracy.own_truth import evaluate_lengths
+    from cucumbervision.accuracy.own_truth import evaluate_lengths, scores_table, write_own_report
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.cli.figures import figures_console, print_table
 

@@ -40,7 +40,6 @@ __all__ = [
 MIN_IOU = 0.5
 
 IN_IGNORED = 0.5
-
 """A detection of which at least this share lies in regions not to be judged is not counted."""
 
 

@@ -41,7 +41,6 @@ __all__ = [
 ]
 
 Code = dict[str, Any]
-
 """A mask as pycocotools keeps it: `size` (H, W) and compressed run lengths."""
 
 
@@ -237,7 +236,6 @@ def _middle_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> flo
 
 
 DRAWN = "synth"
-
 """`LabelledPicture.source` of drawn pictures, the only ones that a report may show."""
 
 _FRUIT, _ALSO_FRUIT = "cucumber", "zucchini"

@@ -32,7 +32,7 @@ from cucumbervision_lab.detection.figures import (
 )
 from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.overlaps import OverlapRow
-from cucumbervision_lab.detection.worst_cases import KINDS, draw_sheet, worst_cases
+from cucumbervision_lab.detection.plots import KINDS, draw_sheet, worst_cases
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

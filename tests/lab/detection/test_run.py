@@ -38,9 +38,9 @@ from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedP
 from cucumbervision_lab.detection.photos import score_photos
 from cucumbervision_lab.detection.picture_result import shipped
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
+from cucumbervision_lab.detection.plots import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.detection.report import write_detection_report
 from cucumbervision_lab.detection.run import DetectionPlan, DetectionResult, evaluate_detection
-from cucumbervision_lab.detection.worst_cases import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

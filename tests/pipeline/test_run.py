@@ -81,8 +81,8 @@ def test_lengths_are_near_the_truth_within_each_methods_known_error(run_out: Pat
         assert float(row["thread_cm"]) / (100 * true["thread_m"]) == pytest.approx(1, abs=0.03)
         # M3 reads the visible chord: at most the chord, and at least all but 4 % of it.
         assert 0.96 < float(row["m3_cm"]) / (100 * true["chord_m"]) < 1.01
-        # The paper's M5 over-reads by its tip anchors and by the round surface.
-        assert 0.99 < float(row["m5_cm"]) / (100 * true["centreline_m"]) < 1.06
+        # The paper's M5 over-reads by its tip anchors and by the round surface: short fruit most.
+        assert 0.99 < float(row["m5_cm"]) / (100 * true["centreline_m"]) < 1.08
         assert row["simulated"] == "true"
 
 

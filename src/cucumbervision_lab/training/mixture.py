@@ -70,7 +70,7 @@ def pictures_of_epoch(
     >>> a, b = np.arange(4), np.arange(4, 6)
     >>> first = pictures_of_epoch([a, b], [0.5, 0.5], 4, 0)
     >>> second = pictures_of_epoch([a, b], [0.5, 0.5], 4, 1)
-    >>> sorted([*first, *second])
+    >>> sorted([*first.tolist(), *second.tolist()])
     [0, 1, 2, 3, 4, 4, 5, 5]
     """
     shares = np.array([w if len(s) else 0.0 for s, w in zip(sources, weights, strict=True)])

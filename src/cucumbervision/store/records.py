@@ -336,7 +336,7 @@ class StopRecord:
     artifacts : tuple of ArtifactRecord
         Models, calibration and configuration that were used.
     failures : tuple of mapping
-        What could not be read or measured, as `session.results.Failure`.
+        What could not be read or measured, as `pipeline.measurer.Failure`.
     """
 
     key: str

@@ -66,8 +66,10 @@ def floor(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], box: NDArray[An
     low, high = along.min(), along.max()
     which = np.minimum(((along - low) * (BINS / (high - low))).astype(np.intp), BINS - 1)
     count = np.bincount(which, minlength=BINS)
-    spine = np.stack([np.bincount(which, points[:, k], BINS) / count for k in range(3)], axis=1)
-    parameter = np.linspace(0.0, 1.0, BINS)
+    held = np.flatnonzero(count)  # a stray reading far off stretches the axis, and leaves gaps
+    sums = np.stack([np.bincount(which, points[:, k], BINS) for k in range(3)], axis=1)
+    spine = sums[held] / count[held, None]
+    parameter = held / (BINS - 1)
     speed = CubicSpline(parameter, spine, bc_type="natural")(np.linspace(0, 1, SAMPLES), 1)
     return float(np.trapezoid(np.linalg.norm(speed, axis=1), dx=1 / (SAMPLES - 1)))
 

@@ -11,6 +11,15 @@ from cucumbervision.cli.choices import RuntimeChoice, SegmenterChoice
 
 __all__ = ["evaluate_models", "evaluate_photos"]
 
+Seg = Annotated[
+    Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
+]
+Pose = Annotated[Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")]
+Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
+Confidence = Annotated[
+    float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
+]
+
 
 def evaluate_models(
     data: Annotated[
@@ -18,21 +27,13 @@ def evaluate_models(
         typer.Argument(help="Labelled pictures: a folder with annotations.json, or COCO JSON."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the report.")],
-    seg: Annotated[
-        Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
-    ] = None,
-    pose: Annotated[
-        Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")
-    ] = None,
+    seg: Seg = None,
+    pose: Pose = None,
     segmenter: Annotated[
         SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
     ] = SegmenterChoice.mobile_sam,
-    runtime: Annotated[
-        RuntimeChoice, typer.Option(help="What runs the networks.")
-    ] = RuntimeChoice.auto,
-    confidence: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
-    ] = 0.30,
+    runtime: Runtime = RuntimeChoice.auto,
+    confidence: Confidence = 0.30,
     split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
     photos: Annotated[
         Path | None,
@@ -84,18 +85,10 @@ def evaluate_photos(
         Path, typer.Argument(help="Folder of the audited real photos, searched with subfolders.")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the figures.")],
-    seg: Annotated[
-        Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
-    ] = None,
-    pose: Annotated[
-        Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")
-    ] = None,
-    runtime: Annotated[
-        RuntimeChoice, typer.Option(help="What runs the networks.")
-    ] = RuntimeChoice.auto,
-    confidence: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
-    ] = 0.30,
+    seg: Seg = None,
+    pose: Pose = None,
+    runtime: Runtime = RuntimeChoice.auto,
+    confidence: Confidence = 0.30,
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:
     """Compare the networks with audited real photos: recall and precision, each test apart."""

@@ -101,7 +101,7 @@ def convert(
 ) -> None:
     """Write a set in another form.
 
-    YOLO has no 'ignore': such regions are painted over with grey noise in the written train
+    YOLO has no 'ignore': such regions are painted over in the written train
     pictures, and only there.
     """
     from cucumbervision_lab.cli.screen import show, ticking

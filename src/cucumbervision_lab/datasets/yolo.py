@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,6 +56,7 @@ __all__ = [
 PICTURES = "pictures.json"
 
 _KEYPOINTS = 5
+_EDGE_SHARE = 0.06  # of the root of a mask's area: what is left around it when the rest is painted
 _FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
 
@@ -422,8 +425,9 @@ def write_yolo(
     link : bool
         Pictures become second names of the same files where the disk can; else copies.
     paint_ignored : sequence of str
-        Splits in which regions to ignore are painted over with grey noise, since Ultralytics
-        has no 'ignore'. In others the pictures stay as they are, without labels there.
+        Splits in which regions to ignore are painted over, since Ultralytics has no 'ignore':
+        with another picture of the split that shows no fruit, or with grey noise where there is
+        none. In others the pictures stay as they are, without labels there.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -448,12 +452,13 @@ def write_yolo(
     counts = dict.fromkeys(SPLITS, 0)
     lines = painted = holes = 0
     origins = {}
+    grounds = _grounds(dataset, paint_ignored)
     for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
         target = out / "images" / picture.split / name
         ignored = picture.split in paint_ignored and any(x.ignore for x in picture.labels)
         if ignored:
-            _paint(dataset.path(picture), target, picture)
+            _paint(dataset, picture, target, grounds[picture.split])
         else:
             place_file(dataset.path(picture), target, link=link)
         rows = [_row(x, picture, task) for x in picture.labels if not x.ignore]
@@ -568,26 +573,50 @@ def _ignore_region(picture: LabelledPicture) -> NDArray[np.bool_]:
     region = np.zeros((picture.height, picture.width), bool)
     for wanted in (True, False):
         for label in picture.labels:
-            if label.ignore is not wanted:
-                continue
-            mask = label.mask
-            if mask is not None:
-                region[mask] = wanted
-                continue
-            x1, y1, x2, y2 = np.rint(np.maximum(label.box + 0.5, 0)).astype(int)
-            region[y1:y2, x1:x2] = wanted
+            if label.ignore is wanted:
+                region[_pixels_of(label, region.shape, edge=not wanted)] = wanted
     return region
 
 
-def _paint(source: Path, target: Path, picture: LabelledPicture) -> None:
-    """Write a picture with grey noise where it is to be ignored."""
+def _pixels_of(label: Label, shape: tuple[int, ...], *, edge: bool) -> NDArray[np.bool_]:
+    """Return a label's mask, or its box; with its edge, which tells where a fruit ends."""
     import cv2
 
-    color = read_color(source)
+    mask = label.mask
+    if mask is None:
+        x1, y1, x2, y2 = np.rint(np.maximum(label.box + 0.5, 0)).astype(int)
+        mask = np.zeros(shape, bool)
+        mask[y1:y2, x1:x2] = True
+        return mask
+    margin = int(_EDGE_SHARE * math.sqrt(np.count_nonzero(mask))) if edge else 0
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel), bool)
+
+
+def _grounds(dataset: DataSet, splits: Sequence[str]) -> dict[str, list[Path]]:
+    """Return the pictures without fruit, by split."""
+    return {
+        split: [dataset.path(p) for p in dataset.in_split(split) if not p.labels]
+        for split in splits
+    }
+
+
+def _paint(
+    dataset: DataSet, picture: LabelledPicture, target: Path, grounds: Sequence[Path]
+) -> None:
+    """Write a picture with something else where it is to be ignored."""
+    import cv2
+
+    color = read_color(dataset.path(picture))
     region = _ignore_region(picture)
-    # The same noise at each writing, so that a set is reproducible.
-    noise = np.random.default_rng(0).integers(96, 160, (*region.shape, 1), np.uint8)
-    color = np.where(region[..., None], noise, color)
+    # The same at each writing, so that a set is reproducible.
+    rng = np.random.default_rng(zlib.crc32(picture.file.encode()))
+    if grounds:
+        other = read_color(grounds[int(rng.integers(len(grounds)))])
+        cover = cv2.resize(other, region.shape[::-1], interpolation=cv2.INTER_AREA)
+    else:
+        cover = rng.integers(96, 160, (*region.shape, 1), np.uint8)
+    color = np.where(region[..., None], cover, color)
     suffix = target.suffix.lower()
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix in {".jpg", ".jpeg"} else []
     _, data = cv2.imencode(suffix, cv2.cvtColor(color, cv2.COLOR_RGB2BGR), quality)

@@ -127,6 +127,7 @@ class AuditedPhoto:
         """Whether no region over half of the picture is ignored.
 
         What is not must not be trained on as it is: unlabelled fruit would count as background.
+        `write_yolo` paints such regions over.
         """
         most = _MOST * self.width * self.height
         return all(b.kind is not Kind.IGNORE or b.area_px <= most for b in self.boxes)

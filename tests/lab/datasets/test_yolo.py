@@ -120,6 +120,24 @@ def test_what_is_to_be_ignored_is_painted_in_training_only(
         assert (read_color(dataset.path(picture)) == color).all()
 
 
+def test_painting_takes_a_picture_without_fruit_and_leaves_a_fruits_edge(
+    make_set: MakeSet, tmp_path: Path
+) -> None:
+    dataset = make_set("train train")
+    mask = np.zeros((120, 160), bool)
+    mask[40:80, 40:140] = True
+    heap = Label(np.array([-0.5, -0.5, 159.5, 119.5]), ignore=True)
+    first, second = dataset.pictures
+    pictures = (replace(first, labels=(heap, Label.of_mask(mask))), replace(second, labels=()))
+    write_yolo(replace(dataset, pictures=pictures), tmp_path / "yolo")
+    after = read_color(tmp_path / "yolo/images/train/000000.png")
+    own, other = (read_color(dataset.path(p)) for p in pictures)
+    # 0.06 of the root of 40 x 100 pixels is 3: rows 37 and 82 are still the fruit's own edge.
+    assert (after[37:83, 40:140] == own[37:83, 40:140]).all()
+    assert (after[36] == other[36]).all()
+    assert (after[83] == other[83]).all()
+
+
 def test_a_hole_is_filled_and_counted(make_set: MakeSet, tmp_path: Path) -> None:
     dataset = make_set("train")
     mask = np.zeros((120, 160), bool)

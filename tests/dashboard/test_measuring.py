@@ -125,6 +125,31 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Share
     assert not store.detection(detail.view.key).view.corrected
 
 
+def test_a_fruit_that_was_not_found_is_added_by_a_box(
+    store: Store, measurer: SharedMeasurer
+) -> None:
+    capture = replace(next(iter(open_source(bundled_captures()))).load(), name="without finds")
+    true = capture.masks[0]
+    one = RoundRecord(key_of("missed"))
+    store.save_round(one)
+    blind = replace(OPTIONS, instances="models", confidence=0.999)
+    taken = measurer.take_stop(store, one.key, replace(capture, masks=()), blind)
+    assert store.detections(one.key) == []
+    stop = store.stop(taken.key)
+    ys, xs = np.nonzero(true)
+    box = (xs.min() - 3.0, ys.min() - 3.0, xs.max() + 3.0, ys.max() + 3.0)
+    again = stored_capture(store.images, stop.captures[0], stop)
+    key = measurer.add(store, stop, again, measurer.mask_from_box(again, box), OPTIONS)
+    detail = store.detection(key)
+    assert detail.view.record.mask is not None
+    mask = decode_rle(detail.view.record.mask, capture.height, capture.width)
+    assert (mask & true).sum() / (mask | true).sum() > 0.9
+    assert detail.view.record.length_m is not None
+    assert detail.view.along_m is not None
+    store.undo(one.key)
+    assert store.detections(one.key) == []
+
+
 def test_uploads_become_stops_and_faults_become_notes(
     store: Store, measurer: SharedMeasurer
 ) -> None:

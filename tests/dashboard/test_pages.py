@@ -113,6 +113,20 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
     assert "nothing to take back" in said(test)
 
 
+def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:
+    with open_store(house) as store:
+        first, *_ = views = store.detections(WALK)
+    test = app("results", fruit=first.key)
+    label = "All other finds in this picture are right"
+    next(button for button in test.button if button.label == label).click().run()
+    assert not test.exception
+    with open_store(house) as store:
+        judged = {one.key for one in store.detections(WALK) if one.verdict is Verdict.ACCEPTED}
+        store.undo(WALK)
+    here = (first.stop_key, first.capture)
+    assert judged == {one.key for one in views if (one.stop_key, one.capture) == here}
+
+
 def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
     with open_store(house) as store:
         keys = [view.key for view in store.detections(WALK)]

@@ -270,3 +270,43 @@ def test_two_pages_that_mark_one_fruit_both_are_heard(
             other.set_verdict(keys[:1], Verdict.REJECTED, by=f"b{n}")
     assert store.detections(WALK)[0].verdict is Verdict.REJECTED
     assert len(store.log()) == 10
+
+
+def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
+    store: Store, keys: list[str]
+) -> None:
+    before, stop = said(store), key_of(WALK, 1)
+    found = DetectionRecord(1, mask="abc", length_m=0.3, mask_source="sam")
+    added = store.add_fruit(stop, "a", found, by="ana")
+    *_, view = (one for one in store.detections(WALK) if one.stop_key == stop)
+    assert (view.key, view.record.number, view.verdict) == (added, 3, Verdict.ACCEPTED)
+    assert store.detection(added).original == replace(found, number=3)
+    assert [one.number for one in store.stop(stop).captures[0].fruit] == [1, 2, 3]
+    assert [one.fruit for one in store.rounds() if one.key == WALK] == [5]
+    assert [one.fruit for one in store.stops(WALK)] == [3, 2]
+    assert [(line.kind, line.by) for line in store.log(WALK)] == [("add", "ana")]
+    store.undo(WALK)
+    assert said(store) == before
+    assert [one.number for one in store.stop(stop).captures[0].fruit] == [1, 2]
+    assert [one.fruit for one in store.stops(WALK)] == [2, 2]
+    for ask in (store.detection, lambda key: store.pick([key])):
+        with pytest.raises(StoreError, match="is not in the store"):
+            ask(added)
+    again = store.add_fruit(stop, "a", found)
+    assert store.detection(again).original.number == 4
+
+
+def test_a_fruit_can_be_added_to_a_capture_without_any(store: Store, make_stop: MakeStop) -> None:
+    store.save_stop(make_stop(1, fruit=0))
+    store.add_fruit(key_of(WALK, 1), "a", DetectionRecord(9))
+    assert [one.record.number for one in store.detections(WALK)] == [1]
+    with pytest.raises(StoreError, match="has no capture 'b'"):
+        store.add_fruit(key_of(WALK, 1), "b", DetectionRecord(1))
+
+
+def test_corrected_records_come_with_their_masks(store: Store, keys: list[str]) -> None:
+    corrected = replace(store.detection(keys[0]).original, mask="corrected")
+    store.correct(keys[0], corrected)
+    assert store.corrected(WALK) == {keys[0]: corrected}
+    store.undo(WALK)
+    assert store.corrected(WALK) == {}

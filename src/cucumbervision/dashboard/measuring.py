@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
-    from cucumbervision.store.records import CaptureRecord, StopRecord
+    from cucumbervision.store.records import CaptureRecord, DetectionRecord, StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
 
@@ -158,11 +158,48 @@ class SharedMeasurer:
         instance = Instance(
             box_of_mask(mask), record.score, record.label, mask, MaskSource.SAM, None, keypoints
         )
+        corrected = self._placed(capture, detail.stop, instance, record.number, options)
+        return store.correct(detail.view.key, corrected)
+
+    def add(
+        self,
+        store: Store,
+        stop: StopRecord,
+        capture: Capture,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
+    ) -> str:
+        """Measure a fruit that was not found, add it to its capture's, and return its key; logged.
+
+        Parameters
+        ----------
+        store : Store
+            Where the stop is.
+        stop : StopRecord
+            The stop.
+        capture : Capture
+            One of its captures, as `stored_capture` gives it.
+        mask : ndarray of bool, shape (H, W)
+            The fruit.
+        options : MeasureOptions
+            How to measure.
+        """
+        instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
+        fruit = self._placed(capture, stop, instance, 1, options)
+        return store.add_fruit(stop.key, capture.name, fruit)
+
+    def _placed(
+        self,
+        capture: Capture,
+        stop: StopRecord,
+        instance: Instance,
+        number: int,
+        options: MeasureOptions,
+    ) -> DetectionRecord:
+        """Measure a fruit of a stored capture, with its offset along the row."""
         fruit = self.with_options(options).measure_instance(capture, instance)
-        corrected = fruit_record(SeenFruit(capture, record.number, fruit))
-        stop = detail.stop
-        pose = pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side))
-        return store.correct(detail.view.key, placed_fruit(corrected, pose))
+        record = fruit_record(SeenFruit(capture, number, fruit))
+        return placed_fruit(record, pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side)))
 
     def _sam(self) -> Segmenter:
         with self._lock:

@@ -12,7 +12,15 @@ from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.engine import Database
 from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
-from cucumbervision.store.schema import Action, DetectionLine, Link, Mark, Round
+from cucumbervision.store.schema import (
+    ADDED,
+    STANDS,
+    Action,
+    DetectionLine,
+    Link,
+    Mark,
+    Round,
+)
 from cucumbervision.store.views import LinkKind, Verdict, group_detections
 
 if TYPE_CHECKING:
@@ -20,7 +28,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection
 
-__all__ = ["Corrections", "DetectionId", "find_detections", "lock_rounds"]
+__all__ = ["Corrections", "DetectionId", "find_detections", "lock_rounds", "mark_added"]
 
 _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
 
@@ -182,7 +190,7 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
     found: dict[str, DetectionId] = {}
     for at in range(0, len(wanted), _AT_ONCE):
         query = select(DetectionLine.key, DetectionLine.id, DetectionLine.round_id).where(
-            DetectionLine.key.in_(wanted[at : at + _AT_ONCE])
+            DetectionLine.key.in_(wanted[at : at + _AT_ONCE]), STANDS
         )
         found.update({row.key: DetectionId(*row) for row in connection.execute(query)})
     missing = next((key for key in wanted if key not in found), None)
@@ -192,6 +200,15 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
         )
     lock_rounds(connection, {row.round_id for row in found.values()})
     return [found[key] for key in wanted]
+
+
+def mark_added(connection: Connection, key: str, by: str) -> int:
+    """Log that a fruit was added by hand, and accept it; it stands until that is undone."""
+    found = find_detections(connection, [key])
+    action = _log(connection, "add", by, found)
+    _mark(connection, action, found, ADDED, "by-hand")
+    _mark(connection, action, found, "verdict", Verdict.ACCEPTED)
+    return action
 
 
 def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:

@@ -22,11 +22,13 @@ from cucumbervision.store.records import (
     checked_key,
 )
 from cucumbervision.store.schema import (
+    ADDED,
     CAPTURE_CELLS,
     DETECTION_CELLS,
     IMAGE_COLUMNS,
     METHOD_CELLS,
     ROUND_CELLS,
+    STANDS,
     Action,
     Artifact,
     CaptureLine,
@@ -92,6 +94,7 @@ class Queries(Database):
         )
         detections = (
             select(DetectionLine.round_id, func.count().label("n"))
+            .where(STANDS)
             .group_by(DetectionLine.round_id)
             .subquery()
         )
@@ -160,7 +163,7 @@ class Queries(Database):
                     Mark.ended_by_id.is_(None),
                 ),
             )
-            .where(DetectionLine.key == key)
+            .where(DetectionLine.key == key, STANDS)
         )
         with self.reading() as connection:
             found = connection.execute(query).one_or_none()
@@ -195,12 +198,24 @@ class Queries(Database):
             query = (
                 select(DetectionLine.key, *columns_of(MethodLine, METHOD_CELLS))
                 .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
-                .where(DetectionLine.round_id == round_id_of(connection, round_key))
+                .where(DetectionLine.round_id == round_id_of(connection, round_key), STANDS)
                 .order_by(MethodLine.fruit_id, MethodLine.number)
             )
             for row in cells_of(connection, query):
                 found.setdefault(row[0], []).append(MethodRecord(*row[1:]))
         return {key: tuple(methods) for key, methods in found.items()}
+
+    def corrected(self, round_key: str) -> dict[str, DetectionRecord]:
+        """Return the corrected records, masks included, by the keys of their detections."""
+        query = (
+            select(DetectionLine.key, Mark.details)
+            .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
+            .where(Mark.slot == "mask", Mark.ended_by_id.is_(None), STANDS)
+        )
+        with self.reading() as connection:
+            of_round = query.where(DetectionLine.round_id == round_id_of(connection, round_key))
+            rows = cells_of(connection, of_round)
+        return {key: detection_from_json(details) for key, details in rows}
 
     def cameras(self, round_key: str) -> dict[str, CameraAt]:
         """Return where the cameras of a round stood, by the stops' keys."""
@@ -327,7 +342,7 @@ def _stop_query(round_id: int) -> Any:
     detections = (
         select(CaptureLine.stop_id, func.count().label("n"))
         .join(DetectionLine, DetectionLine.capture_id == CaptureLine.id)
-        .where(DetectionLine.round_id == round_id)
+        .where(DetectionLine.round_id == round_id, STANDS)
         .group_by(CaptureLine.stop_id)
         .subquery()
     )
@@ -401,7 +416,7 @@ def _detection_query(round_id: int) -> Any:
         .join(StopLine, StopLine.id == CaptureLine.stop_id)
         .outerjoin(Row, Row.id == StopLine.row_id)
         .outerjoin(Image, Image.sha256 == CaptureLine.thumbnail_sha256)
-        .where(DetectionLine.round_id == round_id)
+        .where(DetectionLine.round_id == round_id, STANDS)
     )
 
 
@@ -443,6 +458,8 @@ def _marks_of(connection: Connection, round_id: int) -> dict[str, dict[str, Any]
     verdicts = {str(verdict): verdict for verdict in Verdict}
     marks: dict[str, dict[str, Any]] = {}
     for key, slot, value, details in cells_of(connection, query):
+        if slot == ADDED:
+            continue
         mark: Any = verdicts[value] if slot == "verdict" else details.get("at_s")
         if slot == "mask":
             mark = replace(detection_from_json(details), keypoints=(), mask=None, methods=())
@@ -530,7 +547,7 @@ def _records_of(connection: Connection, stop_id: int) -> dict[int, list[Detectio
         )
         .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
         .join(MaskLine, MaskLine.fruit_id == DetectionLine.id)
-        .where(CaptureLine.stop_id == stop_id)
+        .where(CaptureLine.stop_id == stop_id, STANDS)
         .order_by(DetectionLine.id)
     )
     found: dict[int, list[DetectionRecord]] = {}

@@ -6,11 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from sqlalchemy import delete, insert, select, update
+from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.corrections import Corrections, find_detections, lock_rounds
+from cucumbervision.store.corrections import (
+    Corrections,
+    find_detections,
+    lock_rounds,
+    mark_added,
+)
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
 from cucumbervision.store.queries import Queries, round_id_of
 from cucumbervision.store.records import (
@@ -175,6 +180,51 @@ class Store(Queries, Corrections):
                 keys = [key_of("fruit", stop.key, number, one.number) for one in capture.fruit]
                 _add_detections(connection, capture_id, round_id, keys, capture.fruit)
         return Saved.NEW
+
+    def add_fruit(
+        self, stop_key: str, capture: str, record: DetectionRecord, *, by: str = ""
+    ) -> str:
+        """Add a fruit that was not found, and accept it; logged. Return its key.
+
+        Taken back by `undo`, it is in no list any more, and its number is not given again.
+
+        Parameters
+        ----------
+        stop_key, capture : str
+            Where it was seen: the stop, and the capture's name in it.
+        record : DetectionRecord
+            As it was measured; it gets the capture's next number.
+        by : str
+            Who added it.
+
+        Raises
+        ------
+        StoreError
+            If the stop is not there, or has no such capture.
+        """
+        stop_key = checked_key(stop_key, "stop")
+        at = (
+            select(CaptureLine.id, CaptureLine.number, StopLine.round_id)
+            .join(StopLine, StopLine.id == CaptureLine.stop_id)
+            .where(StopLine.key == stop_key, CaptureLine.name == capture)
+        )
+        with self.writing() as connection:
+            found = connection.execute(at).one_or_none()
+            if found is None:
+                raise StoreError(
+                    f"stop {stop_key} has no capture '{capture}'", remedy="look it up in stop()"
+                )
+            capture_id, place, round_id = found
+            lock_rounds(connection, [round_id])
+            highest = select(func.max(DetectionLine.number)).where(
+                DetectionLine.capture_id == capture_id
+            )
+            number = (connection.execute(highest).scalar() or 0) + 1
+            key = key_of("fruit", stop_key, place, number)
+            numbered = replace(record, number=number)
+            _add_detections(connection, capture_id, round_id, [key], [numbered])
+            mark_added(connection, key, by)
+        return key
 
     def save_merging(
         self,

@@ -24,6 +24,7 @@ from sqlalchemy import (
     MetaData,
     Text,
     UniqueConstraint,
+    select,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -43,11 +44,13 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection
 
 __all__ = [
+    "ADDED",
     "CAPTURE_CELLS",
     "DETECTION_CELLS",
     "IMAGE_COLUMNS",
     "METHOD_CELLS",
     "ROUND_CELLS",
+    "STANDS",
     "Action",
     "Artifact",
     "Base",
@@ -305,6 +308,14 @@ class Shift(Base):
     shift_m: Mapped[float]
     sd_m: Mapped[float | None]
 
+
+ADDED = "added"
+"""The slot of a mark on a fruit that was added by hand."""
+
+STANDS = DetectionLine.id.not_in(
+    select(Mark.fruit_id).where(Mark.slot == ADDED, Mark.ended_by_id.is_not(None))
+)
+"""Whether a detection counts: all do but those that were added by hand and taken back."""
 
 _TYPES = {float: Double, int: Integer, str: Text, bool: Boolean}
 

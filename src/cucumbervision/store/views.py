@@ -278,7 +278,7 @@ class ActionView:
     by : str
         Who.
     kind : str
-        'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'merge', 'unmerge',
+        'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'add', 'merge', 'unmerge',
         'link-growth', 'unlink-growth' or 'undo'.
     round_key : str, optional
         Of its last fruit: of growth between two rounds the later.

@@ -18,6 +18,8 @@ from cucumbervision_lab.synthesis.scene import render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from cucumbervision_lab.synthesis.appearance import Assets, Style
@@ -105,7 +107,13 @@ class Frame:
     depth_scale: float
 
 
-def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> Frame:
+def draw_frame(
+    seed: int,
+    index: int,
+    options: FrameOptions,
+    assets: Assets,
+    restyle: Callable[[Style], Style] | None = None,
+) -> Frame:
     """Render one frame of a set.
 
     Parameters
@@ -117,6 +125,8 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
         What all frames have in common.
     assets : Assets
         Textures, backgrounds and lights; may be empty.
+    restyle : callable, optional
+        Changes the frame's look before it is painted: a house with skins or light of its own.
 
     Returns
     -------
@@ -132,6 +142,8 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
     view = render(staged.scene, camera)
     truth = truth_of(staged.scene, camera, view)
     style = _style(painter, staged, assets)
+    if restyle is not None:
+        style = restyle(style)
     linear = shade(staged.scene, view, camera, style, assets, painter)
     exposure = random_exposure(painter, options.width)
     color = expose(linear, exposure, painter, view.depth_m)

@@ -12,6 +12,7 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
 from cucumbervision.dashboard.measuring import TakenStop
 from cucumbervision.dashboard.round_tables import grade_name
+from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.measurement.result import Selector
 from cucumbervision.pipeline.fields import si_values
 from cucumbervision.pipeline.overlay import draw_overlay
@@ -229,4 +230,13 @@ def _picture(taken: TakenStop) -> None:
     capture = taken.result.capture
     drawn = draw_overlay(capture, taken.result.fruit)
     size = (capture.width, capture.height)
-    picture("result", {"measured": as_data_url(drawn)}, size, title="The measured fruit")
+    tapped = picture(
+        f"result_{taken.key}",
+        {"measured": as_data_url(drawn)},
+        size,
+        tools=("point", "box"),
+        title="The measured fruit; a tap or a box adds one that was not found",
+    )
+    if tapped.point or tapped.box:
+        add_fruit(resources.store().stop(taken.key), capture, tapped.point, tapped.box)
+    show_correction()

@@ -21,7 +21,7 @@ from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.store.views import DetectionDetail, Verdict
+from cucumbervision.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
-    from cucumbervision.store.records import DetectionRecord, MethodRecord
+    from cucumbervision.store.records import DetectionRecord, MethodRecord, StopRecord
     from cucumbervision.store.views import RoundView
 
-__all__ = ["show"]
+__all__ = ["add_fruit", "show", "show_correction"]
 
 
 def show(one: RoundView, lists: RoundLists, key: str) -> None:
@@ -207,9 +207,47 @@ def _picture(detail: DetectionDetail, capture: Capture) -> None:
         st.rerun()
     if ruler:
         st.markdown(f"Ruler: **{ruler}**, straight distance")
-    if drawn.point or drawn.box:
+    adds = st.toggle(
+        "A tap or a box adds a fruit that was not found",
+        key="adds_fruit",
+        help="Off: it corrects the mask of this fruit.",
+    )
+    if adds and (drawn.point or drawn.box):
+        add_fruit(detail.stop, capture, drawn.point, drawn.box)
+    elif drawn.point or drawn.box:
         _correct(detail, capture, drawn.point, drawn.box)
-    _correction()
+    show_correction()
+    _accept_others(detail)
+
+
+def _accept_others(detail: DetectionDetail) -> None:
+    view, store = detail.view, resources.store()
+
+    def accept() -> None:
+        others = [
+            one.key
+            for one in store.detections(view.round_key, DetectionFilter(stop_key=view.stop_key))
+            if one.capture == view.capture and one.verdict is None
+        ]
+        if others:
+            store.set_verdict(others, Verdict.ACCEPTED)
+
+    st.button(
+        "All other finds in this picture are right",
+        icon=":material/done_all:",
+        width="stretch",
+        on_click=accept,
+    )
+
+
+def _mask_of(
+    capture: Capture, point: list[float] | None, box: list[float] | None
+) -> NDArray[np.bool_]:
+    measurer = resources.measurer()
+    if point:
+        return measurer.mask_from_click(capture, (float(point[0]), float(point[1])))
+    x1, y1, x2, y2 = (float(value) for value in box or ())
+    return measurer.mask_from_box(capture, (x1, y1, x2, y2))
 
 
 def _correct(
@@ -220,19 +258,34 @@ def _correct(
 
     def work(job: Job) -> int:
         job.total = 2
-        mask: NDArray[np.bool_]
-        if point:
-            mask = measurer.mask_from_click(capture, (float(point[0]), float(point[1])))
-        else:
-            x1, y1, x2, y2 = (float(value) for value in box or ())
-            mask = measurer.mask_from_box(capture, (x1, y1, x2, y2))
+        mask = _mask_of(capture, point, box)
         job.step()
         return measurer.correct(store, detail, mask, options)
 
     page_elements.start_job("correction", "Segmenting the fruit", work)
 
 
-def _correction() -> None:
+def add_fruit(
+    stop: StopRecord, capture: Capture, point: list[float] | None, box: list[float] | None
+) -> None:
+    """Let the fruit at a point or in a box be segmented, measured and added to its capture's."""
+    options, measurer, store = (
+        resources.settings().options,
+        resources.measurer(),
+        resources.store(),
+    )
+
+    def work(job: Job) -> str:
+        job.total = 2
+        mask = _mask_of(capture, point, box)
+        job.step()
+        return measurer.add(store, stop, capture, mask, options)
+
+    page_elements.start_job("correction", "Segmenting the fruit", work)
+
+
+def show_correction() -> None:
+    """Say what became of the last tap or box."""
     job = page_elements.finished_job("correction")
     if job is None:
         return
@@ -240,7 +293,8 @@ def _correction() -> None:
     if job.error:
         st.warning(job.error, icon=":material/error:")
     else:
-        st.success("Measured again with this mask. 'Undo' restores the first one.")
+        done = "Added to the round" if isinstance(job.result, str) else "Measured with this mask"
+        st.success(f"{done}. 'Undo' takes it back.")
 
 
 def _methods(detail: DetectionDetail) -> None:

@@ -31,6 +31,8 @@ def list_models() -> None:
     for model in registry.models:
         size = f"{registry.size_bytes(model.name) / 1e6:.0f} MB"
         state = registry.state(model.name)
+        if any(model.name == names[-1] for names in registry.in_use.values()):
+            state = "in use"
         table.add_row(model.name, model.task, model.licence, size, model.origin, state)
     Console().print(table)
 
@@ -51,6 +53,46 @@ def verify(
     for check in checks:
         console.print(f"{check.state:8} {check.model}: {check.path}", soft_wrap=True)
     registry.require(checks)
+
+
+@app.command()
+def use(
+    given: Annotated[
+        Path | None,
+        typer.Argument(help="A `train house` run, or a YOLO .onnx.", metavar="RUN_OR_ONNX"),
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Even if it was not judged, or is not better.")
+    ] = False,
+    back: Annotated[
+        bool, typer.Option("--back", help="Take the last one back; the one before is used again.")
+    ] = False,
+    shipped: Annotated[
+        bool, typer.Option("--shipped", help="Use the package's own network again.")
+    ] = False,
+    task: Annotated[
+        str, typer.Option("--task", help="Of --back and --shipped: segment or pose.")
+    ] = "segment",
+) -> None:
+    """Use a network of your own for measure, detect, rounds and dashboard, if it is better.
+
+    A dashboard that is running takes it when it is started again.
+    """
+    from rich.console import Console
+
+    from cucumbervision.errors import ModelError
+    from cucumbervision.perception.in_use import use_back, use_network, use_shipped
+
+    if (given is not None) + back + shipped != 1:
+        raise ModelError(
+            "one network is to be named", remedy="give RUN_OR_ONNX, --back or --shipped"
+        )
+    if given is not None:
+        model = use_network(given, anyway=anyway)
+    else:
+        model = use_back(task) if back else use_shipped(task)
+    name = "no network" if model is None else f"{model.name} ({model.task})"
+    Console(highlight=False).print(f"In use now: {name}", soft_wrap=True, markup=False)
 
 
 @app.command()

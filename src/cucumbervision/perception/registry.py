@@ -11,7 +11,8 @@ import json
 import os
 import shutil
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
 
 __all__ = [
     "FORMATS",
+    "IN_USE",
     "FileCheck",
     "Model",
     "ModelFile",
@@ -143,6 +145,9 @@ FORMATS = ("onnx", "openvino")
 _HERE = Path(__file__).parent
 _MANIFEST = "manifest.json"
 
+IN_USE = "in-use.json"
+"""In the folder of fetched models: the user's own networks, see `in_use`."""
+
 
 @dataclass(frozen=True)
 class Registry:
@@ -156,11 +161,14 @@ class Registry:
         Folder of the embedded files.
     user : Path
         Folder of the fetched ones, a subfolder a model; it need not exist.
+    in_use : mapping of str to tuple of str
+        By task the networks that their user put in the place of the package's, the newest last.
     """
 
     models: tuple[Model, ...]
     embedded: Path
     user: Path
+    in_use: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def get(self, name: str) -> Model:
         """Return a model by its name.
@@ -177,7 +185,7 @@ class Registry:
         raise UnknownModelError(f"no model is called {name!r}", remedy=f"choose one of {names}")
 
     def default(self, task: str) -> Model | None:
-        """Return the package's own network for a task: the first embedded one.
+        """Return the network in use for a task: the user's newest, else the first embedded one.
 
         Parameters
         ----------
@@ -189,6 +197,8 @@ class Registry:
         >>> load_registry().default("prompted-mask").name
         'mobile-sam'
         """
+        if names := self.in_use.get(task):
+            return self.get(names[-1])
         own = (model for model in self.models if model.task == task and model.embedded)
         return next(own, None)
 
@@ -224,7 +234,7 @@ class Registry:
         if self.state(name) == "not pulled":
             raise ModelError(
                 f"the model {name} is not on this machine",
-                remedy=f"run: cucumbervision models pull {name}",
+                remedy=_again(model),
             )
         if model.embedded:
             return {f.file: f.sha256 for f in model.files}
@@ -393,7 +403,9 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
         raise ModelError(
             f"the registry cannot be read ({error})", source=path, remedy="install again"
         ) from error
-    return Registry(models, path.parent / "weights", user or models_folder())
+    user = user or models_folder()
+    own, in_use = _read_in_use(user / IN_USE)
+    return Registry((*models, *own), path.parent / "weights", user, in_use)
 
 
 def models_folder() -> Path:
@@ -426,7 +438,28 @@ def _file_state(path: Path, sha256: str) -> str:
 def _again(model: Model) -> str:
     if model.embedded:
         return "install cucumbervision again"
+    if model.source is None:
+        return "run: cucumbervision models use --shipped"
     return f"run: cucumbervision models pull {model.name}"
+
+
+def _read_in_use(path: Path) -> tuple[tuple[Model, ...], dict[str, tuple[str, ...]]]:
+    """Return the user's own networks, and which are in use."""
+    if not path.is_file():
+        return (), {}
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        models = tuple(_model(entry) for entry in values["models"])
+        in_use = {str(task): tuple(names) for task, names in values["in_use"].items()}
+        if not {name for names in in_use.values() for name in names} <= {m.name for m in models}:
+            raise ValueError("it names a network that it does not describe")
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ModelError(
+            f"the networks in use cannot be read ({error})",
+            source=path,
+            remedy="delete the file to use the package's own, and give yours again",
+        ) from error
+    return models, in_use
 
 
 def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:

@@ -241,6 +241,42 @@ def merge(
     _finish(*sets)
 
 
+@app.command("from-store")
+def from_store(
+    store: Annotated[str, typer.Argument(help="An SQLite file, or postgresql://….")],
+    out: Annotated[Path, typer.Argument(help="Folder to write into.", metavar="OUT")],
+    images: Annotated[
+        Path | None, typer.Option(help="Folder of the store's pictures, where it is another.")
+    ] = None,
+    shares: Annotated[str, typer.Option(help="Of places in train, val and test.")] = "60:20:20",
+    licence: Annotated[str, typer.Option(help="Of the pictures; it is noted in the set.")] = "",
+    copy: Copy = False,
+) -> None:
+    """Write the pictures whose finds a person has judged as a set: a house that teaches its eyes.
+
+    Accepted, corrected and added fruit are labels, rejected finds background, others ignored.
+    Whole metres of a row are kept back, the same ones however the set grows.
+    """
+    from rich.table import Table
+
+    from cucumbervision.store.repository import open_store
+    from cucumbervision_lab.cli.screen import screen, show
+    from cucumbervision_lab.datasets.from_store import dataset_from_store
+    from cucumbervision_lab.datasets.splits import parse_shares
+
+    parts = parse_shares(shares)
+    with open_store(store, images=images, create=False) as opened:
+        made = dataset_from_store(opened, out, shares=parts, licence=licence, link=not copy)
+    columns = ("accepted", "corrected", "added", "rejected", "unjudged")
+    table = Table("split", "pictures", *columns, title=f"{out}: what was judged")
+    for split, said in made.judged.items():
+        counts = [str(getattr(said, column)) for column in columns]
+        table.add_row(split, str(len(made.dataset.in_split(split))), *counts)
+    screen().print(table)
+    if made.without_picture:
+        show(f"{made.without_picture} judged pictures were not kept in the store and are left out")
+
+
 @app.command()
 def card(
     folder: Folder,

@@ -187,6 +187,74 @@ def recipe(
 
 
 @app.command()
+def house(
+    data: Annotated[Path, typer.Argument(help="A set of `data from-store`.", metavar="SET")],
+    out: Out,
+    photos: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            help="The folder of photos of the shipped mixture; else only drawn frames of it.",
+            metavar="PHOTOS",
+        ),
+    ] = None,
+    init: Annotated[
+        Path, typer.Option("--init", help="The weights to begin with: the shipped ones.")
+    ] = Path("checkpoints/cucumber-seg.pt"),
+    plan: Annotated[str, typer.Option("--plan", help="Sizes and pictures.")] = "640x6000",
+    per_epoch: PerEpoch = 200,
+    share: Annotated[
+        float, typer.Option("--share", min=0.05, max=0.95, help="Of pictures: the house's.")
+    ] = 0.5,
+    drawn: Annotated[
+        int, typer.Option("--drawn", min=1, help="Frames drawn a source of the mixture, at most.")
+    ] = 200,
+    tested: Annotated[
+        int, typer.Option("--tested", min=1, help="Drawn frames, photos judged on, at most.")
+    ] = 256,
+    batch: Batch = 0,
+    device: Device = "auto",
+    precision: Precision = "auto",
+    threads: Threads = 0,
+    workers: Workers = 0,
+    minutes: Minutes = None,
+) -> None:
+    """Train the detector on with a house's own pictures, and judge it against the one in use.
+
+    The same command goes on after any interruption. `models use RUN` then switches.
+    """
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.cli.train_console import TrainConsole
+    from cucumbervision_lab.training.house import HousePlan, train_house
+    from cucumbervision_lab.training.train import TrainOptions
+
+    with TrainConsole() as console:
+        judged = train_house(
+            data,
+            out,
+            photos=photos,
+            init=init,
+            plan=HousePlan(plan, share, drawn, tested=tested, per_epoch=per_epoch),
+            options=TrainOptions(
+                batch=batch,
+                device=device,
+                precision=precision,
+                threads=threads,
+                workers=workers,
+                minutes=minutes,
+            ),
+            watcher=console,
+            workers=os.cpu_count() or 1,
+            say=console.say,
+        )
+    if judged is None:
+        show(f"The plan is not through yet: give the same command again, and {out} goes on")
+        return
+    show(judged.with_suffix(".md").read_text(encoding="utf-8"))
+    show(f"To use it: cucumbervision models use {out}")
+
+
+@app.command()
 def ends(
     sets: Annotated[
         list[Path], typer.Argument(help="Labelled sets with keypoints.", metavar="SET...")

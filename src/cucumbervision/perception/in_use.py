@@ -1,0 +1,164 @@
+"""Networks of one's own in the place of the package's: put there, and taken back.
+
+`in-use.json` in the folder of fetched models says, for each task, which were put in its place, the
+newest last; each lies in a folder of its own beside it, as fetched ones do.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.errors import ModelError
+from cucumbervision.perception.registry import (
+    IN_USE,
+    Model,
+    ModelFile,
+    Registry,
+    file_sha256,
+    load_registry,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["JUDGEMENT", "use_back", "use_network", "use_shipped"]
+
+JUDGEMENT = "judgement.json"
+"""What `train house` writes into its run's folder: old and new network on the same pictures."""
+
+
+def use_network(given: Path, *, anyway: bool = False, registry: Registry | None = None) -> Model:
+    """Put a network of one's own in the place of the one that is used for its task.
+
+    Parameters
+    ----------
+    given : Path
+        The folder of a `train house` run, or a YOLO ONNX export.
+    anyway : bool
+        Whatever the judgement says.
+    registry : Registry, optional
+        The one to change; what `load_registry` gives by default.
+
+    Returns
+    -------
+    Model
+        As it is in the registry now.
+
+    Raises
+    ------
+    ModelError
+        If it is no YOLO network for segments or poses, or, unless `anyway`, if nobody has judged
+        it against the one in use, or it was not better.
+    """
+    registry = registry or load_registry()
+    judgement = _read_judgement(given)
+    path = _network_file(given, judgement)
+    from cucumbervision.perception.yolo import YoloDetector
+
+    task = YoloDetector(path).task
+    sha256 = file_sha256(path)
+    if not anyway:
+        _require_better(path, sha256, judgement, registry.default(task))
+    name = f"{path.stem}-{sha256[:8]}"
+    model = Model(
+        name=name,
+        task=task,
+        licence="AGPL-3.0-only",
+        title=f"{path.name}, put in use on this machine",
+        origin="trained by its user",
+        files=(ModelFile("network", path.name, sha256, path.stat().st_size),),
+    )
+    models = (*(one for one in registry.models if one.name != name), model)
+    earlier = tuple(one for one in registry.in_use.get(task, ()) if one != name)
+    changed = replace(registry, models=models, in_use={**registry.in_use, task: (*earlier, name)})
+    with tempfile.TemporaryDirectory() as folder:
+        changed.install(name, (Path(shutil.copyfile(path, Path(folder) / path.name)),))
+    _write(changed)
+    return model
+
+
+def use_back(task: str = "segment", registry: Registry | None = None) -> Model | None:
+    """Take the newest of one's own networks back, and return what is used for its task now.
+
+    Raises
+    ------
+    ModelError
+        If none is in use.
+    """
+    registry = registry or load_registry()
+    known = registry.in_use.get(task, ())
+    if not known:
+        raise ModelError(
+            f"the package's own network is in use for {task}",
+            remedy="there is nothing to take back",
+        )
+    return _with_own(registry, task, known[:-1])
+
+
+def use_shipped(task: str = "segment", registry: Registry | None = None) -> Model | None:
+    """Use the package's own network again, and return it; one's own are no more in the list."""
+    return _with_own(registry or load_registry(), task, ())
+
+
+def _with_own(registry: Registry, task: str, names: tuple[str, ...]) -> Model | None:
+    changed = replace(registry, in_use={**registry.in_use, task: names})
+    _write(changed)
+    return changed.default(task)
+
+
+def _write(registry: Registry) -> None:
+    names = [name for own in registry.in_use.values() for name in own]
+    values = {
+        "in_use": {task: list(own) for task, own in registry.in_use.items() if own},
+        "models": [asdict(registry.get(name)) for name in names],
+    }
+    registry.user.mkdir(parents=True, exist_ok=True)
+    part = registry.user / f"{IN_USE}.part"
+    part.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+    part.replace(registry.user / IN_USE)
+
+
+def _read_judgement(given: Path) -> Mapping[str, Any]:
+    """Return what a run's folder says of old and new; nothing beside a single file."""
+    path = (given if given.is_dir() else given.parent) / JUDGEMENT
+    if not path.is_file():
+        return {}
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        return {name: values[name] for name in ("file", "new", "old", "better", "why")}
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ModelError(
+            f"the judgement cannot be read ({error})", source=path, remedy="judge it again"
+        ) from error
+
+
+def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:
+    path = given / str(judgement.get("file", "")) if given.is_dir() else given
+    if not path.is_file() or path.suffix != ".onnx":
+        raise ModelError(
+            "there is no exported and judged network",
+            source=given,
+            remedy="give the folder of a finished `train house` run, or an .onnx file",
+        )
+    return path
+
+
+def _require_better(
+    path: Path, sha256: str, judgement: Mapping[str, Any], used: Model | None
+) -> None:
+    """Refuse a network that is not known to be better than the one in use."""
+    if judgement.get("new") != sha256:
+        fault, remedy = "nobody has judged it against the network in use", "run `train house`"
+    elif used is not None and judgement["old"] != used.files[0].sha256:
+        fault = "it was judged against another network than the one in use"
+        remedy = "run the same `train house` again"
+    elif not judgement["better"]:
+        fault, remedy = f"it is not better: {judgement['why']}", "judge more stops and train again"
+    else:
+        return
+    raise ModelError(fault, source=path, remedy=f"{remedy}, or add --anyway")

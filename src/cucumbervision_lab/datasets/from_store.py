@@ -1,0 +1,260 @@
+"""The stops of a store that a person has judged, as a labelled set: what a house corrects teaches.
+
+A find that was accepted is a fruit, with its corrected mask where there is one; a fruit that was
+added by hand is one; a rejected find is background; a find that nobody judged is to be ignored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.errors import DataSetError
+from cucumbervision.perception.masks import Rle, box_of_mask
+from cucumbervision.store.images import DEPTH_UNIT_M
+from cucumbervision.store.views import Verdict
+from cucumbervision_lab.datasets.card import dataset_card
+from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.labels import (
+    SPLITS,
+    DataSet,
+    Label,
+    LabelledPicture,
+    write_text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator, Sequence
+
+    from cucumbervision.store.records import CaptureRecord, DetectionRecord, ImageRef, StopRecord
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import DetectionView, RoundView
+
+__all__ = ["HOUSE_SHARES", "JudgedFruit", "StoreSet", "dataset_from_store", "split_of_place"]
+
+HOUSE_SHARES = (0.6, 0.2, 0.2)
+"""Of a house's places in train, val and test: they are few, and what is kept back must tell."""
+
+STRETCH_M = 1.0
+"""Stops of one row and stretch show the same plants, on whatever day and from either side."""
+
+
+@dataclass(frozen=True)
+class JudgedFruit:
+    """What a person said of the finds in a set.
+
+    Parameters
+    ----------
+    accepted, corrected, added, rejected, unjudged : int
+        How many; what was corrected or added is not counted among the accepted.
+    """
+
+    accepted: int = 0
+    corrected: int = 0
+    added: int = 0
+    rejected: int = 0
+    unjudged: int = 0
+
+    @property
+    def corrections(self) -> int:
+        """How many things a person set right."""
+        return self.corrected + self.added + self.rejected
+
+
+@dataclass(frozen=True, eq=False)
+class StoreSet:
+    """A labelled set of a store.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        As it was written.
+    judged : dict of str to JudgedFruit
+        By split.
+    without_picture : int
+        Judged captures whose pictures were not kept, which are left out.
+    """
+
+    dataset: DataSet
+    judged: dict[str, JudgedFruit]
+    without_picture: int = 0
+
+
+def dataset_from_store(
+    store: Store,
+    out: Path,
+    *,
+    shares: Sequence[float] = HOUSE_SHARES,
+    licence: str = "",
+    link: bool = True,
+) -> StoreSet:
+    """Write the captures of which a person has judged a find as a set in the hub form.
+
+    Parameters
+    ----------
+    store : Store
+        With its pictures.
+    out : Path
+        Gets `images/`, `depth/`, `annotations.json` and the card, `README.md`. Pictures of an
+        earlier set there that are in it no more stay on the disk.
+    shares : sequence of float, length 3
+        Of the places in train, val and test.
+    licence : str
+        Of the pictures.
+    link : bool
+        Pictures become second names of the store's files where the disk can; else copies.
+
+    Raises
+    ------
+    DataSetError
+        If nobody has judged anything, or a file is missing.
+    StoreError
+        If the store cannot be read.
+    """
+    pictures: list[LabelledPicture] = []
+    counts: dict[str, Counter[str]] = {}
+    lost = 0
+    for one in store.rounds():
+        for picture, said in _judged_captures(store, one, shares, licence):
+            if picture is None:
+                lost += 1
+                continue
+            pictures.append(picture)
+            counts.setdefault(picture.split, Counter()).update(said)
+    if not pictures:
+        raise DataSetError(
+            "nobody has judged a find whose picture was kept",
+            source=str(store.engine.url.database),
+            remedy="accept, reject, correct or add fruit in the dashboard first",
+        )
+    dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out, link=link)
+    judged = {split: JudgedFruit(**counts[split]) for split in SPLITS if split in counts}
+    write_text(out / "README.md", _card(dataset, judged))
+    return StoreSet(dataset, judged, lost)
+
+
+def split_of_place(place: str, shares: Sequence[float] = HOUSE_SHARES) -> str:
+    """Return the split of a place of a house: by its name's hash, whatever other places there are.
+
+    Examples
+    --------
+    >>> [split_of_place(f"row 1, {metre} m") for metre in range(5)]
+    ['train', 'train', 'test', 'val', 'train']
+    """
+    number = int.from_bytes(hashlib.sha256(place.encode()).digest()[:8], "big") / 2**64
+    bounds = np.cumsum(shares) / np.sum(shares)
+    return SPLITS[min(int(np.searchsorted(bounds, number, side="right")), len(SPLITS) - 1)]
+
+
+def _place_of(house: str, stop: StopRecord) -> str:
+    """Return what all stops have in common that show the same plants."""
+    if stop.row is None or stop.position_m is None:
+        return f"stop {stop.key}"
+    metre = np.floor(stop.position_m / STRETCH_M) * STRETCH_M
+    return json.dumps([house, stop.row, float(metre)])
+
+
+def _judged_captures(
+    store: Store, one: RoundView, shares: Sequence[float], licence: str
+) -> Iterator[tuple[LabelledPicture | None, Counter[str]]]:
+    """Yield a round's captures that a person has judged, None for one without its picture."""
+    corrected = store.corrected(one.key)
+    added = {key for a in store.log(one.key, limit=None) if a.kind == "add" for key in a.fruit}
+    of_stops: dict[str, dict[str, list[DetectionView]]] = {}
+    for view in store.detections(one.key):
+        of_stops.setdefault(view.stop_key, {}).setdefault(view.capture, []).append(view)
+    for stop_key, of_captures in of_stops.items():
+        if not any(_is_judged(view) for views in of_captures.values() for view in views):
+            continue
+        stop = store.stop(stop_key)
+        place = _place_of(one.record.house, stop)
+        for capture in stop.captures:
+            views = of_captures.get(capture.name, [])
+            if not any(map(_is_judged, views)):
+                continue
+            said = Counter(_what_was_said(view, added) for view in views)
+            if capture.color is None:
+                yield None, said
+                continue
+            first = {fruit.number: fruit for fruit in capture.fruit}
+            labels = tuple(
+                _label(corrected.get(view.key, first[view.record.number]), capture, view)
+                for view in views
+                if view.verdict is not Verdict.REJECTED
+            )
+            picture = LabelledPicture(
+                _file(store, capture.color),
+                capture.width_px,
+                capture.height_px,
+                labels,
+                scene=place,
+                split=split_of_place(place, shares),
+                source="synth" if capture.simulated else one.record.house or "own house",
+                licence=licence,
+                depth_file=None if capture.depth is None else _file(store, capture.depth),
+                depth_unit_m=capture.depth_unit_m or DEPTH_UNIT_M,
+                camera=CameraModel.model_validate(dict(capture.camera)).intrinsics,
+                extras={"stop": stop_key, "capture": capture.name, **said},
+            )
+            yield picture, said
+
+
+def _file(store: Store, ref: ImageRef) -> str:
+    return store.images.path(ref).relative_to(store.images.folder).as_posix()
+
+
+def _is_judged(view: DetectionView) -> bool:
+    return view.verdict is not None or view.corrected
+
+
+def _what_was_said(view: DetectionView, added: Container[str]) -> str:
+    if view.verdict is Verdict.REJECTED:
+        return "rejected"
+    if view.key in added:
+        return "added"
+    if view.corrected:
+        return "corrected"
+    return "accepted" if view.verdict is Verdict.ACCEPTED else "unjudged"
+
+
+def _label(record: DetectionRecord, capture: CaptureRecord, view: DetectionView) -> Label:
+    box = np.array([record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px])
+    code = None
+    if record.mask is not None:
+        code = Rle(capture.height_px, capture.width_px, record.mask)
+        box = box_of_mask(code.decode())
+    # A person has looked at the mask, and left it or set it right: it is no pseudo-label.
+    return Label(
+        box,
+        mask_code=code,
+        cut_off="cut-by-frame" in record.flags.split(),
+        ignore=not _is_judged(view),
+    )
+
+
+def _card(dataset: DataSet, judged: dict[str, JudgedFruit]) -> str:
+    columns = [one.name for one in fields(JudgedFruit)]
+    lines = [f"| split | {' | '.join(columns)} |", "|---" + "|--:" * len(columns) + "|"]
+    for split, said in judged.items():
+        lines.append(f"| {split} | {' | '.join(str(getattr(said, one)) for one in columns)} |")
+    return "\n".join(
+        [
+            dataset_card(dataset, "What a house's own people judged"),
+            "## What was said of the finds",
+            "",
+            *lines,
+            "",
+            "Masks are SAM's, looked at by whoever accepted the fruit, or drawn anew at their tap "
+            "or box. A rejected find is background; one that nobody judged is to be ignored. "
+            "What was neither found nor added is taken for background: judge whole pictures. A "
+            f"scene is {STRETCH_M:g} m of a row, and its split follows from its name alone.",
+            "",
+        ]
+    )

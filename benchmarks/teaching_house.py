@@ -184,12 +184,13 @@ class User:
         x1, y1, x2, y2 = (float(v) for v in label.box)
         ys, xs = np.nonzero(true)
         middle = len(xs) // 2
-        for draw in (
-            lambda: self.measurer.mask_from_box(capture, (x1, y1, x2, y2)),
-            lambda: self.measurer.mask_from_click(capture, (float(xs[middle]), float(ys[middle]))),
-        ):
+        tap, box = (float(xs[middle]), float(ys[middle])), (x1, y1, x2, y2)
+        for of_box in (True, False):
             try:
-                mask = draw()
+                if of_box:
+                    mask = self.measurer.mask_from_box(capture, box)
+                else:
+                    mask = self.measurer.mask_from_click(capture, tap)
             except InstancesError:
                 continue
             if mask_iou(mask, true) >= GOOD_MASK:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from cucumbervision.perception.registry import Model
 
 __all__ = ["app"]
 
@@ -88,7 +91,7 @@ def use(
             "one network is to be named", remedy="give RUN_OR_ONNX, --back or --shipped"
         )
     if given is not None:
-        model = use_network(given, anyway=anyway)
+        model: Model | None = use_network(given, anyway=anyway)
     else:
         model = use_back(task) if back else use_shipped(task)
     name = "no network" if model is None else f"{model.name} ({model.task})"

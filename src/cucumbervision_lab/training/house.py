@@ -101,14 +101,12 @@ class Judged:
     @classmethod
     def of(cls, test: str, score: GroupScore) -> Judged:
         """Make it of a score of the evaluation."""
-        recall, precision = score.recall, score.precision
-        return cls(
-            test,
-            recall.value if recall else 0.0,
-            precision.value if precision else 0.0,
-            recall.count if recall else 0,
-            precision.count if precision else 0,
+        # A share of nothing is no number, and would be better than nothing and worse than none.
+        (recall, fruit), (precision, finds) = (
+            (one.value, one.count) if one is not None and one.count else (0.0, 0)
+            for one in (score.recall, score.precision)
         )
+        return cls(test, recall, precision, fruit, finds)
 
     @property
     def f1(self) -> float:

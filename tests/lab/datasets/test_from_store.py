@@ -42,8 +42,8 @@ def mask_at(left: int, width: int = 8) -> np.ndarray:
 
 
 def find(number: int, left: int) -> DetectionRecord:
-    box = {"box_x1_px": 0.0, "box_y1_px": 0.0, "box_x2_px": 60.0, "box_y2_px": 40.0}
-    return DetectionRecord(number, mask=encode_rle(mask_at(left)), **box)
+    mask = encode_rle(mask_at(left))
+    return DetectionRecord(number, box_x2_px=60.0, box_y2_px=40.0, mask=mask)
 
 
 @pytest.fixture
@@ -88,6 +88,7 @@ def test_what_people_said_of_finds_becomes_labels(store: Store, tmp_path: Path) 
     (picture,) = read_coco(tmp_path / "set").pictures
     masks = [label.mask for label in picture.labels]
     for mask, true in zip(masks, (mask_at(12), drawn, mask_at(50)), strict=True):
+        assert mask is not None
         assert (mask == true).all()
     assert picture.labels[0].box.tolist() == [11.5, 9.5, 19.5, 29.5]  # the mask's, not the find's
     assert [label.cut_off for label in picture.labels] == [False, True, False]

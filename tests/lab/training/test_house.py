@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from cucumbervision.perception.in_use import use_network
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.detection.outcomes import found_rows, fruit_rows, overall
+from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 from cucumbervision_lab.training.house import (
     HousePlan,
     Judged,
@@ -96,6 +99,14 @@ def test_better_is_better_on_the_house_and_not_worse_elsewhere(
     assert verdict([HOUSE, DRAWN], new)[0] is better
 
 
+def test_a_network_that_finds_nothing_is_no_better() -> None:
+    frames = [Frame("a.jpg", "s", 60, 60, (TrueFruit(np.array([0.0, 0, 50, 10])),))]
+    blind = Judged.of("house", overall(fruit_rows(frames, 0.3), found_rows(frames, 0.3)))
+    assert blind == Judged("house", 0.0, 0.0, 1, 0)
+    assert verdict([HOUSE, DRAWN], [blind, DRAWN])[0] is False
+    assert verdict([HOUSE, DRAWN], [HOUSE, blind])[0] is False
+
+
 @pytest.mark.train
 def test_a_house_trains_on_is_judged_and_goes_on_after_an_interruption(
     house: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -103,13 +114,14 @@ def test_a_house_trains_on_is_judged_and_goes_on_after_an_interruption(
     pytest.importorskip("ultralytics")
     pytest.importorskip("onnx")
     monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path / "models"))
-    out, said = tmp_path / "run", []
+    out = tmp_path / "run"
+    said: list[str] = []
     plan = HousePlan("64x16", drawn=2, windows=(64,), tested=2, per_epoch=8)
     quick = TrainOptions(batch=4, threads=1, precision="f32", minutes=0.0)
-    begin = {"init": CHECKPOINT, "plan": plan, "say": said.append}
-    assert train_house(house, out, options=quick, **begin) is None
+    begin = partial(train_house, house, out, init=CHECKPOINT, plan=plan, say=said.append)
+    assert begin(options=quick) is None
     assert not RunState.load(out / "seg").is_done
-    judged = train_house(house, out, options=replace(quick, minutes=None), **begin)
+    judged = begin(options=replace(quick, minutes=None))
     assert judged is not None
     assert any("only drawn frames" in line for line in said)
     state = RunState.load(out / "seg")

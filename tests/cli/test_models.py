@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from cucumbervision.cli.models import app
+from cucumbervision.cli.app import app
 from cucumbervision.errors import MissingExtraError, UnknownModelError
 from cucumbervision.perception.registry import file_sha256, load_registry
 
@@ -19,7 +19,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def call(*words: str) -> Result:
-    return CliRunner().invoke(app, list(words))
+    return CliRunner().invoke(app, ["models", *words])
 
 
 def test_list_shows_what_there_is(folder: Path) -> None:

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 
 if TYPE_CHECKING:
-    from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
     from cucumbervision.capture.frames import Capture, Stop, fuse_burst
     from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream, check_intrinsics
     from cucumbervision.capture.readers import open_source
+    from cucumbervision.capture.readers.native import write_native
+    from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
     from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
-    from cucumbervision.capture.writer import write_native
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.measurement.methods import Region, run_methods
     from cucumbervision.measurement.result import (
@@ -52,12 +52,12 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.run import RunResult, measure_inputs
 
 _NAMES = {
-    "capture.cameras.realsense": "CameraConfig RealSenseCamera",
+    "capture.realsense": "CameraConfig RealSenseCamera",
     "capture.frames": "Capture Stop fuse_burst",
     "capture.intrinsics": "Distortion Intrinsics Stream check_intrinsics",
     "capture.readers": "open_source",
     "capture.source": "CaptureRef CaptureSource ReadOptions",
-    "capture.writer": "write_native",
+    "capture.readers.native": "write_native",
     "errors": "CucumberVisionError",
     "measurement.methods": "Region run_methods",
     "measurement.result": (

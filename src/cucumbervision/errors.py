@@ -8,7 +8,12 @@ from __future__ import annotations
 
 import errno
 import traceback
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 __all__ = [
     "AccessError",
@@ -37,7 +42,9 @@ __all__ = [
     "TruthError",
     "UnknownModelError",
     "UploadError",
+    "as_errors_of",
     "named_error",
+    "naming_os_errors",
 ]
 
 
@@ -70,6 +77,10 @@ class CucumberVisionError(Exception):
     def code(self) -> str:
         """Stable name of the error's class, as `failures.csv` gives it."""
         return type(self).__name__
+
+    def at(self, source: object) -> Self:
+        """Return the same error of another source."""
+        return type(self)(self.message, source=source, remedy=self.remedy)
 
 
 class FileError(CucumberVisionError):
@@ -181,6 +192,62 @@ class MissingExtraError(CucumberVisionError):
         super().__init__(
             f"{package} is not installed", remedy=f"pip install 'cucumbervision[{extra}]'"
         )
+
+    def at(self, source: object) -> Self:  # noqa: ARG002 - no file is at fault
+        """Return the error itself."""
+        return self
+
+
+@contextmanager
+def as_errors_of(source: object) -> Iterator[None]:
+    """Give the named errors that are raised inside a source.
+
+    Examples
+    --------
+    >>> with as_errors_of("a.json"):
+    ...     raise IntrinsicsError("holds no numbers")
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.IntrinsicsError: a.json: holds no numbers
+    """
+    try:
+        yield
+    except CucumberVisionError as error:
+        raise error.at(source) from None
+
+
+@contextmanager
+def naming_os_errors(
+    fault: str,
+    source: object,
+    remedy: str = "choose another --out",
+    kind: type[CucumberVisionError] = CucumberVisionError,
+) -> Iterator[None]:
+    """Raise a named error for what the operating system refuses inside.
+
+    Parameters
+    ----------
+    fault : str
+        What cannot be done, in words: the system's own reason follows in brackets.
+    source : object
+        The file or folder at fault.
+    remedy : str
+        What the user can do about it.
+    kind : type
+        The error's class.
+
+    Examples
+    --------
+    >>> with naming_os_errors("cannot be read", "a.csv", "check the path"):
+    ...     raise PermissionError(13, "Permission denied")
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.CucumberVisionError: a.csv: cannot be read (Permission denied); ...
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{fault} ({error.strerror})", source=source, remedy=remedy) from error
 
 
 _FILE_REMEDIES = {

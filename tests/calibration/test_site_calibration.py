@@ -15,7 +15,7 @@ from cucumbervision.calibration.corrections import Form
 from cucumbervision.calibration.site_calibration import calibrate_depth, calibrate_lengths
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CalibrationError
 from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.pipeline.options import MeasureOptions

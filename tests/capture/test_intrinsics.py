@@ -28,7 +28,7 @@ def test_the_depth_streams_are_refused_with_what_they_would_do() -> None:
     with pytest.raises(IntrinsicsError, match=r"k\.json: .*depth stream's.*\+42 % wrong"):
         check_intrinsics(DEPTH, 1280, 720, known=COLOR, source="k.json")
     # A D455 the other way: 640 / 910.5 - 1.
-    wrong, right = DEPTH.with_stream(Stream.DEPTH), Intrinsics(1280, 720, 500, 500, 640, 360)
+    wrong, right = DEPTH, Intrinsics(1280, 720, 500, 500, 640, 360)
     with pytest.raises(IntrinsicsError, match=r"-22 % wrong"):
         check_intrinsics(wrong, 1280, 720, known=right)
     with pytest.raises(IntrinsicsError, match="cannot be said without the colour calibration"):

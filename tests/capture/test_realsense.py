@@ -14,11 +14,16 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
-from cucumbervision.capture.cameras.realsense_sdk import AlignedStream, camera_fault, play_file
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Distortion, Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.realsense import (
+    AlignedStream,
+    CameraConfig,
+    RealSenseCamera,
+    camera_fault,
+    play_file,
+)
 from cucumbervision.errors import (
     CameraError,
     CaptureError,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.cameras.realsense import CameraConfig
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay
 from cucumbervision.errors import CameraError, CaptureError

@@ -14,7 +14,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
 INTRINSICS = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}

@@ -116,7 +116,7 @@ def test_a_crash_is_one_named_error(tmp_path: Path) -> None:
 @posix
 def test_its_memory_and_its_files_are_limited(tmp_path: Path) -> None:
     limited = (
-        "from cucumbervision.intake.player import limit_itself; limit_itself(order['limits']); "
+        "from cucumbervision.intake.recordings import limit_itself; limit_itself(order['limits']); "
     )
     faults = run(limited + "x = bytearray(3_000_000_000)", tmp_path, memory_bytes=2_000_000_000)
     assert faults == ["a.bag: broke the player (exit code 1); copy or record it again"]
@@ -149,7 +149,7 @@ def test_an_upload_limit_reaches_the_player(walk: Path, tmp_path: Path) -> None:
 def test_it_sees_no_network_where_the_system_allows(tmp_path: Path) -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     code = (
-        "from cucumbervision.intake.player import leave_network; import socket; "
+        "from cucumbervision.intake.recordings import leave_network; import socket; "
         "sys.exit(9) if not leave_network() else None; "
         f"socket.create_connection(('127.0.0.1', {listener.getsockname()[1]}), 5)"
     )

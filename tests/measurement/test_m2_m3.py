@@ -5,8 +5,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.cloud import box_points, masked_points
-from cucumbervision.measurement.m2 import measure_m2
-from cucumbervision.measurement.m3 import measure_m3
+from cucumbervision.measurement.m2_m3 import measure_m2, measure_m3
 from cucumbervision.measurement.result import Reason
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation

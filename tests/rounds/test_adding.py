@@ -9,7 +9,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import Added, Place, add_captures

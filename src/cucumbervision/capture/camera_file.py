@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
@@ -10,14 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
-from cucumbervision.errors import IntrinsicsError
+from cucumbervision.errors import IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-__all__ = ["CameraFile", "CameraModel", "Extrinsics", "read_camera_file"]
+__all__ = ["CameraFile", "CameraModel", "Extrinsics", "StrictModel", "read_camera_file"]
 
 _BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
 _SAY_STREAM = (
@@ -67,11 +67,15 @@ class CameraFile:
     depth_unit_m: float | None = None
 
 
-class _Strict(BaseModel):
+class StrictModel(BaseModel):
+    """What a file may say: its own keys and no others, and finite numbers."""
+
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class _Lens(_Strict):
+class CameraModel(StrictModel):
+    """The camera block of a native capture: a lens and the stream that it belongs to."""
+
     width: int = Field(gt=0)
     height: int = Field(gt=0)
     fx: float = Field(gt=0)
@@ -80,60 +84,33 @@ class _Lens(_Strict):
     cy: float
     distortion: Distortion = Distortion.NONE
     coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-    def as_intrinsics(self, stream: Stream) -> Intrinsics:
-        return Intrinsics(
-            self.width,
-            self.height,
-            self.fx,
-            self.fy,
-            self.cx,
-            self.cy,
-            stream,
-            self.distortion,
-            self.coefficients,
-        )
-
-
-class CameraModel(_Lens):
-    """The camera block of a native capture: a lens and the stream that it belongs to."""
-
     stream: Stream
 
     @property
     def intrinsics(self) -> Intrinsics:
         """The block as `Intrinsics`."""
-        return self.as_intrinsics(self.stream)
+        return Intrinsics(
+            **{one.name: getattr(self, one.name.removesuffix("_px")) for one in fields(Intrinsics)}
+        )
 
     @classmethod
     def of(cls, intrinsics: Intrinsics) -> CameraModel:
         """Return the block that says `intrinsics`."""
-        i = intrinsics
-        return cls(
-            stream=i.stream,
-            width=i.width,
-            height=i.height,
-            fx=i.fx_px,
-            fy=i.fy_px,
-            cx=i.cx_px,
-            cy=i.cy_px,
-            distortion=i.distortion,
-            coefficients=i.coefficients,
-        )
+        return cls(**{key.removesuffix("_px"): value for key, value in vars(intrinsics).items()})
 
 
-class _DepthLens(_Lens):
-    stream: Literal["depth"] = "depth"
+class _DepthModel(CameraModel):
+    stream: Literal[Stream.DEPTH] = Stream.DEPTH
 
 
-class _ExtrinsicsModel(_Strict):
+class _ExtrinsicsModel(StrictModel):
     # Nine numbers are the SDK's rs2_extrinsics, column by column; three rows are a matrix.
     rotation: list[float] | list[list[float]]
     translation_m: tuple[float, float, float]
 
 
 class _FileModel(CameraModel):
-    depth: _DepthLens | None = None
+    depth: _DepthModel | None = None
     depth_to_color: _ExtrinsicsModel | None = None
     depth_unit_m: float | None = Field(default=None, gt=0)
 
@@ -182,7 +159,7 @@ def read_camera_file(path: Path) -> CameraFile:
     return CameraFile(
         model.intrinsics,
         path,
-        model.depth.as_intrinsics(Stream.DEPTH) if model.depth else None,
+        model.depth.intrinsics if model.depth else None,
         _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
         model.depth_unit_m,
     )
@@ -190,13 +167,12 @@ def read_camera_file(path: Path) -> CameraFile:
 
 def _from_matrix(matrix: Any, path: Path) -> dict[str, float]:
     try:
-        k = Intrinsics.from_matrix(matrix, 1, 1)
+        with as_errors_of(path):
+            k = Intrinsics.from_matrix(matrix, 1, 1)
     except (ValueError, TypeError):
         raise IntrinsicsError(
             "'matrix' holds no numbers", source=path, remedy="give it as three rows of three"
         ) from None
-    except IntrinsicsError as error:
-        raise IntrinsicsError(error.message, source=path, remedy=error.remedy) from None
     return {"fx": k.fx_px, "fy": k.fy_px, "cx": k.cx_px, "cy": k.cy_px}
 
 

@@ -6,11 +6,17 @@ import json
 import math
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from cucumbervision.errors import CaptureError, CucumberVisionError, DepthError
+from cucumbervision.errors import (
+    CaptureError,
+    CucumberVisionError,
+    DepthError,
+    naming_os_errors,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,18 +55,15 @@ ModelT = TypeVar("ModelT", bound="BaseModel")
 
 def read_bytes(path: Path) -> bytes:
     """Read a file, or say in one line why not."""
-    try:
+    data = None
+    with (
+        naming_os_errors("cannot be read", path, "check the path", CaptureError),
+        suppress(FileNotFoundError),
+    ):
         data = path.read_bytes()
-    except FileNotFoundError:
-        raise CaptureError(
-            "the file is missing", source=path, remedy="copy the capture again"
-        ) from None
-    except OSError as error:
-        raise CaptureError(
-            f"cannot be read ({error.strerror})", source=path, remedy="check the path"
-        ) from None
     if not data:
-        raise CaptureError("the file is empty", source=path, remedy="copy the capture again")
+        fault = "the file is missing" if data is None else "the file is empty"
+        raise CaptureError(fault, source=path, remedy="copy the capture again")
     return data
 
 
@@ -296,12 +299,8 @@ def write_jpeg(path: Path, color_rgb: NDArray[np.uint8], quality: int = 95) -> N
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file, or say in one line why not."""
-    try:
+    with naming_os_errors("cannot be written", path, "choose another folder", CaptureError):
         path.write_bytes(data)
-    except OSError as error:
-        raise CaptureError(
-            f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"
-        ) from None
 
 
 def read_json(path: Path) -> Any:

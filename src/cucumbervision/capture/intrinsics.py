@@ -108,15 +108,8 @@ class Intrinsics:
                 "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
                 remedy="give the 3x3 matrix row by row, in pixels, without skew",
             )
-        return cls(
-            width,
-            height,
-            float(k[0, 0]),
-            float(k[1, 1]),
-            float(k[0, 2]),
-            float(k[1, 2]),
-            stream,
-        )
+        fx, fy, cx, cy = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+        return cls(width, height, fx, fy, cx, cy, stream)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -187,10 +180,6 @@ class Intrinsics:
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
         x, y = distort(x, y, self.distortion, self.coefficients)
         return np.stack([x * self.fx_px + self.cx_px, y * self.fy_px + self.cy_px], axis=1)
-
-    def with_stream(self, stream: Stream) -> Intrinsics:
-        """Return the same camera as another stream's calibration."""
-        return replace(self, stream=stream)
 
 
 def check_intrinsics(

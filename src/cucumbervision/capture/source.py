@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,9 +18,9 @@ __all__ = [
     "CaptureSource",
     "ReadOptions",
     "bundled_captures",
+    "fail",
     "safe_name",
     "unique_name",
-    "unique_names",
 ]
 
 
@@ -112,6 +113,39 @@ class CaptureSource:
         """Iterate over the captures, in the source's order."""
         return self.refs()
 
+    @classmethod
+    def listed(
+        cls, path: Path, kind: str, parts: Iterable[tuple[str, int, Callable[[str], Capture]]]
+    ) -> CaptureSource:
+        """Return the source of captures that are known beforehand.
+
+        Parameters
+        ----------
+        path : Path
+            What the user named.
+        kind : str
+            The reader.
+        parts : iterable of (str, int, callable)
+            Each capture's name, which is made fit and unique, its frame, and what reads it when
+            it is given that name.
+
+        Examples
+        --------
+        >>> parts = [("a b", 1, print), ("A_b", 2, print)]
+        >>> [ref.name for ref in CaptureSource.listed("here", "native", parts)]
+        ['a_b', 'A_b-2']
+        """
+        refs, taken = [], set[str]()
+        for text, frame, load in parts:
+            name = unique_name(safe_name(text), taken)
+            refs.append(CaptureRef(name, frame, partial(load, name)))
+        return cls(path, kind, lambda: iter(refs), len(refs))
+
+
+def fail(error: Exception, name: str = "") -> Capture:  # noqa: ARG001 - called as any loader
+    """Raise an error that was kept until its capture's turn."""
+    raise error
+
 
 def safe_name(text: str) -> str:
     """Make a name that is fit for a file name on every system.
@@ -124,22 +158,10 @@ def safe_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("._") or "capture"
 
 
-def unique_names(names: Iterable[str]) -> list[str]:
-    """Add a number to each name that was there before.
+def unique_name(name: str, taken: set[str]) -> str:
+    """Return a name with a number if it was there before, and take it.
 
     Letter case makes no difference: some systems have none in file names.
-
-    Examples
-    --------
-    >>> unique_names(["a", "b", "A", "a"])
-    ['a', 'b', 'A-2', 'a-3']
-    """
-    taken: set[str] = set()
-    return [unique_name(name, taken) for name in names]
-
-
-def unique_name(name: str, taken: set[str]) -> str:
-    """Return one name as `unique_names` would after those before it, and take it.
 
     Examples
     --------

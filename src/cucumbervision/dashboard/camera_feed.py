@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.capture.cameras.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.frames import fuse_burst, valid_depth
 from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
+from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
 
 if TYPE_CHECKING:

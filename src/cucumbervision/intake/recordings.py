@@ -1,9 +1,4 @@
-"""Recordings from untrusted senders, played in a separate process with limits.
-
-The formats are parsed by a large native library that was not designed for untrusted files. What
-the process writes are native captures, which are read like any others; its crash or hang is one
-named error.
-"""
+"""Recordings from untrusted senders, played in a separate process that limits itself."""
 
 from __future__ import annotations
 
@@ -20,7 +15,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, safe_name
@@ -40,13 +35,25 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["REPORT", "Played", "open_guarded", "play_apart"]
+__all__ = [
+    "REPORT",
+    "Played",
+    "leave_network",
+    "limit_itself",
+    "main",
+    "open_guarded",
+    "play",
+    "play_apart",
+]
 
 REPORT = "report.jsonl"
+
 _POLL_S = 0.05
+
 _TOLD = {
     error.__name__: error for error in (CameraError, CaptureError, DepthError, IntrinsicsError)
 }
+
 _OWN_NAMES = re.compile(r"(\d{6})(/(capture\.json|(color|depth)_\d{6}\.png))?|report\.jsonl")
 
 # What the process needs of the environment: nothing of ours is told to it.
@@ -77,7 +84,7 @@ def play_apart(
     burst: int = 5,
     name: str = "recording",
     title: str = "",
-    command: tuple[str, ...] = ("-m", "cucumbervision.intake.player"),
+    command: tuple[str, ...] = ("-m", "cucumbervision.intake.recordings"),
 ) -> Played:
     """Play a recording in a limited process and keep its captures as native folders.
 
@@ -275,3 +282,81 @@ def _load(ref: CaptureRef, path: Path) -> Capture:
 
 def _fail(error: CucumberVisionError) -> Capture:
     raise error
+
+
+def limit_itself(limits: dict[str, Any]) -> None:
+    """Set this process's limits; what the system has not is left to who watches it."""
+    try:
+        import resource
+    except ModuleNotFoundError:  # Windows
+        return
+    cpu = max(1, int(limits["cpu_s"]))
+    wanted = {
+        resource.RLIMIT_CPU: cpu,
+        resource.RLIMIT_AS: int(limits["memory_bytes"]),
+        resource.RLIMIT_FSIZE: int(limits["output_bytes"]),
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_NOFILE: 256,
+    }
+    for kind, most in wanted.items():
+        _, hard = resource.getrlimit(kind)
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (most, most))
+    # Whoever watches may have been killed: it ends by itself a little later.
+    signal.alarm(int(limits["wall_s"]) + 5)
+
+
+def leave_network() -> bool:
+    """Cut this process off from every network, where the system lets it; say whether it did.
+
+    Linux with user namespaces (`unshare(2)`): the process keeps its files but sees no interface.
+    """
+    if sys.platform != "linux":
+        return False
+    import ctypes
+
+    new_user, new_net = 0x10000000, 0x40000000
+    return bool(ctypes.CDLL(None).unshare(new_user | new_net) == 0)
+
+
+def play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
+    """Write a recording's captures as native folders 000000, 000001, …, and its errors as lines."""
+    from cucumbervision.capture.readers import ReadOptions, open_source
+    from cucumbervision.capture.readers.native import write_native
+
+    with (folder / REPORT).open("a", encoding="utf-8") as report:
+
+        def tell(error: CucumberVisionError) -> None:
+            missing = "pyrealsense2" if isinstance(error, MissingExtraError) else ""
+            line = {"code": error.code, "message": error.message, "remedy": error.remedy}
+            report.write(json.dumps(line | {"missing": missing}) + "\n")
+            report.flush()
+
+        try:
+            for number, ref in enumerate(open_source(path, ReadOptions(burst=burst))):
+                if number == most:
+                    raise CucumberVisionError(
+                        f"has more than {most} captures, the rest is left out",
+                        remedy="send it in parts",
+                    )
+                try:
+                    capture = replace(ref.load(), name=f"{name}_{ref.frame:06d}", source=name)
+                except CucumberVisionError as error:
+                    tell(error)
+                    continue
+                write_native(capture, folder / f"{number:06d}")
+        except CucumberVisionError as error:
+            tell(error)
+
+
+def main() -> None:
+    """Take the order from the command line."""
+    order = json.loads(sys.argv[1])
+    leave_network()
+    limit_itself(order["limits"])
+    most = order["limits"]["captures"]
+    play(Path(order["path"]), Path(order["folder"]), order["burst"], order["name"], most)
+
+
+if __name__ == "__main__":
+    main()

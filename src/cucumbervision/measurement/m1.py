@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.geometry.medians import valid_median
+from cucumbervision.geometry.pixels import valid_median
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
 

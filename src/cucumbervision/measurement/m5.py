@@ -8,7 +8,7 @@ import numpy as np
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near, bin_centroids
 from cucumbervision.geometry.curve import natural_spline
-from cucumbervision.measurement.m2 import GATE_M
+from cucumbervision.measurement.m2_m3 import GATE_M
 from cucumbervision.measurement.result import LengthKind, Measurement, Method, Reason
 
 if TYPE_CHECKING:

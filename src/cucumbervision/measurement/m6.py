@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.geometry.outline import depth_across, outline_cracks
+from cucumbervision.geometry.pixels import depth_across, outline_cracks
 from cucumbervision.geometry.tube import TubeShape
 from cucumbervision.geometry.tube_fit import (
     Evidence,

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.geometry.axis import AlignedCloud, align_near
 from cucumbervision.measurement.cloud import box_points, masked_points
 from cucumbervision.measurement.m1 import measure_m1
-from cucumbervision.measurement.m2 import GATE_M, measure_m2
-from cucumbervision.measurement.m3 import measure_m3
+from cucumbervision.measurement.m2_m3 import GATE_M, measure_m2, measure_m3
 from cucumbervision.measurement.m4 import measure_m4
 from cucumbervision.measurement.m5 import measure_m5
 from cucumbervision.measurement.m6 import measure_m6

@@ -88,7 +88,7 @@ def carrot_intrinsics(folder: Path) -> Table:
     """Measure the real carrot frames with a depth stream's focal length instead of their own."""
     from cucumbervision.capture.readers import open_source
     from cucumbervision.measurement.cloud import masked_points
-    from cucumbervision.measurement.m3 import measure_m3
+    from cucumbervision.measurement.m2_m3 import measure_m3
 
     errors = []
     for ref in open_source(folder, ReadOptions()):

@@ -17,7 +17,7 @@ import numpy as np
 from cucumbervision.capture.files import read_color, read_depth, write_jpeg
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision_lab.synthesis.appearance import FAR, Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.color_camera import Exposure, expose

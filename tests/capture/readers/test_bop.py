@@ -11,7 +11,7 @@ import pytest
 
 from cucumbervision.capture.files import write_png
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 K = [60.5, 0, 31.5, 0, 60.25, 24.5, 0, 0, 1]

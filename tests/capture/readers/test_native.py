@@ -12,7 +12,7 @@ import pytest
 from cucumbervision.capture.files import write_png
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 Edit = Callable[[dict[str, Any]], object]

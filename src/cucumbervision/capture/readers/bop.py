@@ -27,17 +27,11 @@ from cucumbervision.capture.readers.common import (
     given_calibration,
     require_same_size,
 )
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    ReadOptions,
-    safe_name,
-    unique_names,
-)
-from cucumbervision.errors import CaptureError, IntrinsicsError
+from cucumbervision.capture.source import CaptureSource, ReadOptions, fail, safe_name
+from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from cucumbervision.capture.camera_file import CameraFile
 
@@ -77,23 +71,19 @@ def open_bop(path: Path, scenes: Sequence[Path], options: ReadOptions) -> Captur
         If no scene has a single image, or the user's intrinsics file cannot be read.
     """
     given = given_calibration(options)
-    refs: list[CaptureRef] = []
-    for scene in scenes:
-        parts = (path.resolve().name, *scene.relative_to(path).parts)
-        refs.extend(_scene_refs(scene, safe_name("_".join(parts)), given, options))
-    if not refs:
+    parts = (part for scene in scenes for part in _parts(path, scene, given, options.depth_unit_m))
+    source = CaptureSource.listed(path, "bop", parts)
+    if not source.total:
         raise CaptureError("has no images in rgb/", source=path, remedy="check the scene's folder")
-    names = unique_names(r.name for r in refs)
-    refs = [CaptureRef(n, r.frame, r.load) for n, r in zip(names, refs, strict=True)]
-    return CaptureSource(path, "bop", lambda: iter(refs), len(refs))
+    return source
 
 
-def _scene_refs(
-    scene: Path, prefix: str, given: CameraFile | None, options: ReadOptions
-) -> list[CaptureRef]:
+def _parts(
+    path: Path, scene: Path, given: CameraFile | None, unit_m: float | None
+) -> Iterator[tuple[str, int, Callable[[str], Capture]]]:
+    prefix = safe_name("_".join((path.resolve().name, *scene.relative_to(path).parts)))
     files = {kind: _by_image(scene / kind) for kind in ("rgb", "depth", "mask_visib")}
-    # A mask or depth picture without its colour picture is a broken frame, not none.
-    images = sorted(set().union(*files.values()))
+    cameras, fault = dict[str, Any](), None
     try:
         cameras = read_json(scene / _CAMERA_FILE)
         if not isinstance(cameras, dict):
@@ -102,24 +92,12 @@ def _scene_refs(
             )
     except CaptureError as error:
         # The other scenes of a data set still load.
-        cameras = error
-    return [
-        CaptureRef(
-            f"{prefix}_{image:06d}",
-            image,
-            partial(
-                _load,
-                scene,
-                f"{prefix}_{image:06d}",
-                image,
-                {kind: found.get(image, []) for kind, found in files.items()},
-                cameras,
-                given,
-                options.depth_unit_m,
-            ),
-        )
-        for image in images
-    ]
+        fault = error
+    # A mask or depth picture without its colour picture is a broken frame, not none.
+    for image in sorted(set().union(*files.values())):
+        own = {kind: found.get(image, []) for kind, found in files.items()}
+        load = partial(_load, scene, image, own, cameras, given, unit_m)
+        yield f"{prefix}_{image:06d}", image, partial(fail, fault) if fault else load
 
 
 def _by_image(folder: Path) -> dict[int, list[Path]]:
@@ -133,15 +111,13 @@ def _by_image(folder: Path) -> dict[int, list[Path]]:
 
 def _load(
     scene: Path,
-    name: str,
     image: int,
     files: dict[str, list[Path]],
-    cameras: dict[str, Any] | CaptureError,
+    cameras: dict[str, Any],
     given: CameraFile | None,
     unit_m: float | None,
+    name: str,
 ) -> Capture:
-    if isinstance(cameras, CaptureError):
-        raise cameras
     for kind in ("rgb", "depth"):
         if not files[kind]:
             raise CaptureError(
@@ -149,13 +125,19 @@ def _load(
                 source=scene / kind / f"{image:06d}.png",
                 remedy="copy the scene again",
             )
-    camera = _camera(cameras, image, scene / _CAMERA_FILE)
+    camera_path = scene / _CAMERA_FILE
+    if str(image) not in cameras:
+        raise IntrinsicsError(
+            f"has no entry for image {image}", source=camera_path, remedy="add its cam_K"
+        )
+    said = cameras[str(image)]
+    camera = parse_model(_FrameCamera, said, source=camera_path, error=IntrinsicsError)
     color_path, depth_path = files["rgb"][0], files["depth"][0]
-    color = read_color(color_path)
+    color, raw = read_color(color_path), read_depth(depth_path)
     height, width = color.shape[:2]
-    raw = read_depth(depth_path)
     require_same_size(color, raw, source=depth_path)
-    own = _intrinsics(camera, width, height, scene / _CAMERA_FILE)
+    with as_errors_of(camera_path):
+        own = Intrinsics.from_matrix(camera.cam_K, width, height)
     intrinsics = choose_intrinsics(own, given, width, height, source=scene)
     # BOP: depth_scale times the stored number is millimetres.
     depth_m = depth_to_metres(raw, unit_m or camera.depth_scale * 0.001, source=depth_path)
@@ -170,18 +152,3 @@ def _load(
         source=str(color_path),
         provenance={"reader": "bop", "scene": scene.name},
     )
-
-
-def _camera(cameras: dict[str, Any], image: int, source: Path) -> _FrameCamera:
-    if str(image) not in cameras:
-        raise IntrinsicsError(
-            f"has no entry for image {image}", source=source, remedy="add its cam_K"
-        )
-    return parse_model(_FrameCamera, cameras[str(image)], source=source, error=IntrinsicsError)
-
-
-def _intrinsics(camera: _FrameCamera, width: int, height: int, source: Path) -> Intrinsics:
-    try:
-        return Intrinsics.from_matrix(camera.cam_K, width, height)
-    except IntrinsicsError as error:
-        raise IntrinsicsError(error.message, source=source, remedy=error.remedy) from None

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision.capture.depth import depth_to_metres, require_readings
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics
-from cucumbervision.errors import CaptureError
+from cucumbervision.errors import CaptureError, IntrinsicsError
+from cucumbervision.geometry.camera import align_depth_to_color
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -13,12 +17,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.camera_file import CameraFile, Extrinsics
     from cucumbervision.capture.source import ReadOptions
 
 __all__ = [
-    "aligned_depth",
     "choose_intrinsics",
+    "frame_capture",
     "given_calibration",
     "no_intrinsics",
     "require_same_size",
@@ -27,11 +31,7 @@ __all__ = [
 
 def given_calibration(options: ReadOptions) -> CameraFile | None:
     """Read the user's intrinsics file, if one is named."""
-    if options.intrinsics is None:
-        return None
-    from cucumbervision.capture.camera_file import read_camera_file
-
-    return read_camera_file(options.intrinsics)
+    return read_camera_file(options.intrinsics) if options.intrinsics else None
 
 
 def choose_intrinsics(
@@ -59,8 +59,6 @@ def choose_intrinsics(
 
 def no_intrinsics(source: object) -> CaptureError:
     """Return the error for a source that carries no calibration when the user names none."""
-    from cucumbervision.errors import IntrinsicsError
-
     return IntrinsicsError(
         "carries no camera intrinsics, without which pixels have no lengths",
         source=source,
@@ -84,29 +82,70 @@ def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path)
         )
 
 
-def aligned_depth(
-    depth_m: NDArray[np.float32],
+def frame_capture(
     color: NDArray[np.uint8],
-    intrinsics: Intrinsics,
+    raw: NDArray[Any],
+    own: Intrinsics | None,
     given: CameraFile | None,
+    unit_m: float | None,
     *,
     source: Path,
+    depth_source: Path,
     depth_camera: Intrinsics | None = None,
-) -> NDArray[np.float32]:
-    """Bring depth into the colour picture, if the calibration says that it is not there yet.
+    **about: Any,
+) -> Capture:
+    """Return the capture of a colour picture and its depth.
 
-    A calibration with both `depth` and `depth_to_color` says so; else depth must have the
-    colour picture's size.
+    Depth is brought into the colour picture if the calibration says that it is not there yet: one
+    with both `depth` and `depth_to_color` does; else depth must have the colour picture's size.
+
+    Parameters
+    ----------
+    color : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    raw : ndarray, shape (h, w)
+        The depth picture's numbers.
+    own : Intrinsics, optional
+        The source's.
+    given : CameraFile, optional
+        The user's.
+    unit_m : float, optional
+        Metres of one depth step, where the user says it.
+    source, depth_source : Path
+        The files, for errors.
+    depth_camera : Intrinsics, optional
+        The depth camera's, where the user's file does not have them.
+    **about
+        More of the `Capture`.
 
     Raises
     ------
     CaptureError
-        If sizes disagree.
+        If sizes disagree, or depth has no valid reading.
+    IntrinsicsError
+        As `choose_intrinsics` raises it.
     """
+    height, width = color.shape[:2]
+    intrinsics = choose_intrinsics(own, given, width, height, source=source)
+    unit_m = unit_m or (given.depth_unit_m if given else None)
+    depth_m = depth_to_metres(raw, unit_m, source=depth_source)
     camera = (given.depth if given else None) or depth_camera
     if given is None or camera is None or given.depth_to_color is None:
-        require_same_size(color, depth_m, source=source)
-        return depth_m
+        require_same_size(color, depth_m, source=depth_source)
+    else:
+        depth_m = _aligned(depth_m, camera, intrinsics, given.depth_to_color, source=depth_source)
+    require_readings(depth_m, source=depth_source)
+    return Capture(color, depth_m, intrinsics, source=str(source), **about)
+
+
+def _aligned(
+    depth_m: NDArray[np.float32],
+    camera: Intrinsics,
+    intrinsics: Intrinsics,
+    moved: Extrinsics,
+    *,
+    source: Path,
+) -> NDArray[np.float32]:
     if depth_m.shape != (camera.height, camera.width):
         raise CaptureError(
             f"depth is {depth_m.shape[1]}x{depth_m.shape[0]}, the depth camera's intrinsics are "
@@ -114,15 +153,13 @@ def aligned_depth(
             source=source,
             remedy="give the depth camera's intrinsics at that size",
         )
-    from cucumbervision.geometry.camera import align_depth_to_color
-
     return align_depth_to_color(
         depth_m,
         camera.matrix,
         intrinsics.matrix,
         intrinsics.size,
-        given.depth_to_color.rotation,
-        given.depth_to_color.translation_m,
+        moved.rotation,
+        moved.translation_m,
         depth_lens=(camera.distortion, camera.coefficients),
         color_lens=(intrinsics.distortion, intrinsics.coefficients),
     )

@@ -1,21 +1,26 @@
-"""The project's own capture folder: `capture.json`, pictures, and masks where there are any."""
+"""The project's own capture folder, read and written: `capture.json`, pictures and masks."""
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+import numpy as np
+from pydantic import AfterValidator, Field
 
-from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import (
+    json_value,
     parse_model,
     read_color,
     read_depth,
     read_json,
     read_mask,
+    write_bytes,
+    write_png,
 )
 from cucumbervision.capture.frames import Capture, Stop, fuse_burst
 from cucumbervision.capture.readers.common import (
@@ -23,32 +28,31 @@ from cucumbervision.capture.readers.common import (
     given_calibration,
     require_same_size,
 )
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    ReadOptions,
-    safe_name,
-    unique_names,
-)
-from cucumbervision.errors import CaptureError
+from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
+from cucumbervision.errors import CaptureError, as_errors_of, naming_os_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile
 
-__all__ = ["FORMAT", "MANIFEST", "MASKS", "Frame", "Manifest", "find_captures", "open_native"]
+__all__ = [
+    "FORMAT",
+    "MANIFEST",
+    "MASKS",
+    "Manifest",
+    "find_captures",
+    "open_native",
+    "write_native",
+]
 
 FORMAT = "cucumbervision-capture"
+
 MANIFEST = "capture.json"
+
 MASKS = "mask_visib"
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 def _inside(name: str) -> str:
@@ -61,7 +65,7 @@ def _inside(name: str) -> str:
 _File = Annotated[str, Field(min_length=1), AfterValidator(_inside)]
 
 
-class Frame(_Strict):
+class _Frame(StrictModel):
     """One frame of a burst: file names relative to the folder."""
 
     color: _File
@@ -69,7 +73,7 @@ class Frame(_Strict):
     timestamp_s: float | None = None
 
 
-class StopModel(_Strict):
+class _Stop(StrictModel):
     """Where in the house it was taken."""
 
     row: str | None = None
@@ -78,12 +82,12 @@ class StopModel(_Strict):
     step: int | None = None
 
 
-class Manifest(_Strict):
+class Manifest(StrictModel):
     """What `capture.json` holds; `docs/captures.md` describes every key."""
 
     format: Literal["cucumbervision-capture"]
     version: Literal[1]
-    frames: list[Frame] = Field(min_length=1)
+    frames: list[_Frame] = Field(min_length=1)
     camera: CameraModel
     depth_unit_m: float = Field(default=0.001, gt=0)
     depth_rounding_m: float = Field(default=0.0, ge=0)
@@ -91,7 +95,7 @@ class Manifest(_Strict):
     frame: int = Field(default=0, ge=0)
     burst_frame: int = Field(default=0, ge=0)
     burst_size: int = Field(default=1, ge=1)
-    stop: StopModel = Field(default_factory=StopModel)
+    stop: _Stop = Field(default_factory=_Stop)
     simulated: bool = False
     provenance: dict[str, Any] = Field(default_factory=dict)
 
@@ -121,55 +125,35 @@ def open_native(path: Path, folders: Sequence[Path], options: ReadOptions) -> Ca
         If the user's intrinsics file cannot be read.
     """
     given = given_calibration(options)
-    found = [_manifest_or_error(folder) for folder in folders]
-    names = unique_names(
-        _name_of(path, folder, manifest) for folder, manifest in zip(folders, found, strict=True)
-    )
-    refs = [
-        CaptureRef(
-            name,
-            0 if isinstance(manifest, CaptureError) else manifest.frame,
-            partial(_load, folder, manifest, name, given, options.depth_unit_m),
-        )
-        for name, folder, manifest in zip(names, folders, found, strict=True)
-    ]
-    return CaptureSource(path, "native", lambda: iter(refs), len(refs))
+    return CaptureSource.listed(path, "native", _parts(path, folders, given, options.depth_unit_m))
 
 
-def _manifest_or_error(folder: Path) -> Manifest | CaptureError:
-    source = folder / MANIFEST
-    try:
-        return parse_model(Manifest, read_json(source), source=source)
-    except CaptureError as error:
-        return error
-
-
-def _name_of(path: Path, folder: Path, manifest: Manifest | CaptureError) -> str:
-    if isinstance(manifest, Manifest) and manifest.name:
-        return safe_name(manifest.name)
-    parts = folder.relative_to(path).parts or (path.resolve().name,)
-    return safe_name("_".join(parts))
+def _parts(
+    path: Path, folders: Sequence[Path], given: CameraFile | None, unit_m: float | None
+) -> Iterator[tuple[str, int, Callable[[str], Capture]]]:
+    for folder in folders:
+        name = "_".join(folder.relative_to(path).parts or (path.resolve().name,))
+        source = folder / MANIFEST
+        try:
+            manifest = parse_model(Manifest, read_json(source), source=source)
+        except CaptureError as error:
+            yield name, 0, partial(fail, error)
+        else:
+            load = partial(_load, folder, manifest, given, unit_m)
+            yield manifest.name or name, manifest.frame, load
 
 
 def _load(
-    folder: Path,
-    manifest: Manifest | CaptureError,
-    name: str,
-    given: CameraFile | None,
-    unit_m: float | None,
+    folder: Path, manifest: Manifest, given: CameraFile | None, unit_m: float | None, name: str
 ) -> Capture:
-    if isinstance(manifest, CaptureError):
-        raise manifest
     frames = [_read_frame(folder, f, unit_m or manifest.depth_unit_m) for f in manifest.frames]
     if len(frames) == 1:
         # A single frame's depth stays as it is, so that what was written is what is read.
         (color, depth_m), burst_frame = frames[0], manifest.burst_frame
         burst_size = manifest.burst_size
     else:
-        try:
+        with as_errors_of(folder):
             color, depth_m, burst_frame = fuse_burst([c for c, _ in frames], [d for _, d in frames])
-        except CaptureError as error:
-            raise CaptureError(error.message, source=folder, remedy=error.remedy) from None
         burst_size = len(frames)
     height, width = color.shape[:2]
     intrinsics = choose_intrinsics(
@@ -195,7 +179,7 @@ def _load(
 
 
 def _read_frame(
-    folder: Path, frame: Frame, unit_m: float
+    folder: Path, frame: _Frame, unit_m: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     color_path, depth_path = folder / frame.color, folder / frame.depth
     color, raw = read_color(color_path), read_depth(depth_path)
@@ -215,3 +199,125 @@ def _read_masks(folder: Path, frame: int, shape: tuple[int, ...]) -> tuple[NDArr
             )
         masks.append(read_mask(path, shape))
     return tuple(masks)
+
+
+# Steps to try, coarse first: 16 bits of the finest reach 3.3 m.
+_UNITS_M = (0.001, 0.0005, 0.00025, 0.0001, 0.00005)
+
+_STEPS = 65535
+
+_EXACT_M = 1e-6
+
+
+def write_native(
+    capture: Capture,
+    folder: Path,
+    *,
+    burst: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]] = (),
+    timestamps_s: Sequence[float | None] = (),
+) -> Path:
+    """Write a capture as a native folder, which reads back the same.
+
+    Parameters
+    ----------
+    capture : Capture
+        What to write; its name, frame, stop, masks, intrinsics and provenance are kept.
+    folder : Path
+        Made if it does not exist; must not hold a capture yet.
+    burst : sequence of (color, depth_m), optional
+        The burst's single frames, written in place of the capture's fused picture and fused
+        again when read: colour uint8 (H, W, 3), depth float32 (H, W) in metres.
+    timestamps_s : sequence of float, optional
+        Seconds since the epoch of the burst's frames.
+
+    Returns
+    -------
+    Path
+        The `capture.json` written, last of all files: an interrupted write is no capture.
+
+    Raises
+    ------
+    CaptureError
+        If the folder already holds a capture, cannot be written, or depth reaches farther than
+        65.5 m.
+
+    Notes
+    -----
+    Depth is 16-bit PNG in steps of 1 mm, or in finer steps where 1 mm would lose something (a
+    burst's median may lie between two millimetres). Where the finest that reaches the farthest
+    reading (0.05 mm up to 3.3 m, 0.1 mm up to 6.5 m) loses something,
+    `capture.json` says how much at most under `depth_rounding_m`.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision.capture.readers import open_source
+    >>> depth = np.full((48, 64), 0.4545, np.float32)
+    >>> color, camera = np.zeros((48, 64, 3), np.uint8), Intrinsics(64, 48, 60, 60, 32, 24)
+    >>> with tempfile.TemporaryDirectory() as tmp:
+    ...     path = write_native(Capture(color, depth, camera, "a"), pathlib.Path(tmp) / "a")
+    ...     back = next(iter(open_source(path.parent))).load()
+    >>> back.name, bool((back.depth_m == depth).all())
+    ('a', True)
+    """
+    if (folder / MANIFEST).exists():
+        raise CaptureError("already holds a capture", source=folder, remedy="choose another folder")
+    frames = list(burst) or [(capture.color, capture.depth_m)]
+    times = list(timestamps_s) or ([None] * len(burst) if burst else [capture.timestamp_s])
+    unit_m, rounding_m = _choose_unit([d for _, d in frames], folder)
+    manifest = {
+        "format": FORMAT,
+        "version": 1,
+        "name": capture.name,
+        "frame": capture.frame,
+        "burst_frame": 0 if burst else capture.burst_frame,
+        "burst_size": 1 if burst else capture.burst_size,
+        "frames": [
+            {"color": f"color_{i:06d}.png", "depth": f"depth_{i:06d}.png", "timestamp_s": t}
+            for i, t in enumerate(times)
+        ],
+        "depth_unit_m": unit_m,
+        "depth_rounding_m": rounding_m,
+        "camera": CameraModel.of(capture.intrinsics).model_dump(mode="json"),
+        "stop": vars(capture.stop),
+        "simulated": capture.simulated,
+        "provenance": dict(capture.provenance),
+    }
+    text = json.dumps(json_value(manifest), indent=2) + "\n"
+    parse_model(Manifest, json.loads(text), source=folder)
+    with naming_os_errors("cannot be made", folder, "choose another folder", CaptureError):
+        (folder / MASKS if capture.masks else folder).mkdir(parents=True, exist_ok=True)
+    for i, (color, depth_m) in enumerate(frames):
+        write_png(folder / f"color_{i:06d}.png", color)
+        write_png(folder / f"depth_{i:06d}.png", _steps(depth_m, unit_m).astype(np.uint16))
+    for k, mask in enumerate(capture.masks):
+        write_png(folder / MASKS / f"{capture.frame:06d}_{k:06d}.png", mask.astype(np.uint8) * 255)
+    write_bytes(folder / MANIFEST, text.encode())
+    return folder / MANIFEST
+
+
+def _choose_unit(depths_m: Sequence[NDArray[np.float32]], folder: Path) -> tuple[float, float]:
+    readings = np.unique(np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths_m]))
+    far_m = float(readings.max(initial=0.0))
+    unit_m, rounding_m = 0.0, 0.0
+    for step_m in _UNITS_M:
+        if far_m / step_m > _STEPS:
+            break
+        unit_m = step_m
+        rounding_m = float(np.abs(_steps(readings, unit_m) * unit_m - readings).max(initial=0.0))
+        if rounding_m <= _EXACT_M:
+            return unit_m, 0.0
+    if not unit_m:
+        raise CaptureError(
+            f"depth reaches {far_m:.0f} m, too far for 16 bits in millimetres",
+            source=folder,
+            remedy="set readings beyond 65.5 m to 0",
+        )
+    return unit_m, round(rounding_m, 6)
+
+
+def _steps(depth_m: NDArray[np.float32], unit_m: float) -> NDArray[np.float64]:
+    finite = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0)
+    return np.rint(finite.astype(np.float64) / unit_m)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import (
     COLOR_SUFFIXES,
     DEPTH_SUFFIXES,
@@ -17,28 +16,17 @@ from cucumbervision.capture.files import (
     read_color,
     read_depth,
 )
-from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.capture.readers.common import (
-    aligned_depth,
-    choose_intrinsics,
-    given_calibration,
-    no_intrinsics,
-)
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    ReadOptions,
-    safe_name,
-    unique_names,
-)
-from cucumbervision.errors import CaptureError, IntrinsicsError
+from cucumbervision.capture.readers.common import frame_capture, given_calibration, no_intrinsics
+from cucumbervision.capture.source import CaptureSource, ReadOptions
+from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.frames import Capture
 
 __all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs", "pair_role"]
 
@@ -131,12 +119,11 @@ def open_pairs(path: Path, pairs: Sequence[Pair], options: ReadOptions) -> Captu
     given = given_calibration(options)
     if given is None:
         raise no_intrinsics(path)
-    names = unique_names(safe_name((p.color or p.depth or path).stem) for p in pairs)
-    refs = [
-        CaptureRef(name, i, partial(_load_pair, pair, name, i, given, options.depth_unit_m))
-        for i, (name, pair) in enumerate(zip(names, pairs, strict=True))
-    ]
-    return CaptureSource(path, "pair", lambda: iter(refs), len(refs))
+    parts = (
+        ((p.color or p.depth or path).stem, i, partial(_load_pair, p, i, given, options))
+        for i, p in enumerate(pairs)
+    )
+    return CaptureSource.listed(path, "pair", parts)
 
 
 def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
@@ -159,13 +146,13 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
         If a pair comes without intrinsics, or their file is malformed.
     """
     suffix, given = path.suffix.lower(), given_calibration(options)
-    name = safe_name(path.stem)
+    load: Callable[[str], Capture]
     if suffix == ".npz" and options.depth is None:
-        load = partial(_load_npz, path, name, given, options.depth_unit_m)
+        load = partial(_load_npz, path, given, options)
     elif suffix in COLOR_SUFFIXES and options.depth is not None:
         if given is None:
             raise no_intrinsics(path)
-        load = partial(_load_pair, Pair(path, options.depth), name, 0, given, options.depth_unit_m)
+        load = partial(_load_pair, Pair(path, options.depth), 0, given, options)
     else:
         raise CaptureError(
             "a colour picture alone has no distances"
@@ -174,12 +161,11 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
             source=path,
             remedy="name a colour picture with its depth picture, or a capture folder",
         )
-    ref = CaptureRef(name, 0, load)
-    return CaptureSource(path, "pair", lambda: iter([ref]), 1)
+    return CaptureSource.listed(path, "pair", [(path.stem, 0, load)])
 
 
 def _load_pair(
-    pair: Pair, name: str, frame: int, given: CameraFile, unit_m: float | None
+    pair: Pair, frame: int, given: CameraFile, options: ReadOptions, name: str
 ) -> Capture:
     if pair.color is None or pair.depth is None:
         raise CaptureError(
@@ -187,25 +173,21 @@ def _load_pair(
             source=pair.color or pair.depth,
             remedy="put it beside this one",
         )
-    color = read_color(pair.color)
-    intrinsics = choose_intrinsics(None, given, color.shape[1], color.shape[0], source=pair.color)
-    raw = read_depth(pair.depth)
-    depth_m = depth_to_metres(raw, unit_m or given.depth_unit_m, source=pair.depth)
-    depth_m = aligned_depth(depth_m, color, intrinsics, given, source=pair.depth)
-    require_readings(depth_m, source=pair.depth)
-    provenance = {"reader": "pair", "depth": str(pair.depth), "intrinsics": str(given.path)}
-    return Capture(
-        color,
-        depth_m,
-        intrinsics,
-        name,
+    return frame_capture(
+        read_color(pair.color),
+        read_depth(pair.depth),
+        None,
+        given,
+        options.depth_unit_m,
+        source=pair.color,
+        depth_source=pair.depth,
+        name=name,
         frame=frame,
-        source=str(pair.color),
-        provenance=provenance,
+        provenance={"reader": "pair", "depth": str(pair.depth), "intrinsics": str(given.path)},
     )
 
 
-def _load_npz(path: Path, name: str, given: CameraFile | None, unit_m: float | None) -> Capture:
+def _load_npz(path: Path, given: CameraFile | None, options: ReadOptions, name: str) -> Capture:
     arrays = read_arrays(path)
     if "color" not in arrays:
         raise CaptureError(
@@ -220,25 +202,26 @@ def _load_npz(path: Path, name: str, given: CameraFile | None, unit_m: float | N
             source=path,
             remedy="save an 8-bit RGB picture",
         )
-    height, width = color.shape[:2]
-    own = _npz_intrinsics(arrays, width, height, path) if "matrix" in arrays else None
-    intrinsics = choose_intrinsics(own, given, width, height, source=path)
-    unit_m = unit_m or (given.depth_unit_m if given else None)
-    depth_m = depth_to_metres(arrays["depth"], unit_m, source=path)
-    depth_m = aligned_depth(depth_m, color, intrinsics, given, source=path)
-    require_readings(depth_m, source=path)
-    provenance = {"reader": "pair"}
-    return Capture(color, depth_m, intrinsics, name, source=str(path), provenance=provenance)
+    own = _npz_intrinsics(arrays, path) if "matrix" in arrays else None
+    return frame_capture(
+        color,
+        arrays["depth"],
+        own,
+        given,
+        options.depth_unit_m,
+        source=path,
+        depth_source=path,
+        name=name,
+        provenance={"reader": "pair"},
+    )
 
 
-def _npz_intrinsics(
-    arrays: dict[str, np.ndarray], width: int, height: int, path: Path
-) -> Intrinsics:
+def _npz_intrinsics(arrays: dict[str, np.ndarray], path: Path) -> Intrinsics:
+    height, width = arrays["color"].shape[:2]
     try:
         stream = Stream(str(arrays.get("stream", Stream.COLOR)))
-        return Intrinsics.from_matrix(arrays["matrix"], width, height, stream)
-    except IntrinsicsError as error:
-        raise IntrinsicsError(error.message, source=path, remedy=error.remedy) from None
+        with as_errors_of(path):
+            return Intrinsics.from_matrix(arrays["matrix"], width, height, stream)
     except (ValueError, TypeError):
         raise IntrinsicsError(
             "'matrix' is no 3x3 camera matrix, or 'stream' is neither 'color' nor 'depth'",

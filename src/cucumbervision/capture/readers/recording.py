@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.cameras.realsense_sdk import (
+from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration
+from cucumbervision.capture.realsense import (
     AlignedFrame,
     AlignedStream,
+    burst_capture,
     import_realsense,
     play_file,
 )
-from cucumbervision.capture.depth import require_readings
-from cucumbervision.capture.frames import Capture, fuse_burst
-from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration
-from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, safe_name
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -58,40 +56,37 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     with _stream(path) as stream:
         own, device = stream.intrinsics, stream.device
     intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)
-    recording = _Recording(path, intrinsics, device)
-    return CaptureSource(path, "recording", lambda: _refs(recording, options.burst))
-
-
-@dataclass(frozen=True)
-class _Recording:
-    path: Path
-    intrinsics: Intrinsics
-    device: dict[str, str]
+    about = {"source": str(path), "provenance": {"reader": "recording", **device}}
+    return CaptureSource(path, "recording", lambda: _refs(path, options.burst, intrinsics, about))
 
 
 def _stream(path: Path) -> AlignedStream:
     return AlignedStream(play_file(path), source=path, playback=True, timeout_s=_TIMEOUT_S)
 
 
-def _refs(recording: _Recording, burst: int) -> Iterator[CaptureRef]:
-    name = safe_name(recording.path.stem)
+def _refs(
+    path: Path, burst: int, intrinsics: Intrinsics, about: dict[str, Any]
+) -> Iterator[CaptureRef]:
+    name = safe_name(path.stem)
     fault, any_frame = None, False
-    with _stream(recording.path) as stream:
+    with _stream(path) as stream:
         while fault is None:
             frames, fault = _next_burst(stream, burst)
             if not frames:
                 break
-            any_frame = True
-            yield _ref(recording, f"{name}_{frames[0].number:06d}", frames)
+            any_frame, number = True, frames[0].number
+            own, place = f"{name}_{number:06d}", f"{path} frame {number}"
+            load = partial(burst_capture, frames, intrinsics, own, place=place, **about)
+            yield CaptureRef(own, number, load)
     if fault is None and not any_frame:
         fault = CaptureError(
             "has no frame with both colour and depth",
-            source=recording.path,
+            source=path,
             remedy="record both streams at one rate",
         )
     if fault is not None:
         # What came before a break is whole; the break itself is a capture that fails.
-        yield CaptureRef(f"{name}_end", -1, partial(_fail, fault))
+        yield CaptureRef(f"{name}_end", -1, partial(fail, fault))
 
 
 def _next_burst(
@@ -110,29 +105,3 @@ def _next_burst(
         if not frames or frame.number != frames[-1].number:
             frames.append(frame)
     return frames, None
-
-
-def _fail(fault: CaptureError) -> Capture:
-    raise fault
-
-
-def _ref(recording: _Recording, name: str, frames: list[AlignedFrame]) -> CaptureRef:
-    number = frames[0].number
-
-    def load() -> Capture:
-        color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
-        require_readings(depth_m, source=f"{recording.path} frame {number}")
-        return Capture(
-            color,
-            depth_m,
-            recording.intrinsics,
-            name,
-            frame=number,
-            burst_frame=kept,
-            burst_size=len(frames),
-            timestamp_s=frames[kept].timestamp_s,
-            source=str(recording.path),
-            provenance={"reader": "recording", **recording.device},
-        )
-
-    return CaptureRef(name, number, load)

@@ -12,31 +12,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import read_bytes, read_color
-from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
-from cucumbervision.capture.readers.common import (
-    aligned_depth,
-    choose_intrinsics,
-    given_calibration,
-)
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    ReadOptions,
-    safe_name,
-    unique_names,
-)
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.readers.common import frame_capture, given_calibration
+from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.frames import Capture
 
-__all__ = ["Snapshot", "find_snapshots", "open_viewer", "read_metadata"]
+__all__ = ["find_snapshots", "open_viewer"]
 
 _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
 _YEAR_2001_MS = 1e12
@@ -44,7 +33,7 @@ _COLOR, _COLOR_TABLE = "_Color.png", "_Color_metadata.csv"
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class _Snapshot:
     """What one frame's table says: size, lens, number and time."""
 
     intrinsics: Intrinsics
@@ -94,64 +83,54 @@ def open_viewer(path: Path, bases: Sequence[Path], options: ReadOptions) -> Capt
             source=path if given is None else given.path,
             remedy="give an intrinsics file with the colour camera and 'depth_to_color'",
         )
-    names = unique_names(safe_name(base.name) for base in bases)
-    refs = []
-    for name, base in zip(names, bases, strict=True):
-        table = _table_or_error(base.with_name(base.name + _TABLE))
-        frame = 0 if isinstance(table, CaptureError) else table.frame
-        load = partial(_load, base, name, table, given, options.depth_unit_m)
-        refs.append(CaptureRef(name, frame, load))
-    return CaptureSource(path, "viewer", lambda: iter(refs), len(refs))
+    return CaptureSource.listed(path, "viewer", _parts(bases, given, options.depth_unit_m))
 
 
-def _table_or_error(path: Path) -> Snapshot | CaptureError:
-    try:
-        return read_metadata(path, Stream.DEPTH)
-    except CaptureError as error:
-        return error
+def _parts(
+    bases: Sequence[Path], given: CameraFile, unit_m: float | None
+) -> Iterator[tuple[str, int, Callable[[str], Capture]]]:
+    for base in bases:
+        try:
+            _require_raw(base)
+            table = _read_metadata(base.with_name(base.name + _TABLE), Stream.DEPTH)
+        except CaptureError as error:
+            yield base.name, 0, partial(fail, error)
+        else:
+            yield base.name, table.frame, partial(_load, base, table, given, unit_m)
+
+
+def _require_raw(base: Path) -> None:
+    raw, picture = base.with_name(base.name + _RAW), base.with_name(base.name + _PICTURE)
+    if not raw.is_file() and picture.is_file():
+        raise DepthError(
+            "is the Viewer's colourised picture of depth, which has no distances",
+            source=picture,
+            remedy=f"export the snapshot with its {raw.name}",
+        )
 
 
 def _load(
-    base: Path,
-    name: str,
-    table: Snapshot | CaptureError,
-    given: CameraFile,
-    unit_m: float | None,
+    base: Path, table: _Snapshot, given: CameraFile, unit_m: float | None, name: str
 ) -> Capture:
     raw_path = base.with_name(base.name + _RAW)
-    if not raw_path.is_file() and base.with_name(base.name + _PICTURE).is_file():
-        raise DepthError(
-            "is the Viewer's colourised picture of depth, which has no distances",
-            source=base.with_name(base.name + _PICTURE),
-            remedy=f"export the snapshot with its {raw_path.name}",
-        )
-    if isinstance(table, CaptureError):
-        raise table
-    color = read_color(base.with_name(base.name + _COLOR))
-    height, width = color.shape[:2]
     own_path = base.with_name(base.name + _COLOR_TABLE)
-    own = read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None
-    intrinsics = choose_intrinsics(own, given, width, height, source=base)
-    depth_m = depth_to_metres(
-        _read_raw(raw_path, table), unit_m or given.depth_unit_m, source=raw_path
-    )
-    depth_m = aligned_depth(
-        depth_m, color, intrinsics, given, source=raw_path, depth_camera=table.intrinsics
-    )
-    require_readings(depth_m, source=raw_path)
-    return Capture(
-        color,
-        depth_m,
-        intrinsics,
-        name,
+    return frame_capture(
+        read_color(base.with_name(base.name + _COLOR)),
+        _read_raw(raw_path, table),
+        _read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None,
+        given,
+        unit_m,
+        source=raw_path,
+        depth_source=raw_path,
+        depth_camera=table.intrinsics,
+        name=name,
         frame=table.frame,
         timestamp_s=table.timestamp_s,
-        source=str(raw_path),
         provenance={"reader": "viewer", "intrinsics": str(given.path)},
     )
 
 
-def read_metadata(path: Path, stream: Stream) -> Snapshot:
+def _read_metadata(path: Path, stream: Stream) -> _Snapshot:
     """Read the table that RealSense Viewer writes beside each picture.
 
     Parameters
@@ -175,16 +154,9 @@ def read_metadata(path: Path, stream: Stream) -> Snapshot:
     fields = [line.split(",", 1) for line in lines if "," in line]
     values = {key.strip().lower(): value.strip() for key, value in fields}
     try:
-        intrinsics = Intrinsics(
-            int(values["resolution x"]),
-            int(values["resolution y"]),
-            float(values["fx"]),
-            float(values["fy"]),
-            float(values["ppx"]),
-            float(values["ppy"]),
-            stream,
-            Distortion.NONE,
-        )
+        width, height = (int(values[f"resolution {axis}"]) for axis in "xy")
+        fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
+        intrinsics = Intrinsics(width, height, fx, fy, cx, cy, stream)
         milliseconds = float(values.get("timestamp (ms)", "nan"))
         number = int(values.get("frame number", "0"))
     except (KeyError, ValueError) as error:
@@ -196,10 +168,10 @@ def read_metadata(path: Path, stream: Stream) -> Snapshot:
         raise IntrinsicsError(error.message, source=path, remedy="export it again") from None
     # A hardware clock counts from the camera's start, not from the epoch.
     time_s = milliseconds / 1000 if milliseconds > _YEAR_2001_MS else None
-    return Snapshot(intrinsics, values.get("format", ""), number, time_s)
+    return _Snapshot(intrinsics, values.get("format", ""), number, time_s)
 
 
-def _read_raw(path: Path, table: Snapshot) -> np.ndarray:
+def _read_raw(path: Path, table: _Snapshot) -> np.ndarray:
     width, height = table.intrinsics.size
     data = read_bytes(path)
     if table.format and table.format.upper() != "Z16":

@@ -1,4 +1,4 @@
-"""M2, box PCA, and the principal-axis chord that M3 shares with it."""
+"""M2, box PCA, and M3, mask PCA: the chord along the principal axis of a cloud."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cucumbervision.measurement.result import LengthKind, Measurement, Method, R
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["GATE_M", "measure_m2", "principal_chord"]
+__all__ = ["GATE_M", "MIN_POINTS", "measure_m2", "measure_m3", "principal_chord"]
 
 GATE_M = 0.035
 
@@ -75,3 +75,42 @@ def principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
     low, high = float(cloud.along_m.min()), float(cloud.along_m.max())
     path = cloud.centroid_m + np.array([[low], [high]]) * cloud.axis
     return Measurement(method, high - low, LengthKind.SURFACE_CHORD, path_m=path)
+
+
+MIN_POINTS = 50
+
+
+def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
+    """Measure a fruit by the spread of its mask's points along their principal axis.
+
+    Parameters
+    ----------
+    mask_points_m : ndarray of float, shape (N, 3)
+        The mask's pixels with a valid reading, deprojected
+        (`measurement.cloud.masked_points`), metres.
+    near : AlignedCloud, optional
+        The same points behind the gate, where that is known already.
+
+    Returns
+    -------
+    Measurement
+        Kind 'surface-chord'; reason 'too-few-points' below 50 valid pixels, where
+        `measurement.methods` falls back on M2.
+
+    Notes
+    -----
+    The paper's M3, by its method section: PCA, the gate included. (Its abstract says skeleton.)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.linspace(-0.1, 0.1, 101)
+    >>> rod = np.stack([x, 0 * x, 0 * x + 0.5], axis=1)
+    >>> round(measure_m3(rod).length_m, 6)
+    0.2
+    >>> measure_m3(rod[:49]).reason
+    <Reason.TOO_FEW_POINTS: 'too-few-points'>
+    """
+    if len(mask_points_m) < MIN_POINTS:
+        return Measurement(Method.M3, reason=Reason.TOO_FEW_POINTS)
+    return principal_chord(near or align_near(mask_points_m, GATE_M), Method.M3)

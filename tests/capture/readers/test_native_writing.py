@@ -9,7 +9,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, fuse_burst
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError
 
 

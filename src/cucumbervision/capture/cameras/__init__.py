@@ -1,1 +1,0 @@
-"""Live RGB-D cameras."""

@@ -26,8 +26,8 @@ def test_a_pure_scale_is_recovered_exactly(scale: float, count: int) -> None:
         assert fit.form is Form.SCALE
         assert fit.scale == pytest.approx(scale, rel=1e-9)
         assert fit.offset_m == 0
-        assert fit.after.error_percent < 1e-6
-        assert fit.before.error_percent == pytest.approx(100 * abs(1 / scale - 1))
+        assert fit.error_after_percent < 1e-6
+        assert fit.error_before_percent == pytest.approx(100 * abs(1 / scale - 1))
 
 
 @settings(deadline=None, max_examples=25)
@@ -85,7 +85,7 @@ def test_a_fruit_captured_often_counts_once() -> None:
     truth = np.concatenate([TRUTH[:11], np.full(20, TRUTH[11])])
     fit = fit_correction(raw, truth, NAMES[:11] + [NAMES[11]] * 20)
     # Eleven fruit without error and one with 50 %: 50/12 % on average, weighted by fruit.
-    assert fit.before.error_percent == pytest.approx(50 / 12)
+    assert fit.error_before_percent == pytest.approx(50 / 12)
 
 
 def test_held_out_error_by_hand() -> None:
@@ -95,10 +95,10 @@ def test_held_out_error_by_hand() -> None:
     raw[0] = TRUTH[0]
     fit = fit_correction(raw, TRUTH[:9], NAMES[:9])
     assert fit.form is Form.SCALE
-    assert fit.after.error_percent == pytest.approx(10 / 9, rel=1e-3)
-    assert fit.before.error_percent == pytest.approx(100 * 8 / 9 * (1 - 1 / 1.1))
+    assert fit.error_after_percent == pytest.approx(10 / 9, rel=1e-3)
+    assert fit.error_before_percent == pytest.approx(100 * 8 / 9 * (1 - 1 / 1.1))
     # Nine fruit at 90 %: the interval needs all nine, so the odd one sets it: 1/1.1 - 1.
-    assert fit.after.half_width == pytest.approx(1 - 1 / 1.1, rel=1e-3)
+    assert fit.half_width == pytest.approx(1 - 1 / 1.1, rel=1e-3)
 
 
 def test_nothing_or_nonsense_is_refused() -> None:
@@ -125,8 +125,8 @@ def test_the_interval_holds_on_new_fruit() -> None:
         truth = rng.uniform(0.1, 0.35, 16)
         raw = truth / 1.06 * (1 + rng.standard_t(4, 16) * 0.02)
         fit = fit_correction(raw[:15], truth[:15], [str(k) for k in range(15)])
-        assert fit.after.half_width is not None
+        assert fit.half_width is not None
         length = corrected(raw[15], fit.scale, fit.offset_m)
-        hits += abs(truth[15] / length - 1) <= fit.after.half_width
+        hits += abs(truth[15] / length - 1) <= fit.half_width
     # ceil(0.9 x 16) = 15 of 15, so 15/16 = 93.75 % is what the theory promises; binomial sd 1.7 %.
     assert 0.90 <= hits / 200 <= 0.985

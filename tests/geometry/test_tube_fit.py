@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.geometry.tube import TubeShape, shape_from_curve
-from cucumbervision.geometry.tube_fit import Evidence, depth_gaps, fit_shape, gaps, guess_shape
+from cucumbervision.geometry.tube import TubeShape, guess_shape, shape_from_curve
+from cucumbervision.geometry.tube_fit import Evidence, depth_gaps, fit_shape, gaps
 
 FAR, RADIUS, LONG = 0.5, 0.02, 0.16  # a body across the view, its end centres LONG apart
 

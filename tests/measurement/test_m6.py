@@ -313,12 +313,12 @@ def test_depth_points_keep_off_the_rim_and_carry_the_sensors_error(camera: Intri
     mask[100:120, 300:330] = True
     view = view_tube(np.full((480, 848), 0.5, np.float32), mask, camera)
     assert view is not None
-    u = view.points_m[:, 0] / view.points_m[:, 2] * camera.fx_px + camera.cx_px
-    v = view.points_m[:, 1] / view.points_m[:, 2] * camera.fy_px + camera.cy_px
+    u = view.evidence.points_m[:, 0] / view.evidence.points_m[:, 2] * camera.fx_px + camera.cx_px
+    v = view.evidence.points_m[:, 1] / view.evidence.points_m[:, 2] * camera.fy_px + camera.cy_px
     assert (u.min(), v.min()) == pytest.approx((303, 103))
     # z² s / (f B) with the depth camera's f, and whole millimetres, evenly: 1/sqrt(12).
     noise = 0.5**2 * 0.08 / (610 * 0.69 * 0.05)
-    assert view.points_sd_m == pytest.approx(np.hypot(noise, 0.001 / np.sqrt(12)))
+    assert view.evidence.points_sd_m == pytest.approx(np.hypot(noise, 0.001 / np.sqrt(12)))
 
 
 def test_what_stands_nearer_far_beyond_an_end_does_not_hide_it(camera: Intrinsics) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -307,7 +307,33 @@ class Factor:
 
 _LOWER = "The lower bound belongs to the group, the upper to the next."
 _TINY, _STRAIGHT_CM = 1e-9, 1e6
-_HIDDEN = {
+_Bands: TypeAlias = "Mapping[str, tuple[float, float]]"
+_TRUE_CM: _Bands = {
+    "small: below 10": (0, 10),
+    "medium: 10 to 18": (10, 18),
+    "large: 18 and more": (18, np.inf),
+}
+_TILTS_DEG: _Bands = {
+    "0 to 15": (0, 15),
+    "15 to 30": (15, 30),
+    "30 to 45": (30, 45),
+    "45 to 60": (45, 60 + _TINY),
+    "above 60": (60 + _TINY, np.inf),
+    "30 to 60, together": (30, 60 + _TINY),
+}
+_DISTANCES_CM: _Bands = {
+    "below 50": (0, 50),
+    "50 to 70": (50, 70),
+    "70 to 90": (70, 90),
+    "90 and more": (90, np.inf),
+}
+_RADII_CM: _Bands = {
+    "straight": (_STRAIGHT_CM, np.inf),
+    "30 and more": (30, _STRAIGHT_CM),
+    "15 to 30": (15, 30),
+    "below 15": (0, 15),
+}
+_HIDDEN_PERCENT: _Bands = {
     "0": (-_TINY, _TINY),
     "above 0 to 20": (_TINY, 20.0),
     "20 to 40": (20.0, 40.0),
@@ -326,76 +352,28 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
     true_m : Series of float
         True length of each row, metres.
     """
-
-    def banded(
-        head: str, values: pd.Series[float], bands: Mapping[str, tuple[float, float]], comment: str
-    ) -> Factor:
-        groups = {
-            label: values.between(low, high, inclusive="left")
-            for label, (low, high) in bands.items()
-        }
-        return Factor(head, groups, comment)
-
-    hidden = 100 * frame["hidden_share"]
+    tilt, hidden = frame["tilt_deg"].abs(), 100 * frame["hidden_share"]
+    far, radius = 100 * frame["distance_m"], (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM)
     ends_seen = frame.get("ends_seen", pd.Series(False, frame.index)).fillna(False).astype(bool)
-    factors = [
-        banded(
-            "true length (cm)",
-            100 * true_m,
-            {
-                "small: below 10": (0, 10),
-                "medium: 10 to 18": (10, 18),
-                "large: 18 and more": (18, np.inf),
-            },
-            _LOWER,
-        ),
-        banded(
-            "tilt (°)",
-            frame["tilt_deg"].abs(),
-            {
-                "0 to 15": (0, 15),
-                "15 to 30": (15, 30),
-                "30 to 45": (30, 45),
-                "45 to 60": (45, 60 + _TINY),
-                "above 60": (60 + _TINY, np.inf),
-                "30 to 60, together": (30, 60 + _TINY),
-            },
-            f"Angle of the fruit's chord out of the picture plane. {_LOWER}",
-        ),
-        banded(
-            "distance (cm)",
-            100 * frame["distance_m"],
-            {
-                "below 50": (0, 50),
-                "50 to 70": (50, 70),
-                "70 to 90": (70, 90),
-                "90 and more": (90, np.inf),
-            },
-            f"From the camera to the fruit's middle. {_LOWER}",
-        ),
-        banded(
-            "radius of the bend (cm)",
-            (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM),
-            {
-                "straight": (_STRAIGHT_CM, np.inf),
-                "30 and more": (30, _STRAIGHT_CM),
-                "15 to 30": (15, 30),
-                "below 15": (0, 15),
-            },
-            f"The smaller, the more bent. {_LOWER}",
-        ),
-        banded("hidden share of the fruit (%)", hidden, _HIDDEN, _LOWER),
-        banded(
+    banded = (
+        ("true length (cm)", 100 * true_m, _TRUE_CM, ""),
+        ("tilt (°)", tilt, _TILTS_DEG, "Angle of the fruit's chord out of the picture plane. "),
+        ("distance (cm)", far, _DISTANCES_CM, "From the camera to the fruit's middle. "),
+        ("radius of the bend (cm)", radius, _RADII_CM, "The smaller, the more bent. "),
+        ("hidden share of the fruit (%)", hidden, _HIDDEN_PERCENT, ""),
+        (
             "hidden share (%), both ends in sight",
             hidden.where(ends_seen),
-            _HIDDEN,
-            f"Only fruit whose two ends nothing hides. {_LOWER}",
+            _HIDDEN_PERCENT,
+            "Only fruit whose two ends nothing hides. ",
         ),
-        Factor(
-            "condition",
-            {str(name): frame["condition"] == name for name in frame["condition"].unique()},
-        ),
-    ]
+    )
+    factors = []
+    for head, values, bands, comment in banded:
+        groups = {name: values.between(*band, inclusive="left") for name, band in bands.items()}
+        factors.append(Factor(head, groups, f"{comment}{_LOWER}"))
+    conditions = {str(name): frame["condition"] == name for name in frame["condition"].unique()}
+    factors.append(Factor("condition", conditions))
     return [f for f in factors if sum(inside.any() for inside in f.groups.values()) > 1]
 
 

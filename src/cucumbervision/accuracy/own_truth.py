@@ -19,7 +19,7 @@ from cucumbervision.accuracy.records import Masks, Record, append_record, readin
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.capture.files import json_value
-from cucumbervision.errors import CucumberVisionError, TruthError
+from cucumbervision.errors import CucumberVisionError, TruthError, naming_os_errors
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
 if TYPE_CHECKING:
@@ -29,15 +29,11 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.measured import Measured
 
 __all__ = [
-    "RECORDS",
-    "SCORES",
     "MethodScore",
     "OwnTruth",
     "comparable",
     "evaluate_lengths",
     "match_truth",
-    "own_records",
-    "score_methods",
     "scores_table",
     "write_own_report",
 ]
@@ -115,12 +111,12 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
         If the truth names what the run does not hold, or is not in centimetres.
     """
     pairs = match_truth(measured, truth)
-    records = own_records(pairs, measured)
+    records = _own_records(pairs, measured)
     floor = floor_of(truth.lengths)
     notes = _notes(truth, floor, pairs)
     if any(record.details["simulated"] for record in records):
         notes.append("Simulated captures are among them: drawn, not taken.")
-    return OwnTruth(records, score_methods(records), floor, notes)
+    return OwnTruth(records, _score_methods(records), floor, notes)
 
 
 def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
@@ -183,7 +179,7 @@ def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
     return KIND_OF.get(method, kind) is kind
 
 
-def own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured) -> list[Record]:
+def _own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured) -> list[Record]:
     """Return records as a benchmark keeps them, one a fruit of a capture.
 
     What a hand cannot know (bend, hidden share) is None or NaN; the tilt is that of the measured
@@ -199,7 +195,7 @@ def own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured)
     return [_record(same, simulated) for same in grouped.values()]
 
 
-def score_methods(records: Sequence[Record]) -> list[MethodScore]:
+def _score_methods(records: Sequence[Record]) -> list[MethodScore]:
     """Score each method against each kind of truth that it can be held against."""
     methods = list(dict.fromkeys(key for r in records for key in r.lengths_m))
     scores = []
@@ -313,11 +309,7 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + more
 
 
-RECORDS = "records.jsonl"
-
-SCORES = "scores.json"
-
-TITLE = "Your own fruit"
+_RECORDS = "records.jsonl"
 
 
 def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
@@ -332,22 +324,18 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
     MissingExtraError
         If what draws the page is not installed; scores and records are written before it.
     """
-    try:
+    with naming_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
-        (out / RECORDS).unlink(missing_ok=True)
+        (out / _RECORDS).unlink(missing_ok=True)
         for record in found.records:
-            append_record(out / RECORDS, record)
+            append_record(out / _RECORDS, record)
         provenance = _provenance(measured, truth)
         floor = found.floor and asdict(found.floor)
         scores = [json_value(asdict(one)) for one in found.scores]
         head = {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores}
         text = json.dumps(head, indent=1, ensure_ascii=False)
-        (out / SCORES).write_text(text + "\n", encoding="utf-8")
+        (out / "scores.json").write_text(text + "\n", encoding="utf-8")
         _write_page(found, out, provenance)
-    except OSError as error:
-        raise CucumberVisionError(
-            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-        ) from error
 
 
 _SCORES = {
@@ -392,7 +380,7 @@ def _write_page(found: OwnTruth, out: Path, provenance: dict[str, Any]) -> None:
         out,
         "Lengths against one's own ground truth",
         scores_table(found.scores),
-        [reading_section(TITLE, intro, readings)],
+        [reading_section("Your own fruit", intro, readings)],
         notes=[("", "\n\n".join(found.notes))],
         provenance=provenance,
         glossary=GLOSSARY,

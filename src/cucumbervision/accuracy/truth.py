@@ -6,12 +6,12 @@ import csv
 import hashlib
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.errors import CucumberVisionError, TruthError
+from cucumbervision.errors import CucumberVisionError, TruthError, naming_os_errors
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -140,12 +140,8 @@ def _cell(text: str) -> str:
 
 
 def _text(path: Path, error: type[CucumberVisionError]) -> str:
-    try:
+    with naming_os_errors("cannot be read", path, "check the path", error):
         data = path.read_bytes()
-    except OSError as fault:
-        raise error(
-            f"cannot be read ({fault.strerror})", source=path, remedy="check the path"
-        ) from None
     for code in ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "cp1252"):
         try:
             return data.decode(code)
@@ -401,10 +397,7 @@ def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLe
                 remedy="correct the column specimen",
             )
         if first is not one:
-            lengths = (*first.lengths_m, *one.lengths_m)
-            merged[fruit] = TrueLength(
-                first.line, one.capture, one.fruit, one.kind, lengths, one.specimen
-            )
+            merged[fruit] = replace(first, lengths_m=(*first.lengths_m, *one.lengths_m))
     return tuple(merged.values())
 
 

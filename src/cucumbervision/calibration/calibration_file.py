@@ -6,12 +6,12 @@ import hashlib
 import json
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from cucumbervision.calibration.corrections import Form
-from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.files import parse_model
-from cucumbervision.errors import CalibrationError
+from cucumbervision.errors import CalibrationError, naming_os_errors
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
 
 __all__ = [
-    "FORMAT",
-    "OWN_TRUTH",
-    "VERSION",
     "CalibratedCamera",
     "CorrectionEntry",
     "DepthScaleEntry",
@@ -34,17 +31,15 @@ __all__ = [
     "write_site_calibration",
 ]
 
-FORMAT = "cucumbervision-calibration"
-VERSION = 1
-OWN_TRUTH = "own truth"
+_FORMAT = "cucumbervision-calibration"
 CAMERA_TOLERANCE_PX = 0.01
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+class _Frozen(StrictModel):
+    model_config = ConfigDict(frozen=True)
 
 
-class CalibratedCamera(_Strict):
+class CalibratedCamera(_Frozen):
     """The camera whose measurements were calibrated."""
 
     serial: str | None = None
@@ -91,7 +86,7 @@ def _words(camera: Intrinsics) -> str:
     return f"{camera.width}x{camera.height} fx {camera.fx_px:.3f} px"
 
 
-class MeasuredWith(_Strict):
+class MeasuredWith(_Frozen):
     """The run whose lengths were calibrated."""
 
     software: str
@@ -100,11 +95,11 @@ class MeasuredWith(_Strict):
     methods: list[str]
     instances: str
     segmenter: str | None = None
-    models: list[dict[str, Any]] = []
+    models: list[dict[str, Any]] = Field(default_factory=list)
     depth_scale: float = Field(default=1.0, gt=0)
 
 
-class TruthUsed(_Strict):
+class TruthUsed(_Frozen):
     """The table of hand-measured lengths."""
 
     file: str
@@ -115,7 +110,7 @@ class TruthUsed(_Strict):
     floor_percent: float | None = None
 
 
-class IntervalEntry(_Strict):
+class IntervalEntry(_Frozen):
     """The true length lies within length (1 -+ half_width), or why nothing can be said."""
 
     level: float = Field(gt=0, lt=1)
@@ -123,7 +118,7 @@ class IntervalEntry(_Strict):
     reason: str
 
 
-class CorrectionEntry(_Strict):
+class CorrectionEntry(_Frozen):
     """One method's correction against one kind of length: scale x reading + offset."""
 
     method: str
@@ -142,7 +137,7 @@ class CorrectionEntry(_Strict):
     interval: IntervalEntry
 
 
-class DepthScaleEntry(_Strict):
+class DepthScaleEntry(_Frozen):
     """Ratio of what the camera reads to what is, from a bar of known length."""
 
     value: float = Field(gt=0.5, lt=2)
@@ -153,7 +148,7 @@ class DepthScaleEntry(_Strict):
     reference_length_m: float = Field(gt=0)
 
 
-class SiteCalibration(_Strict):
+class SiteCalibration(_Frozen):
     """A whole calibration file.
 
     Examples
@@ -177,7 +172,7 @@ class SiteCalibration(_Strict):
     measured_with: MeasuredWith
     truth: TruthUsed | None = None
     depth_scale: DepthScaleEntry | None = None
-    corrections: list[CorrectionEntry] = []
+    corrections: list[CorrectionEntry] = Field(default_factory=list)
     interval_basis: Literal["own truth"] = "own truth"
 
     @property
@@ -218,18 +213,15 @@ def read_site_calibration(path: Path) -> SiteCalibration:
     """
     again = "make it with `cucumbervision calibrate`"
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(
-            f"cannot be read ({error.strerror})", source=path, remedy=again
-        ) from None
+        with naming_os_errors("cannot be read", path, again, CalibrationError):
+            data = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
         raise CalibrationError("is no JSON", source=path, remedy=again) from None
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
+    if not isinstance(data, dict) or data.get("format") != _FORMAT:
         raise CalibrationError("is no calibration file", source=path, remedy=again)
-    if data.get("version") != VERSION:
+    if data.get("version") != 1:
         raise CalibrationError(
-            f"is of version {data.get('version')}, this software reads version {VERSION}",
+            f"is of version {data.get('version')}, this software reads version 1",
             source=path,
             remedy="calibrate again with this software",
         )
@@ -244,10 +236,6 @@ def write_site_calibration(path: Path, site: SiteCalibration) -> None:
     CalibrationError
         If it cannot be written.
     """
-    try:
+    with naming_os_errors("cannot be written", path, kind=CalibrationError):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(site.as_text(), encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(
-            f"cannot be written ({error.strerror})", source=path, remedy="choose another --out"
-        ) from None

@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 __all__ = [
     "LEAST_CAPTURES",
     "LEVEL",
-    "MIN_FRUIT",
     "OUTLINE_SD_PX",
     "DepthScale",
     "Fit",
     "Form",
-    "Spread",
     "conformal_half_width",
     "corrected",
     "fit_correction",
@@ -114,27 +112,7 @@ class Form(StrEnum):
     SCALE_OFFSET = "scale+offset"
 
 
-MIN_FRUIT = {Form.SCALE: 6, Form.SCALE_OFFSET: 10}
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Error that is left on fruit that took no part in the fit.
-
-    Parameters
-    ----------
-    error_percent : float
-        Mean absolute relative error; every fruit counts once, however often it was captured.
-    sd_percent : float
-        Standard deviation of the relative error, weighted in the same way.
-    half_width : float, optional
-        The interval reaches this share of the corrected length to both sides; None where there
-        are too few fruit for the level.
-    """
-
-    error_percent: float
-    sd_percent: float
-    half_width: float | None
+_MIN_FRUIT = {Form.SCALE: 6, Form.SCALE_OFFSET: 10}
 
 
 @dataclass(frozen=True)
@@ -153,8 +131,14 @@ class Fit:
         Why this form and not a richer one.
     fruit, captures : int
         Physical fruit and readings of them.
-    before, after : Spread
-        Without any correction, and with this one fitted without the fruit it is tried on.
+    error_before_percent, error_after_percent : float
+        Mean absolute relative error without any correction, and with this one fitted without the
+        fruit it is tried on; every fruit counts once, however often it was captured.
+    residual_sd_percent : float
+        Standard deviation of the relative error that is left, weighted in the same way.
+    half_width : float, optional
+        The interval reaches this share of the corrected length to both sides; None where there
+        are too few fruit for the level.
     raw_range_m : tuple of float
         Shortest and longest reading, metres; beyond them the correction is a guess.
     """
@@ -165,8 +149,10 @@ class Fit:
     reason: str
     fruit: int
     captures: int
-    before: Spread
-    after: Spread
+    error_before_percent: float
+    error_after_percent: float
+    residual_sd_percent: float
+    half_width: float | None
     raw_range_m: tuple[float, float]
 
 
@@ -188,7 +174,7 @@ def fit_correction(
 
     Relative errors are fitted, by Huber's estimator, each fruit with the same weight however
     often it was captured. A richer form is taken only where there are enough fruit for it
-    (`MIN_FRUIT`) and where it lowers the error of the fruit left out by more than the standard
+    (`_MIN_FRUIT`) and where it lowers the error of the fruit left out by more than the standard
     error of that gain.
 
     Parameters
@@ -213,7 +199,7 @@ def fit_correction(
     --------
     >>> truth = np.array([0.12, 0.15, 0.18, 0.21, 0.25, 0.30])
     >>> fit = fit_correction(truth / 1.05, truth, list("abcdef"))
-    >>> str(fit.form), round(fit.scale, 4), round(fit.before.error_percent, 2)
+    >>> str(fit.form), round(fit.scale, 4), round(fit.error_before_percent, 2)
     ('scale', 1.05, 4.76)
     """
     raw, truth = np.asarray(raw_m, float), np.asarray(truth_m, float)
@@ -222,7 +208,7 @@ def fit_correction(
     names, member = np.unique([str(name) for name in fruit], return_inverse=True)
     held_out = {Form.NONE: raw}
     chosen, reasons = Form.NONE, []
-    for form, least in MIN_FRUIT.items():
+    for form, least in _MIN_FRUIT.items():
         if len(names) < least:
             reasons.append(f"{form} needs {least} fruit, there are {len(names)}")
             continue
@@ -234,6 +220,11 @@ def fit_correction(
         else:
             reasons.append(f"{verdict}: no help")
     scale, offset = _fit(chosen, raw, truth, _weights(member))
+    left = held_out[chosen]
+    relative, weights = left / truth - 1, _weights(member) / len(names)
+    centred = relative - float(weights @ relative)
+    # Scores are shares of the corrected length, which is what is known when it is applied.
+    scores = np.where(left > 0, np.abs(truth / np.maximum(left, 1e-12) - 1), np.inf)
     return Fit(
         form=chosen,
         scale=scale,
@@ -241,8 +232,10 @@ def fit_correction(
         reason="; ".join(reasons),
         fruit=len(names),
         captures=raw.size,
-        before=_spread(raw, truth, member, level),
-        after=_spread(held_out[chosen], truth, member, level),
+        error_before_percent=100 * float(weights @ np.abs(raw / truth - 1)),
+        error_after_percent=100 * float(weights @ np.abs(relative)),
+        residual_sd_percent=100 * float(np.sqrt(weights @ centred**2)),
+        half_width=conformal_half_width(scores, member, level),
         raw_range_m=(float(raw.min()), float(raw.max())),
     )
 
@@ -344,23 +337,3 @@ def _gain(
     worse = np.abs(simpler_m / truth_m - 1) - np.abs(richer_m / truth_m - 1)
     gains = 100 * _by_fruit(worse, member)
     return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
-
-
-def _spread(
-    held_out_m: NDArray[np.float64],
-    truth_m: NDArray[np.float64],
-    member: NDArray[np.intp],
-    level: float,
-) -> Spread:
-    relative = held_out_m / truth_m - 1
-    weights = _weights(member) / (member.max() + 1)
-    centred = relative - float(weights @ relative)
-    sd = float(np.sqrt(weights @ centred**2))
-    # Scores are shares of the corrected length, which is what is known when it is applied.
-    positive = np.maximum(held_out_m, 1e-12)
-    scores = np.where(held_out_m > 0, np.abs(truth_m / positive - 1), np.inf)
-    return Spread(
-        error_percent=100 * float(weights @ np.abs(relative)),
-        sd_percent=100 * sd,
-        half_width=conformal_half_width(scores, member, level),
-    )

@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.measured import Measured, Reading
     from cucumbervision.accuracy.truth import TrueLength, Truth
 
-__all__ = ["BAR_METHODS", "calibrate_depth", "calibrate_lengths"]
+__all__ = ["calibrate_depth", "calibrate_lengths"]
 
-BAR_METHODS = ("M6 chord", "M3")
+_BAR_METHODS = ("M6 chord", "M3")
 WORST_SCALE = 0.10
 WORST_SPREAD = 0.02
 
@@ -179,9 +179,7 @@ def _site(name: str, run: _Run, **parts: Any) -> SiteCalibration:
         name=name,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"cucumbervision {__version__}",
-        camera=run.camera,
-        measured_with=run.measured_with,
-        **{"depth_scale": run.depth_scale, **parts},
+        **{**vars(run), **parts},
     )
 
 
@@ -221,9 +219,7 @@ def _run(measured: Measured) -> _Run:
 
 
 def _camera(capture: dict[str, Any], measured: Measured) -> Any:
-    said = dict(capture["intrinsics"])
-    for key in ("fx", "fy", "cx", "cy"):
-        said[key] = said.pop(f"{key}_px", None)
+    said = {key.removesuffix("_px"): value for key, value in capture["intrinsics"].items()}
     return parse_model(CameraModel, said, source=measured.path, error=CalibrationError).intrinsics
 
 
@@ -254,23 +250,14 @@ def _entry(
     return CorrectionEntry(
         method=method,
         truth_kind=kind,
-        form=fit.form,
-        scale=fit.scale,
-        offset_m=fit.offset_m,
-        reason=fit.reason,
-        fruit=fit.fruit,
-        captures=fit.captures,
-        error_before_percent=fit.before.error_percent,
-        error_after_percent=fit.after.error_percent,
-        residual_sd_percent=fit.after.sd_percent,
-        raw_range_m=fit.raw_range_m,
         mask_sources=sorted({reading.mask_source for _, reading, _ in known}),
         interval=_interval(fit, level),
+        **{name: value for name, value in vars(fit).items() if name != "half_width"},
     )
 
 
 def _interval(fit: Fit, level: float) -> IntervalEntry:
-    width = fit.after.half_width
+    width = fit.half_width
     least = int(np.ceil(level / (1 - level) - 1e-9))
     if width is not None:
         reason = f"conformal on {fit.fruit} fruit, each left out of the fit in turn"
@@ -298,11 +285,11 @@ def _bar_readings(measured: Measured, rows: Path | None) -> list[Reading]:
 
 
 def _bar_method(bar: Sequence[Reading], measured: Measured) -> str:
-    for method in BAR_METHODS:
+    for method in _BAR_METHODS:
         if all(reading.lengths_m.get(method) for reading in bar):
             return method
     raise CalibrationError(
-        f"neither {' nor '.join(BAR_METHODS)} measured the bar in every capture",
+        f"neither {' nor '.join(_BAR_METHODS)} measured the bar in every capture",
         source=measured.path,
         remedy="measure with --methods all, or leave out captures where the bar has no mask",
     )

@@ -12,21 +12,10 @@ from cucumbervision.errors import DepthError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["default_unit_m", "depth_to_metres", "require_readings", "scale_depth"]
+__all__ = ["depth_to_metres", "require_readings", "scale_depth"]
 
 _FEW, _MOST = 0.01, 0.5
 _UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
-
-
-def default_unit_m(raw: NDArray[Any]) -> float:
-    """Return the unit of depth that says none: millimetres for whole numbers, metres for floats.
-
-    Examples
-    --------
-    >>> default_unit_m(np.zeros(1, np.uint16)), default_unit_m(np.zeros(1, np.float32))
-    (0.001, 1.0)
-    """
-    return 1.0 if raw.dtype.kind == "f" else 0.001
 
 
 def depth_to_metres(
@@ -40,7 +29,7 @@ def depth_to_metres(
         Whole numbers of at least 16 bits, or floats. NaN, infinity and negative numbers are no
         readings.
     unit_m : float, optional
-        Metres of one step; by default `default_unit_m(raw)`.
+        Metres of one step; by default 0.001 for whole numbers and 1 for floats.
     source : object, optional
         The file, for errors.
 
@@ -68,11 +57,10 @@ def depth_to_metres(
     if raw.ndim == 3 and raw.shape[2] == 1:
         raw = raw[:, :, 0]
     _check_kind(raw, source)
-    unit = default_unit_m(raw) if unit_m is None else unit_m
-    readings = raw[raw > 0]
-    readings = readings[np.isfinite(readings)] if raw.dtype.kind == "f" else readings
-    _check_unit(readings, unit, source)
-    return scale_depth(raw, unit)
+    if unit_m is None:
+        unit_m = 1.0 if raw.dtype.kind == "f" else 0.001
+    _check_unit(raw[(raw > 0) & np.isfinite(raw)], unit_m, source)
+    return scale_depth(raw, unit_m)
 
 
 def scale_depth(raw: NDArray[Any], unit_m: float) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.geometry.axis import principal_axis
 from cucumbervision.geometry.curve import arc_positions
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ __all__ = [
     "bases",
     "bending_direction",
     "cubic_basis",
+    "guess_shape",
     "inner_arc_height",
+    "near_depths",
     "profile",
     "shape_from_curve",
     "thread_length",
@@ -32,6 +35,10 @@ WIDTH_SEGMENTS = 12
 BALLS = 64
 CAP_STEPS = 40
 SWALLOWED_M = 1e-5
+
+_ROUNDS = 4
+_DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
+_PLANE_ROUNDS, _PLANE_RIDGE, _LEAST_OFF_M = 6, 1e-6, 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +120,90 @@ def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape
     basis = cubic_basis(np.linspace(0, 1, len(curve_m)), BEND_SEGMENTS)
     bend = np.linalg.lstsq(basis, curve_m, rcond=None)[0]
     return TubeShape(np.asarray(bend, dtype=np.float64), np.full(WIDTH_SEGMENTS + 3, radius_m))
+
+
+def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which points are near the plane that most of them lie along.
+
+    A tilted fruit lies along a plane however steep it is and whatever hides its middle; what
+    the mask caught of the background does not, nor what the sensor blends between the two.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Camera coordinates, metres.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        Within three median deviations and `_DEEP_M` in depth.
+
+    Examples
+    --------
+    >>> x = np.linspace(-0.1, 0.1, 9)
+    >>> steep = np.stack([x, 0.1 * x, 0.6 + x], axis=1)
+    >>> near_depths(np.vstack([steep, [[0.05, 0.0, 0.9]]])).tolist()[-2:]
+    [True, False]
+    """
+    far = points_m[:, 2]
+    # A plane in space is linear in the inverse depth over the picture.
+    terms = np.column_stack([points_m[:, :2] / far[:, None], np.ones(len(far))])
+    weight = np.ones(len(far))
+    for _ in range(_PLANE_ROUNDS):  # towards the least sum of absolute deviations
+        weighted = terms * weight[:, None]
+        ridge = _PLANE_RIDGE * np.diag([1.0, 1.0, 0.0]) * weight.sum()
+        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / far))
+        off = np.abs(1 / far - terms @ plane) * far**2
+        weight = 1 / np.maximum(off, _LEAST_OFF_M)
+    near: NDArray[np.bool_] = off <= 3.0 * np.median(off) + _DEEP_M
+    return near
+
+
+def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeShape:
+    """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
+
+    Parameters
+    ----------
+    points_m : ndarray of float64, shape (N, 3)
+        Points of the visible surface, camera coordinates, metres.
+    gated : bool
+        Whether to leave out what `near_depths` does.
+
+    Returns
+    -------
+    TubeShape
+        Its ends one radius short of the cloud's.
+
+    Examples
+    --------
+    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 99), np.linspace(-1, 1, 30)))
+    >>> cloud = np.stack([x, 0.02 * a, 0.5 - 0.02 * np.sqrt(1 - a**2)], axis=1)
+    >>> centres, radii = guess_shape(cloud).balls(3)
+    >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
+    (True, True)
+    """
+    level = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
+    near = level
+    for _ in range(_ROUNDS):
+        centroid, axis = principal_axis(points_m[near])
+        along = (points_m - centroid) @ axis
+        off = points_m - centroid - along[:, None] * axis
+        power = np.stack([np.ones_like(along), along, along**2], axis=1)
+        bow = np.linalg.lstsq(power[near], off[near], rcond=None)[0]
+        rest = off - power @ bow
+        left = np.linalg.norm(rest, axis=1)
+        near = level & (left <= 3.0 * np.median(left[near]) + 1e-6)
+    view = centroid / np.linalg.norm(centroid)
+    side = np.cross(axis, view)
+    norm = float(np.linalg.norm(side))
+    across = np.abs(rest[near] @ side) / norm if norm > 0.05 else left[near]
+    radius = 2.0 * float(np.median(across))
+    low, high = np.quantile(along[near], [0.002, 0.998])
+    short = min(radius, 0.4 * (high - low))
+    t = np.linspace(low + short, high - short, 33)
+    curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
+    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
+    return shape_from_curve(curve, max(radius, 1e-3))
 
 
 def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:

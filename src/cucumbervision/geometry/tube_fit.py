@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.axis import principal_axis
-from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, TubeShape, bases, shape_from_curve
+from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, TubeShape, bases
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,16 +27,11 @@ __all__ = [
     "depth_gaps",
     "fit_shape",
     "gaps",
-    "guess_shape",
-    "near_depths",
 ]
 
 FINE = 1024  # positions along the curve to which a nearest ball is rounded
 GRAZING = 0.2  # the cosine below which a ray only grazes the body
 MISSED_M = 100.0
-ROUNDS = 4
-DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
-PLANE_ROUNDS, PLANE_RIDGE, LEAST_OFF_M = 6, 1e-6, 0.002
 # How much larger than its own each reading's error is taken to be, step by step.
 SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
 SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
@@ -219,90 +213,6 @@ def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.clip(k + np.clip(step, -1.0, 1.0), 0, last))
 
 
-def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points are near the plane that most of them lie along.
-
-    A tilted fruit lies along a plane however steep it is and whatever hides its middle; what
-    the mask caught of the background does not, nor what the sensor blends between the two.
-
-    Parameters
-    ----------
-    points_m : ndarray of float64, shape (N, 3)
-        Camera coordinates, metres.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        Within three median deviations and `DEEP_M` in depth.
-
-    Examples
-    --------
-    >>> x = np.linspace(-0.1, 0.1, 9)
-    >>> steep = np.stack([x, 0.1 * x, 0.6 + x], axis=1)
-    >>> near_depths(np.vstack([steep, [[0.05, 0.0, 0.9]]])).tolist()[-2:]
-    [True, False]
-    """
-    far = points_m[:, 2]
-    # A plane in space is linear in the inverse depth over the picture.
-    terms = np.column_stack([points_m[:, :2] / far[:, None], np.ones(len(far))])
-    weight = np.ones(len(far))
-    for _ in range(PLANE_ROUNDS):  # towards the least sum of absolute deviations
-        weighted = terms * weight[:, None]
-        ridge = PLANE_RIDGE * np.diag([1.0, 1.0, 0.0]) * weight.sum()
-        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / far))
-        off = np.abs(1 / far - terms @ plane) * far**2
-        weight = 1 / np.maximum(off, LEAST_OFF_M)
-    near: NDArray[np.bool_] = off <= 3.0 * np.median(off) + DEEP_M
-    return near
-
-
-def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeShape:
-    """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
-
-    Parameters
-    ----------
-    points_m : ndarray of float64, shape (N, 3)
-        Points of the visible surface, camera coordinates, metres.
-    gated : bool
-        Whether to leave out what `near_depths` does.
-
-    Returns
-    -------
-    TubeShape
-        Its ends one radius short of the cloud's.
-
-    Examples
-    --------
-    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 99), np.linspace(-1, 1, 30)))
-    >>> cloud = np.stack([x, 0.02 * a, 0.5 - 0.02 * np.sqrt(1 - a**2)], axis=1)
-    >>> centres, radii = guess_shape(cloud).balls(3)
-    >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
-    (True, True)
-    """
-    level = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
-    near = level
-    for _ in range(ROUNDS):
-        centroid, axis = principal_axis(points_m[near])
-        along = (points_m - centroid) @ axis
-        off = points_m - centroid - along[:, None] * axis
-        power = np.stack([np.ones_like(along), along, along**2], axis=1)
-        bow = np.linalg.lstsq(power[near], off[near], rcond=None)[0]
-        rest = off - power @ bow
-        left = np.linalg.norm(rest, axis=1)
-        near = level & (left <= 3.0 * np.median(left[near]) + 1e-6)
-    view = centroid / np.linalg.norm(centroid)
-    side = np.cross(axis, view)
-    norm = float(np.linalg.norm(side))
-    across = np.abs(rest[near] @ side) / norm if norm > 0.05 else left[near]
-    radius = 2.0 * float(np.median(across))
-    low, high = np.quantile(along[near], [0.002, 0.998])
-    short = min(radius, 0.4 * (high - low))
-    t = np.linspace(low + short, high - short, 33)
-    curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
-    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
-    return shape_from_curve(curve, max(radius, 1e-3))
-
-
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What was seen of one fruit.
@@ -361,11 +271,6 @@ class TubeFitting:
         fruit's distance; square metres.
     points, rays : Gaps
         What remains at the depth points and at the outline's rays.
-    slip_px : ndarray of float64, shape (3,)
-        How far the outline was found to lie beside the depth picture's, right and down, and
-        how much too far out all round, pixels.
-    points_scatter, rays_scatter : float
-        Their scatter in units of the errors that the evidence states.
     ends_seen : tuple of bool
         Whether the outline goes round the curve's first and last end.
     """
@@ -374,9 +279,6 @@ class TubeFitting:
     covariance: NDArray[np.float64]
     points: Gaps
     rays: Gaps
-    slip_px: NDArray[np.float64]
-    points_scatter: float
-    rays_scatter: float
     ends_seen: tuple[bool, bool]
 
     @property
@@ -435,49 +337,29 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
             hold = np.where(seen, ANCHOR_SD, HIDDEN_ANCHOR_SD)
         shares = evidence.points_share, evidence.rays_share
         normal, target = _normal((points, rays), shares, scatter, scale)
-        _add_prior(normal, target, shape, (anchors, hold))
+        _add_prior(normal, target, shape, anchors, hold)
         _add_slip_prior(normal, target, slip_m, evidence)
         normal[np.diag_indices(len(normal))] += LEAST_HOLD * np.trace(normal) / len(normal)
         shape, slip_m = _moved(shape, slip_m, np.asarray(np.linalg.solve(normal, target)))
-    return _fitting(evidence, shape, slip_m, normal, scatter)
-
-
-def _fitting(
-    evidence: Evidence,
-    shape: TubeShape,
-    slip_m: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    scatter: tuple[float, float],
-) -> TubeFitting:
     points, rays = _look_at_points(evidence, shape), _look_at_rays(evidence, shape, slip_m)
-    return TubeFitting(
-        shape,
-        np.asarray(np.linalg.inv(normal), dtype=np.float64),
-        replace(points.found, gap_m=points.gap_m),
-        replace(rays.found, gap_m=rays.gap_m),
-        slip_m / (evidence.far_m * evidence.pixel_rad),
-        *scatter,
-        _ends_seen(shape, rays.found, evidence.rays),
-    )
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    ends_seen = _ends_seen(shape, rays.found, evidence.rays)
+    return TubeFitting(shape, covariance, points.found, rays.found, ends_seen)
 
 
 @dataclass(frozen=True, eq=False)
 class _Readings:
     """One kind of readings against the present body: gaps, their errors, their derivatives."""
 
-    gap_m: NDArray[np.float64]
+    found: Gaps
     sd_m: NDArray[np.float64]
     slope: NDArray[np.float64]
-    found: Gaps
 
     def scatter(self, limits: tuple[float, float]) -> float:
         if not len(self.sd_m):
             return 1.0
-        spread = 1.4826 * float(np.median(np.abs(self.gap_m / self.sd_m)))
+        spread = 1.4826 * float(np.median(np.abs(self.found.gap_m / self.sd_m)))
         return min(max(spread, limits[0]), limits[1])
-
-
-_Anchors = tuple["NDArray[np.float64]", "NDArray[np.float64]"]  # where, and sd in radii
 
 
 def _ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
@@ -501,7 +383,7 @@ def _look_at_points(evidence: Evidence, shape: TubeShape) -> _Readings:
     found, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
     across = ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
     sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + GROUND_M**2)
-    return _Readings(found.gap_m, sd, _slope(found, np.zeros((len(sd), SLIPS))), found)
+    return _Readings(found, sd, _slope(found, np.zeros((len(sd), SLIPS))))
 
 
 def _look_at_rays(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float64]) -> _Readings:
@@ -512,7 +394,8 @@ def _look_at_rays(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float
     slip = (far / evidence.far_m)[:, None] * np.column_stack(
         [found.away[:, :2], np.full(len(far), -1.0)]
     )
-    return _Readings(found.gap_m + slip @ slip_m, sd, _slope(found, slip), found)
+    slipped = replace(found, gap_m=found.gap_m + slip @ slip_m)
+    return _Readings(slipped, sd, _slope(found, slip))
 
 
 def _slope(found: Gaps, slip: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -535,10 +418,10 @@ def _normal(
     shares = shares[0], shares[1] / max(1.0, scatter[1]) ** 2
     for seen, by, share, trust in zip(readings, scatter, shares, (_tukey, _cauchy), strict=True):
         error = seen.sd_m * by * scale
-        weight = share * trust(seen.gap_m / error) / error**2
+        weight = share * trust(seen.found.gap_m / error) / error**2
         weighted = seen.slope * weight[:, None]
         normal += weighted.T @ seen.slope
-        target -= weighted.T @ seen.gap_m
+        target -= weighted.T @ seen.found.gap_m
     return normal, target
 
 
@@ -562,7 +445,11 @@ def _differences(count: int, order: int) -> NDArray[np.float64]:
 
 
 def _add_prior(
-    normal: NDArray[np.float64], target: NDArray[np.float64], shape: TubeShape, anchors: _Anchors
+    normal: NDArray[np.float64],
+    target: NDArray[np.float64],
+    shape: TubeShape,
+    anchors_m: NDArray[np.float64],
+    anchors_sd: NDArray[np.float64],
 ) -> None:
     bend, width = shape.bend_m, shape.width_m
     count, split = len(bend), bend.size
@@ -574,7 +461,7 @@ def _add_prior(
     )
     bow = _differences(count, 2) / (BEND_SD * step**2)
     ends = bases(2)[0]
-    hold = ends / (anchors[1] * radius)[:, None]
+    hold = ends / (anchors_sd * radius)[:, None]
     same = third.T @ third + bow.T @ bow + hold.T @ hold  # for each coordinate alike
     # Control points keep their distances: nothing else tells where along the curve they sit.
     second = _differences(count, 2)
@@ -589,7 +476,7 @@ def _add_prior(
     normal[:split, :split] += even.T @ even
     for axis in range(3):
         normal[axis:split:3, axis:split:3] += same
-    pull = same @ bend - hold.T @ (anchors[0] / (anchors[1] * radius)[:, None])
+    pull = same @ bend - hold.T @ (anchors_m / (anchors_sd * radius)[:, None])
     target[:split] -= pull.ravel() + even.T @ (even @ bend.ravel())
     rough = _differences(len(width), 2) / (WIDTH_SD * radius)
     rough = rough / np.sqrt(1 + (rough @ width / WIDTH_TAIL) ** 2)[:, None]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import IO, TYPE_CHECKING, BinaryIO
 
-from cucumbervision.errors import UploadError
+from cucumbervision.errors import UploadError, naming_os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -282,12 +282,8 @@ def write_chunk(stream: BinaryIO, chunk: bytes, source: str) -> None:
     UploadError
         If the disk takes no more.
     """
-    try:
+    with naming_os_errors("cannot be kept", source, "make room on the disk", UploadError):
         stream.write(chunk)
-    except OSError as error:
-        raise UploadError(
-            f"cannot be kept ({error.strerror})", source=source, remedy="make room on the disk"
-        ) from None
 
 
 def _damaged(source: str) -> UploadError:

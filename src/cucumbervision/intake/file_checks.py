@@ -183,7 +183,8 @@ def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> I
         width, height = check_picture(path, kind, limits.pixels, source=title)
         return Item(name, title, path, kind, pixels=width * height)
     if kind is Kind.NPY:
-        _check_npy(path, limits, source=title)
+        with path.open("rb") as stream:
+            _check_array(stream, size, limits, title)
     elif kind is Kind.NPZ:
         return Item(name, title, path, kind, arrays=_check_npz(path, limits, source=title))
     elif kind in {Kind.JSON, Kind.CSV}:
@@ -301,20 +302,6 @@ def _tiff(stream: BinaryIO) -> tuple[int, int]:
     if tile > max(4096, 2 * max(width, height)):
         raise ValueError("tiles larger than the picture")
     return width, height
-
-
-def _check_npy(path: Path, limits: Limits, *, source: str) -> None:
-    """Check an `.npy` by its head; its data is not read.
-
-    Raises
-    ------
-    DepthError
-        If it holds Python objects, or is damaged.
-    UploadError
-        If it has more elements than a picture may have.
-    """
-    with path.open("rb") as stream:
-        _check_array(stream, path.stat().st_size, limits, source)
 
 
 def _check_npz(path: Path, limits: Limits, *, source: str) -> frozenset[str]:

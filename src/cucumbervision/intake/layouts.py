@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.readers.native import FORMAT, MANIFEST, MASKS, Manifest
-from cucumbervision.capture.readers.pair import pair_role
+from cucumbervision.capture.readers.pair import is_8_bit_png, pair_role
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError
 from cucumbervision.intake.file_checks import COLORS, DEPTHS, PICTURES, Item, Kind
 from cucumbervision.intake.recordings import play_apart
@@ -204,7 +204,7 @@ def _pairs(staging: Staging) -> None:
         # By what it is, not by the ending that its sender gave it.
         role, key = pair_role(f"{item.name.with_suffix('')}{item.kind.value}")
         if role == "depth" and item.kind in DEPTHS:
-            if key not in depths or _is_8_bit_png(depths[key].path):
+            if key not in depths or is_8_bit_png(depths[key].path):
                 depths[key] = item
         elif role == "color" and item.kind in COLORS:
             colors.setdefault(key, item)
@@ -295,9 +295,3 @@ def _ignore_beside(staging: Staging, folder: PurePosixPath) -> None:
         and name.parent not in others
         and name not in heads
     )
-
-
-def _is_8_bit_png(path: Path) -> bool:
-    with path.open("rb") as stream:
-        head = stream.read(25)
-    return head.startswith(b"\x89PNG") and head[-1] == 8

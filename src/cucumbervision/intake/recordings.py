@@ -17,8 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, safe_name
+from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
+from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import (
     CameraError,
     CaptureError,
@@ -31,22 +32,18 @@ from cucumbervision.intake.limits import RecordingLimits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import Any
 
     from cucumbervision.capture.frames import Capture
 
 __all__ = [
-    "REPORT",
     "Played",
     "leave_network",
     "limit_itself",
-    "main",
     "open_guarded",
-    "play",
     "play_apart",
 ]
 
-REPORT = "report.jsonl"
+_REPORT = "report.jsonl"
 
 _POLL_S = 0.05
 
@@ -188,7 +185,8 @@ def _size(folder: Path) -> int:
 def _collect(folder: Path, fault: str, title: str) -> Played:
     errors: list[CucumberVisionError] = []
     if strange := [p for p in sorted(folder.rglob("*")) if not _is_own(p, folder)]:
-        _remove_all(folder)
+        shutil.rmtree(folder)
+        folder.mkdir()
         fault = f"broke the player, which wrote {strange[0].name[:40]!r}"
     captures = tuple(sorted(path.parent for path in folder.glob("*/capture.json")))
     for line in _report_lines(folder):
@@ -211,13 +209,8 @@ def _is_own(path: Path, folder: Path) -> bool:
     return bool(_OWN_NAMES.fullmatch(name)) and not path.is_symlink()
 
 
-def _remove_all(folder: Path) -> None:
-    shutil.rmtree(folder)
-    folder.mkdir()
-
-
 def _report_lines(folder: Path) -> list[dict[str, Any]]:
-    path = folder / REPORT
+    path = folder / _REPORT
     if not path.is_file():
         return []
     lines = []
@@ -227,9 +220,6 @@ def _report_lines(folder: Path) -> list[dict[str, Any]]:
             if isinstance(line, dict):
                 lines.append(line)
     return lines
-
-
-_RECORDINGS = frozenset({".bag", ".db3"})
 
 
 def open_guarded(
@@ -258,9 +248,13 @@ def open_guarded(
         As `open_source`.
     """
     path, options = Path(path), options or ReadOptions()
-    if not path.is_file() or path.suffix.lower() not in _RECORDINGS:
+    if not path.is_file() or path.suffix.lower() not in RECORDING_SUFFIXES:
         return open_source(path, options)
     return CaptureSource(path, "recording", lambda: _refs(path, options, limits))
+
+
+def _from(ref: CaptureRef, path: Path) -> Capture:
+    return replace(ref.load(), source=str(path))
 
 
 def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> Iterator[CaptureRef]:
@@ -270,18 +264,10 @@ def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> I
         played = play_apart(path, out, limits, burst=options.burst, name=name)
         if played.captures:
             for ref in open_source(out, replace(options, depth_unit_m=None)):
-                yield CaptureRef(ref.name, ref.frame, partial(_load, ref, path))
+                yield CaptureRef(ref.name, ref.frame, partial(_from, ref, path))
         for error in played.errors:
             # What came before a break is whole; the break itself is a capture that fails.
-            yield CaptureRef(f"{name}_end", -1, partial(_fail, error))
-
-
-def _load(ref: CaptureRef, path: Path) -> Capture:
-    return replace(ref.load(), source=str(path))
-
-
-def _fail(error: CucumberVisionError) -> Capture:
-    raise error
+            yield CaptureRef(f"{name}_end", -1, partial(fail, error))
 
 
 def limit_itself(limits: dict[str, Any]) -> None:
@@ -319,12 +305,9 @@ def leave_network() -> bool:
     return bool(ctypes.CDLL(None).unshare(new_user | new_net) == 0)
 
 
-def play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
+def _play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
     """Write a recording's captures as native folders 000000, 000001, …, and its errors as lines."""
-    from cucumbervision.capture.readers import ReadOptions, open_source
-    from cucumbervision.capture.readers.native import write_native
-
-    with (folder / REPORT).open("a", encoding="utf-8") as report:
+    with (folder / _REPORT).open("a", encoding="utf-8") as report:
 
         def tell(error: CucumberVisionError) -> None:
             missing = "pyrealsense2" if isinstance(error, MissingExtraError) else ""
@@ -349,14 +332,14 @@ def play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
             tell(error)
 
 
-def main() -> None:
+def _main() -> None:
     """Take the order from the command line."""
     order = json.loads(sys.argv[1])
     leave_network()
     limit_itself(order["limits"])
     most = order["limits"]["captures"]
-    play(Path(order["path"]), Path(order["folder"]), order["burst"], order["name"], most)
+    _play(Path(order["path"]), Path(order["folder"]), order["burst"], order["name"], most)
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -15,7 +15,7 @@ from cucumbervision.capture.source import (
     safe_name,
     unique_name,
 )
-from cucumbervision.errors import CaptureError, CucumberVisionError, MissingExtraError
+from cucumbervision.errors import CaptureError, CucumberVisionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -122,10 +122,7 @@ class AcceptedSource:
 
     def _renamed(self, error: CucumberVisionError, shown: str) -> CucumberVisionError:
         """Return the error with the sender's name in place of our path."""
-        if isinstance(error, MissingExtraError):
-            return error
-        title = self.titles.get(Path(error.source), shown)
-        return type(error)(error.message, source=title, remedy=error.remedy)
+        return error.at(self.titles.get(Path(error.source), shown))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from cucumbervision.errors import ModelError
 from cucumbervision.measurement.result import (
@@ -37,7 +38,6 @@ __all__ = [
     "conformal_quantile",
     "fit_interval_model",
     "raw_features",
-    "read_interval_models",
     "shipped_interval_models",
     "tube_features",
     "with_interval",
@@ -424,7 +424,7 @@ def _rounded(value: Any) -> Any:
     return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def read_interval_models(path: Path) -> IntervalModels:
+def _read_interval_models(path: Path) -> IntervalModels:
     """Read interval models.
 
     Raises
@@ -440,22 +440,14 @@ def read_interval_models(path: Path) -> IntervalModels:
     >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
     >>> models = IntervalModels(0.9, {"M6": model}, 700)
     >>> write_interval_models(path, models)
-    >>> read_interval_models(path) == models
+    >>> _read_interval_models(path) == models
     True
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        models = {}
-        for item in content["models"]:
-            models[item["method"]] = IntervalModel(
-                item["method"],
-                item["level"],
-                tuple(item["features"]),
-                tuple(item["weights"]),
-                {group: Band(**band) for group, band in item["bands"].items()},
-                tuple((name, tuple(limits)) for name, limits in item["edges"]),
-            )
-        return IntervalModels(float(content["level"]), models, int(content["fruit"]))
+        models = TypeAdapter(list[IntervalModel]).validate_python(content["models"])
+        by_method = {model.method: model for model in models}
+        return IntervalModels(float(content["level"]), by_method, int(content["fruit"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ModelError(
             f"is no file of interval models ({error})",
@@ -467,7 +459,7 @@ def read_interval_models(path: Path) -> IntervalModels:
 @lru_cache(maxsize=1)
 def shipped_interval_models() -> IntervalModels:
     """Return the models that come with the package."""
-    return read_interval_models(_SHIPPED)
+    return _read_interval_models(_SHIPPED)
 
 
 def with_interval(

@@ -9,15 +9,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import depth_across, outline_cracks
-from cucumbervision.geometry.tube import TubeShape
-from cucumbervision.geometry.tube_fit import (
-    Evidence,
-    TubeFitting,
-    fit_shape,
-    gaps,
-    guess_shape,
-    near_depths,
-)
+from cucumbervision.geometry.tube import TubeShape, guess_shape, near_depths
+from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape, gaps
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -34,7 +27,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["TubeView", "depth_noise", "measure_m6", "view_tube"]
+__all__ = ["TubeView", "measure_m6", "view_tube"]
 
 DEPTH_POINTS = 500
 
@@ -72,17 +65,9 @@ class TubeView:
 
     Parameters
     ----------
-    points_m : ndarray of float64, shape (N, 3)
-        Depth points off the outline, camera coordinates, metres.
-    points_sd_m : ndarray of float64, shape (N,)
-        Their depth's standard deviation.
-    points_share : float
-        How many independent readings one of them counts for.
-    rays : ndarray of float64, shape (M, 3)
-        Unit directions through the fruit's own outline: not where something nearer covers it,
-        not at the picture's edge.
-    rays_share : float
-        How many independent readings one of them counts for.
+    evidence : Evidence
+        Depth points off the outline, and rays through the fruit's own outline: not where something
+        nearer covers it, not at the picture's edge.
     grid_rays : ndarray of float64, shape (G, 3)
         Unit directions of a coarse grid over the fruit's window.
     grid_mask : ndarray of bool, shape (G,)
@@ -95,11 +80,7 @@ class TubeView:
         Focal length, pixels.
     """
 
-    points_m: NDArray[np.float64]
-    points_sd_m: NDArray[np.float64]
-    points_share: float
-    rays: NDArray[np.float64]
-    rays_share: float
+    evidence: Evidence
     grid_rays: NDArray[np.float64]
     grid_mask: NDArray[np.bool_]
     grid_depth_m: NDArray[np.float64]
@@ -113,19 +94,20 @@ class TubeView:
         Shape (K, 3), camera coordinates, metres.
         """
         bare = self.grid_rays[self.grid_mask & (self.grid_depth_m <= 0)]
+        points = self.evidence.points_m
         if not len(bare):
-            return self.points_m
+            return points
         # A plane in space is linear in the inverse depth over the picture.
-        near = self.points_m[near_depths(self.points_m)]
+        near = points[near_depths(points)]
         terms = np.column_stack([near[:, :2] / near[:, 2:], np.ones(len(near))])
         plane = np.linalg.lstsq(terms, 1 / near[:, 2], rcond=None)[0]
         inverse = (bare / bare[:, 2:])[:, [0, 1]] @ plane[:2] + plane[2]
         middle = 1 / float(np.median(near[:, 2]))
         filled = bare / bare[:, 2:] / np.clip(inverse, 0.5 * middle, 2.0 * middle)[:, None]
-        return np.vstack([self.points_m, filled])
+        return np.vstack([points, filled])
 
 
-def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
+def _depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
     """Return a D4xx's RMS depth error at a distance, metres: z² s / (f B).
 
     Parameters
@@ -170,16 +152,21 @@ def view_tube(
     lens = _Lens(intrinsics, window[1].start, window[0].start)
     points, points_share = _points(z, part, lens)
     far = points[:, 2]
-    noise = depth_noise(far, intrinsics.fx_px)
+    noise = _depth_noise(far, intrinsics.fx_px)
     rays, rays_share = _rays(z, part, lens)
     step = max(1, int(np.sqrt(part.size / GRID_POINTS)))
     v, u = (m.ravel() * step for m in np.indices(part[::step, ::step].shape))
-    return TubeView(
+    evidence = Evidence(
         points,
         np.hypot(noise, QUANTUM_M / np.sqrt(12)),
-        points_share,
         rays,
+        OUTLINE_SD_PX / intrinsics.fx_px,
+        1 / intrinsics.fx_px,
+        points_share,
         rays_share,
+    )
+    return TubeView(
+        evidence,
         lens.rays(u, v),
         part[v, u],
         z[v, u].astype(np.float64),
@@ -238,7 +225,7 @@ def _rays(
 ) -> tuple[NDArray[np.float64], float]:
     points, outward = outline_cracks(part)
     inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
-    noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
+    noise = _depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
     # Comparisons with NaN are False: without a reading on both sides nothing is known to cover.
     kept = points[~(outside < inside - NEARER_M - NEARER_SD * noise)]
     long_px = len(kept) / CRACKS_A_PIXEL
@@ -311,28 +298,19 @@ def measure_m6(
     (0.2, 1.0)
     """
     view = view_tube(depth_m, mask, intrinsics)
-    if view is None or len(view.points_m) < MIN_POINTS:
+    if view is None or len(view.evidence.points_m) < MIN_POINTS:
         return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
-    if len(view.rays) < MIN_RAYS:
+    if len(view.evidence.rays) < MIN_RAYS:
         return Measurement(Method.M6, reason=Reason.OUTLINE_TOO_SHORT)
-    evidence = Evidence(
-        view.points_m,
-        view.points_sd_m,
-        view.rays,
-        OUTLINE_SD_PX / intrinsics.fx_px,
-        1 / intrinsics.fx_px,
-        view.points_share,
-        view.rays_share,
-    )
     try:
-        fitting = _best_fit(view, evidence)
+        fitting = _best_fit(view)
     except np.linalg.LinAlgError:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
     return _judged(view, fitting)
 
 
-def _best_fit(view: TubeView, evidence: Evidence) -> TubeFitting:
-    surface = view.surface_m
+def _best_fit(view: TubeView) -> TubeFitting:
+    surface, evidence = view.surface_m, view.evidence
     fitting = fit_shape(evidence, guess_shape(surface))
     left_out = 1.0 - float(near_depths(surface).mean())
     if left_out < MAY_BE_FRUIT:
@@ -355,13 +333,7 @@ def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:
     fit = _fit(view, fitting, traits)
     if fit.explained < MIN_EXPLAINED:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
-    return Measurement(
-        Method.M6,
-        length,
-        LengthKind.CENTRELINE,
-        path_m=traits.axis_m,
-        fit=fit,
-    )
+    return Measurement(Method.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
 
 
 def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
@@ -435,7 +407,9 @@ def _covered_ends(view: TubeView, shape: TubeShape) -> tuple[bool, bool]:
 
 def _on_surface(view: TubeView, fitting: TubeFitting) -> float:
     # Share of the depth points that lie on the tube, within what the sensor may err.
-    within = np.abs(fitting.points.gap_m) <= ON_SURFACE_SD * view.points_sd_m + ON_SURFACE_M
+    within = (
+        np.abs(fitting.points.gap_m) <= ON_SURFACE_SD * view.evidence.points_sd_m + ON_SURFACE_M
+    )
     return float(within.mean())
 
 

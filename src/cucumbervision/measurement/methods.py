@@ -162,11 +162,4 @@ def _or_else(failed: Measurement, method: Method, other: Measurement) -> Measure
     )
 
 
-_RUN = {
-    Method.M1: _m1,
-    Method.M2: _m2,
-    Method.M3: _m3,
-    Method.M4: _m4,
-    Method.M5: _m5,
-    Method.M6: _m6,
-}
+_RUN = dict(zip(AVAILABLE, (_m1, _m2, _m3, _m4, _m5, _m6), strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import json
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,6 +11,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
@@ -21,15 +24,15 @@ from cucumbervision.capture.files import (
     write_jpeg,
 )
 from cucumbervision.capture.source import safe_name, unique_name
-from cucumbervision.errors import CaptureError, CucumberVisionError
-from cucumbervision.pipeline.coco_results import coco_categories, coco_results, results_text
+from cucumbervision.errors import CaptureError, CucumberVisionError, naming_os_errors
+from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
+from cucumbervision.perception.masks import encode_rle
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
 from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.perception.instances import Instance
@@ -285,89 +288,88 @@ def detect_inputs(
             source=", ".join(map(str, inputs)),
             remedy="name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some",
         )
-    result = DetectResult(skipped=listed.skipped, out=out)
-    detection = _Detection(options, registry, result.models)
-    folder = _Folder(out, detection, options)
-    with folder.failures as failures:
+    run = _Run(DetectResult(skipped=listed.skipped, out=out), options, registry)
+    with run.failures:
         for failure in listed.failures:
-            _note(failure, result, failures)
+            run.note(failure)
         try:
-            _detect_all(listed, detection, folder, result, report)
+            for done, picture in enumerate(listed.pictures, start=1):
+                failed: list[Failure] = []
+                with Boundary(failed, str(picture.path), picture.name):
+                    run.look_at(picture)
+                for failure in failed:
+                    run.note(failure)
+                if report is not None:
+                    report(done, len(listed.pictures))
         finally:
-            folder.finish(result)
-    return result
+            run.finish()
+    return run.result
 
 
-class _Detection:
-    """Detector, pose network and SAM as one."""
+class _Run:
+    """One run: its networks, and the output folder while it fills."""
 
     def __init__(
-        self, options: DetectOptions, registry: Registry | None, models: list[dict[str, Any]]
+        self, result: DetectResult, options: DetectOptions, registry: Registry | None
     ) -> None:
         from cucumbervision.perception.networks import NetworkLoader
 
+        self.result, self._options = result, options
+        self._started = datetime.now(UTC)
         self._networks = NetworkLoader(
             registry,
             runtime=options.runtime,
             confidence=options.confidence,
             prompt=options.prompt,
             full_precision=options.full_precision,
-            models=models,
+            models=result.models,
         )
         self._detectors = self._networks.detectors(options.model, options.pose)
-        self._segmenter = options.segmenter
         if options.segmenter != "none":
             self._networks.verify(options.segmenter)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return self._detectors.labels
-
-    @property
-    def gives_keypoints(self) -> bool:
-        return self._detectors.gives_keypoints
-
-    def find(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
-        found = self._detectors.find(color_rgb)
-        if not found or self._segmenter == "none":
-            return found
-        return self._networks.segmenter(self._segmenter).segment(color_rgb, found)
-
-
-class _Folder:
-    """The output folder while it fills."""
-
-    def __init__(self, out: Path, detection: _Detection, options: DetectOptions) -> None:
-        self._out, self._detection, self._options = out, detection, options
-        self._started = datetime.now(UTC)
-        self._labels = list(detection.labels)
+        self._labels = list(self._detectors.labels)
         self._images: list[dict[str, Any]] = []
         self._entries: list[dict[str, Any]] = []
         self._taken: set[str] = set()
-        try:
+        out = result.out
+        with naming_os_errors("cannot be written", out):
             (out / "overlays" if options.overlays else out).mkdir(parents=True, exist_ok=True)
             self.failures = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
-        except OSError as error:
-            raise CucumberVisionError(
-                f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-            ) from error
 
-    def add(
-        self, picture: Picture, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]
-    ) -> None:
+    def note(self, failure: Failure) -> None:
+        self.result.failures.append(failure)
+        with suppress(OSError):  # a full disk: the failures are still shown at the end
+            self.failures.write(vars(failure))
+
+    def look_at(self, picture: Picture) -> None:
+        start = time.perf_counter()
+        color = read_photo(picture.path)
+        found, segmenter = self._detectors.find(color), self._options.segmenter
+        if found and segmenter != "none":
+            found = self._networks.segmenter(segmenter).segment(color, found)
+        self._add(picture.name, color, found)
+        scores = tuple(one.confidence for one in found)
+        seconds = time.perf_counter() - start
+        self.result.pictures.append(DetectedPicture(picture.name, scores, seconds))
+
+    def _add(self, name: str, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]) -> None:
         self._labels += sorted({one.class_name for one in found} - set(self._labels))
-        numbers = {label: k for k, label in enumerate(self._labels, start=1)}
         height, width = color_rgb.shape[:2]
-        number, name = len(self._images) + 1, picture.name
+        number = len(self._images) + 1
         self._images.append({"id": number, "file_name": name, "width": width, "height": height})
-        self._entries += coco_results(
-            found, number, name, numbers, keypoints=self._detection.gives_keypoints
-        )
+        for one in found:
+            category = self._labels.index(one.class_name) + 1
+            head = {"image_id": number, "file_name": name, "category_id": category}
+            keypoints = self._detectors.gives_keypoints
+            self._entries.append(head | _coco_fields(one, keypoints=keypoints))
         if self._options.overlays:
-            stem = unique_name(safe_name(str(Path(name).with_suffix(""))), self._taken)
-            _write_overlay(self._out / "overlays" / f"{stem}.jpg", color_rgb, found)
+            from cucumbervision.pipeline.overlay import draw_detections
 
-    def finish(self, result: DetectResult) -> None:
+            stem = unique_name(safe_name(str(Path(name).with_suffix(""))), self._taken)
+            path = self.result.out / "overlays" / f"{stem}.jpg"
+            write_jpeg(path, draw_detections(color_rgb, found), _JPEG_QUALITY)
+
+    def finish(self) -> None:
         info = {
             "description": "Pictures given to cucumbervision detect; results.json has their fruit",
             "software": f"cucumbervision {__version__}",
@@ -375,50 +377,57 @@ class _Folder:
             "source": source_offer(),
             "started": self._started.isoformat(timespec="seconds"),
             "options": json_value(vars(self._options)),
-            "models": result.models,
+            "models": self.result.models,
         }
         pictures = {
             "info": info,
             "licenses": [],
             "images": self._images,
             "annotations": [],
-            "categories": coco_categories(self._labels),
+            "categories": _coco_categories(self._labels),
         }
-        write_json(self._out / "images.json", pictures)
-        text = results_text(self._entries)
-        write_bytes(self._out / "results.json", text.encode())
+        write_json(self.result.out / "images.json", pictures)
+        # One entry a line.
+        lines = ",\n".join(json.dumps(entry, ensure_ascii=False) for entry in self._entries)
+        text = f"[\n{lines}\n]\n" if lines else "[]\n"
+        write_bytes(self.result.out / "results.json", text.encode())
 
 
-def _detect_all(
-    listed: PictureList,
-    detection: _Detection,
-    folder: _Folder,
-    result: DetectResult,
-    report: Report | None,
-) -> None:
-    for done, picture in enumerate(listed.pictures, start=1):
-        start = time.perf_counter()
-        failed: list[Failure] = []
-        with Boundary(failed, str(picture.path), picture.name):
-            color = read_photo(picture.path)
-            found = detection.find(color)
-            folder.add(picture, color, found)
-            scores = tuple(one.confidence for one in found)
-            seconds = time.perf_counter() - start
-            result.pictures.append(DetectedPicture(picture.name, scores, seconds))
-        for failure in failed:
-            _note(failure, result, folder.failures)
-        if report is not None:
-            report(done, len(listed.pictures))
+def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the classes, numbered from 1, with the five keypoints' names.
+
+    Examples
+    --------
+    >>> [(c["id"], c["name"]) for c in _coco_categories(["cucumber"])]
+    [(1, 'cucumber')]
+    """
+    skeleton = [[a + 1, b + 1] for a, b in SKELETON]
+    return [
+        {"id": k, "name": label, "keypoints": list(KEYPOINT_NAMES), "skeleton": skeleton}
+        for k, label in enumerate(labels, start=1)
+    ]
 
 
-def _note(failure: Failure, result: DetectResult, sink: CsvSink) -> None:
-    result.failures.append(failure)
-    with suppress(OSError):  # a full disk: the failures are still shown at the end
-        sink.write(vars(failure))
+def _coco_fields(one: Instance, *, keypoints: bool) -> dict[str, Any]:
+    """Return one fruit's box, score, mask and keypoints as COCO's results have them.
 
-
-def _write_overlay(path: Path, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]) -> None:
-    from cucumbervision.pipeline.overlay import draw_detections
-
-    write_jpeg(path, draw_detections(color_rgb, found), _JPEG_QUALITY)
+    COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1; `keypoints`
+    says whether a pose network looked: every entry then has them.
+    """
+    x1, y1, x2, y2 = (float(edge) for edge in one.box)
+    box = [x1 + 0.5, y1 + 0.5, x2 - x1, y2 - y1]
+    entry: dict[str, Any] = {
+        "bbox": [round(value, 3) for value in box],
+        "score": round(one.confidence, 5),
+    }
+    mask = one.detector_mask if one.mask is None else one.mask
+    if mask is not None:
+        entry["segmentation"] = {"size": list(mask.shape), "counts": encode_rle(mask)}
+        entry["mask_source"] = str(one.mask_source or "detector")
+    if keypoints:
+        points = np.zeros((len(KEYPOINT_NAMES), 3))
+        if one.keypoints is not None:
+            points = one.keypoints + np.array([0.5, 0.5, 0.0])
+        entry["keypoints"] = [round(value, 3) for value in points.ravel().tolist()]
+        entry["num_keypoints"] = int(np.count_nonzero(points[:, 2]))
+    return entry

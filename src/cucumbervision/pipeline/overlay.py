@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["COLORS", "draw_detections", "draw_label", "draw_overlay", "tint_mask"]
+__all__ = ["COLORS", "draw_detections", "draw_overlay"]
 
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -58,7 +58,7 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
         if one.selected is not None and one.selected.path_m is not None:
             _draw_path(picture, one.selected, capture.intrinsics, color, size)
     for number, one in enumerate(fruit, start=1):
-        draw_label(picture, _label(number, one), one.instance.box, size)
+        _draw_label(picture, _label(number, one), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
@@ -72,10 +72,10 @@ def _draw_region(
         x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
         cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
         return
-    tint_mask(picture, fruit.mask, color, size)
+    _tint_mask(picture, fruit.mask, color, size)
 
 
-def tint_mask(
+def _tint_mask(
     picture: NDArray[np.uint8],
     inside: NDArray[np.bool_],
     color: tuple[int, int, int],
@@ -114,7 +114,7 @@ def _label(number: int, fruit: FruitMeasurement) -> str:
     return f"{number}: {least}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
 
 
-def draw_label(
+def _draw_label(
     picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
 ) -> None:
     """Write a label above a box, or below where there is no room, in place."""
@@ -157,9 +157,6 @@ def _fruit_depths(capture: Capture, fruit: FruitMeasurement) -> NDArray[np.float
     return depths[valid_depth(depths)]
 
 
-_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
-
-
 def draw_detections(
     color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
 ) -> NDArray[np.uint8]:
@@ -193,13 +190,13 @@ def draw_detections(
         color = COLORS[number % len(COLORS)]
         mask = one.detector_mask if one.mask is None else one.mask
         if mask is not None:
-            tint_mask(picture, mask, color, size)
+            _tint_mask(picture, mask, color, size)
         x1, y1, x2, y2 = (round(float(edge)) for edge in one.box)
         cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(1.5 * size)), cv2.LINE_AA)
         if one.keypoints is not None:
             _draw_keypoints(picture, one.keypoints, color, size)
     for one in instances:
-        draw_label(picture, f"{one.class_name} {one.confidence:.2f}", one.box, size)
+        _draw_label(picture, f"{one.class_name} {one.confidence:.2f}", one.box, size)
     return picture
 
 
@@ -210,14 +207,14 @@ def _draw_keypoints(
     size: float,
 ) -> None:
     points = np.rint(keypoints[:, :2]).astype(np.int32)
-    cv2.polylines(picture, [points], False, _BLACK, max(2, round(3 * size)), cv2.LINE_AA)
-    cv2.polylines(picture, [points], False, _WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [points], False, BLACK, max(2, round(3 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [points], False, WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
     seen = keypoints[:, 2] >= MIN_VISIBILITY
     last = len(points) - 1
     for k, ((u, v), visible) in enumerate(zip(points.tolist(), seen.tolist(), strict=True)):
         radius = max(3, round((7 if k in (0, last) else 4) * size))
-        for reach, shade in ((radius, _BLACK), (radius - max(1, round(2 * size)), color)):
-            width = -1 if visible or shade == _BLACK else max(1, round(size))
+        for reach, shade in ((radius, BLACK), (radius - max(1, round(2 * size)), color)):
+            width = -1 if visible or shade == BLACK else max(1, round(size))
             if k == last:
                 corners = (u - reach, v - reach), (u + reach, v + reach)
                 cv2.rectangle(picture, *corners, shade, width, cv2.LINE_AA)

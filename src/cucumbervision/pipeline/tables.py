@@ -15,6 +15,7 @@ import numpy as np
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.capture.files import json_value
 from cucumbervision.pipeline.fields import FIELDS, defused
 
 if TYPE_CHECKING:
@@ -140,23 +141,12 @@ def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> d
         The rows of its fruit, in the same order.
     """
     capture = result.capture
-    camera = capture.intrinsics
     return {
         "name": capture.name,
         "frame": capture.frame,
         "source": capture.source,
         "simulated": capture.simulated,
-        "intrinsics": {
-            "stream": str(camera.stream),
-            "width": camera.width,
-            "height": camera.height,
-            "fx_px": camera.fx_px,
-            "fy_px": camera.fy_px,
-            "cx_px": camera.cx_px,
-            "cy_px": camera.cy_px,
-            "distortion": str(camera.distortion),
-            "coefficients": list(camera.coefficients),
-        },
+        "intrinsics": {"stream": "", **json_value(vars(capture.intrinsics))},
         "provenance": dict(capture.provenance),
         "fill": round(capture.fill, 4),
         "fruit": [

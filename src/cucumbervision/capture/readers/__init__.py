@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cucumbervision.capture.readers.bop import find_scenes, open_bop
+from cucumbervision.capture.readers.native import find_captures, open_native
+from cucumbervision.capture.readers.pair import find_pairs, open_pair_file, open_pairs
+from cucumbervision.capture.readers.recording import open_recording
+from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError
 
-__all__ = ["CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
+__all__ = ["RECORDING_SUFFIXES", "CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
 
-_RECORDINGS = frozenset({".bag", ".db3"})
+RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 
 
 def open_source(path: Path | str, options: ReadOptions | None = None) -> CaptureSource:
@@ -40,25 +45,12 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     options = options or ReadOptions()
     if not path.exists():
         raise CaptureError("does not exist", source=path, remedy="check the path")
-    if path.is_file() and path.suffix.lower() in _RECORDINGS:
-        from cucumbervision.capture.readers.recording import open_recording
-
+    if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
         return open_recording(path, options)
+    if path.name == "capture.json" and path.is_file():
+        return open_source(path.parent, options)
     if path.is_file():
-        if path.name == "capture.json":
-            return open_source(path.parent, options)
-        from cucumbervision.capture.readers.pair import open_pair_file
-
         return open_pair_file(path, options)
-    return _open_folder(path, options)
-
-
-def _open_folder(path: Path, options: ReadOptions) -> CaptureSource:
-    from cucumbervision.capture.readers.bop import find_scenes, open_bop
-    from cucumbervision.capture.readers.native import find_captures, open_native
-    from cucumbervision.capture.readers.pair import find_pairs, open_pairs
-    from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
-
     if folders := find_captures(path):
         return open_native(path, folders, options)
     if scenes := find_scenes(path):

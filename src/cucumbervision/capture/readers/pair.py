@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["Pair", "find_pairs", "open_pair_file", "open_pairs", "pair_role"]
+__all__ = ["Pair", "find_pairs", "is_8_bit_png", "open_pair_file", "open_pairs", "pair_role"]
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -54,13 +54,13 @@ def find_pairs(path: Path) -> list[Pair]:
     depths: dict[str, Path] = {}
     for file in sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern)):
         role, key = pair_role(file.relative_to(path).as_posix())
-        if role == "depth" and (key not in depths or _is_8_bit_png(depths[key])):
+        if role == "depth" and (key not in depths or is_8_bit_png(depths[key])):
             depths[key] = file
         elif role == "color":
             colors.setdefault(key, file)
     if not colors.keys() & depths.keys():
         return []
-    alone = {k for k in depths.keys() - colors.keys() if _is_8_bit_png(depths[k])}
+    alone = {k for k in depths.keys() - colors.keys() if is_8_bit_png(depths[k])}
     return [
         Pair(colors.get(key), depths.get(key))
         for key in sorted((colors.keys() | depths.keys()) - alone)
@@ -90,7 +90,8 @@ def _key(name: str, word: re.Pattern[str]) -> str:
     return re.sub(r"[^a-z0-9]+", " ", word.sub(" ", name).lower()).strip()
 
 
-def _is_8_bit_png(path: Path) -> bool:
+def is_8_bit_png(path: Path) -> bool:
+    """Return whether a file is a PNG of 8 bits, which is no depth but a picture of it."""
     with path.open("rb") as file:
         head = file.read(25)
     return head.startswith(b"\x89PNG") and head[-1] == 8

@@ -2,13 +2,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cucumbervision.calibration.corrections import fit_depth_scale
 from cucumbervision.capture.intrinsics import Intrinsics
 
 
+@settings(deadline=None)
 @given(scale=st.floats(0.95, 1.05), tilt=st.floats(-1.2, 1.2), far=st.floats(0.4, 1.2))
 def test_a_scaled_depth_scales_every_length_wherever_the_bar_lies(
     scale: float, tilt: float, far: float

@@ -86,13 +86,15 @@ def test_flying_pixels_and_stray_outline_have_little_say() -> None:
     assert along + 2 * RADIUS == pytest.approx(LONG + 2 * RADIUS, rel=0.01)
 
 
-def test_an_outline_beside_the_depth_picture_is_found_out() -> None:
+def test_an_outline_beside_the_depth_picture_does_not_move_the_body() -> None:
     # All rays turned down by two pixels of 1 mrad: the registration of colour and depth is off.
     rays = tangent_rays() + np.array([0, 2e-3, 0])
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     fitting = fit_shape(evidence(surface(), rays), guess_shape(surface()))
-    assert fitting.slip_px[1] == pytest.approx(2.0, abs=0.5)
-    assert np.ptp(fitting.shape.balls(9)[0][:, 0]) == pytest.approx(LONG, rel=0.01)
+    centres, _ = fitting.shape.balls(9)
+    assert np.ptp(centres[:, 0]) == pytest.approx(LONG, rel=0.01)
+    # The rays alone would have it 2 mrad of 0.5 m lower.
+    assert np.abs(centres[:, 1]).max() < 0.25e-3
 
 
 def test_an_end_without_outline_is_said_not_to_be_seen() -> None:
@@ -111,5 +113,4 @@ def test_more_noise_makes_a_wider_interval() -> None:
     rough /= np.linalg.norm(rough, axis=1)[:, None]
     exact = fit_shape(evidence(surface(), tangent_rays()), guess_shape(surface()))
     noisy = fit_shape(evidence(surface(), rough), guess_shape(surface()))
-    assert noisy.rays_scatter > 1.5 * exact.rays_scatter
     assert noisy.centreline_sd_m > 1.5 * exact.centreline_sd_m

@@ -45,7 +45,7 @@ def test_a_zip_of_native_captures_is_measured_as_it_was_sent(
 ) -> None:
     got = send(tmp_path, walk__zip=native_zip)
     assert not got.refused
-    assert got.ignored == ("walk.zip: README.txt",)
+    assert got.ignored == ["walk.zip: README.txt"]
     (source,) = got.sources
     captures = [ref.load() for ref in source.open()]
     assert [c.name for c in captures] == ["stop_1", "stop_2"]

@@ -337,39 +337,14 @@ def render_page(
     return _template().render(
         title=title,
         notes=notes,
-        glance=_shown(glance),
-        sections=[_section_shown(section) for section in sections],
+        glance=glance,
+        sections=sections,
         glossary=glossary,
         provenance=[(name, _plain_text(value)) for name, value in provenance.items()],
         licence=LICENCE,
         source=source_offer(),
         numbers=numbers,
     )
-
-
-def _section_shown(section: Section) -> dict[str, Any]:
-    return {
-        "title": section.title,
-        "anchor": _anchor(section.title),
-        "intro": section.intro,
-        "entries": [_shown(entry, section.title) for entry in section.entries],
-    }
-
-
-def _shown(entry: Table | Picture, section_title: str = "") -> dict[str, Any]:
-    if isinstance(entry, Picture):
-        data = base64.b64encode(entry.png).decode("ascii")
-        return {"kind": "picture", "caption": entry.caption, "data": data}
-    return {
-        "kind": "table",
-        "title": entry.title,
-        "anchor": _anchor(f"{section_title} {entry.title}"),
-        "comment": entry.comment,
-        "heads": [column.head for column in entry.columns],
-        "numeric": entry.numeric,
-        "rows": entry.text_rows(),
-        "bold": entry.bold,
-    }
 
 
 def _anchor(text: str) -> str:
@@ -398,4 +373,6 @@ def _template() -> Template:
         undefined=StrictUndefined,
         trim_blocks=True,
     )
+    environment.filters["anchor"] = _anchor
+    environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return environment.get_template("report.html")

@@ -211,9 +211,22 @@ def align_depth_to_color(
     width, height = color_size
     v, u = np.nonzero(depth_m > 0)
     z = depth_m[v, u]
-    project = (depth_matrix, color_matrix, rotation, translation_m, depth_lens, color_lens)
-    x0, y0 = _corner(u - 0.5, v - 0.5, z, *project)
-    x1, y1 = _corner(u + 0.5, v + 0.5, z, *project)
+    kd, kc = np.asarray(depth_matrix, float), np.asarray(color_matrix, float)
+
+    def corner(off_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        on_sensor = (u + off_px - kd[0, 2]) / kd[0, 0], (v + off_px - kd[1, 2]) / kd[1, 1]
+        x, y = undistort(*on_sensor, *depth_lens)
+        points = np.stack([x * z, y * z, z.astype(float)])
+        moved = np.asarray(rotation, float) @ points + np.reshape(translation_m, (3, 1))
+        # What lies behind the colour camera has no pixel there.
+        ahead = np.where(moved[2] > 0, moved[2], np.nan)
+        x, y = distort(moved[0] / ahead, moved[1] / ahead, *color_lens)
+        pixels = np.stack([x * kc[0, 0] + kc[0, 2], y * kc[1, 1] + kc[1, 2]]) + 0.5
+        # The pixel that holds the point, by the cast that the SDK makes: towards zero.
+        px, py = np.nan_to_num(np.trunc(pixels), nan=-9.0).astype(np.int64)
+        return px, py
+
+    (x0, y0), (x1, y1) = corner(-0.5), corner(0.5)
     aligned = np.full(height * width, np.inf, np.float32)
     for dy in range(int((y1 - y0).max(initial=-1)) + 1):
         for dx in range(int((x1 - x0).max(initial=-1)) + 1):
@@ -222,27 +235,3 @@ def align_depth_to_color(
             np.minimum.at(aligned, y[part] * width + x[part], z[part])
     aligned[np.isinf(aligned)] = 0.0
     return aligned.reshape(height, width)
-
-
-def _corner(
-    u: NDArray[Any],
-    v: NDArray[Any],
-    z: NDArray[Any],
-    depth_matrix: ArrayLike,
-    color_matrix: ArrayLike,
-    rotation: ArrayLike,
-    translation_m: ArrayLike,
-    depth_lens: Lens,
-    color_lens: Lens,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    kd, kc = np.asarray(depth_matrix, float), np.asarray(color_matrix, float)
-    x, y = undistort((u - kd[0, 2]) / kd[0, 0], (v - kd[1, 2]) / kd[1, 1], *depth_lens)
-    points = np.stack([x * z, y * z, z.astype(float)])
-    moved = np.asarray(rotation, float) @ points + np.reshape(translation_m, (3, 1))
-    # What lies behind the colour camera has no pixel there.
-    ahead = np.where(moved[2] > 0, moved[2], np.nan)
-    x, y = distort(moved[0] / ahead, moved[1] / ahead, *color_lens)
-    pixels = np.stack([x * kc[0, 0] + kc[0, 2], y * kc[1, 1] + kc[1, 2]]) + 0.5
-    # The pixel that holds the point, by the cast that the SDK makes: towards zero.
-    px, py = np.nan_to_num(np.trunc(pixels), nan=-9.0).astype(np.int64)
-    return px, py

@@ -104,6 +104,7 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
 
     Examples
     --------
+    >>> from cucumbervision.geometry.tube import shape_from_curve
     >>> x = np.linspace(0, 0.2, 33)
     >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
     >>> gaps(shape, np.array([[0.1, 0.0, 0.47]]), rays=False).gap_m.round(6).tolist()
@@ -158,6 +159,7 @@ def depth_gaps(
 
     Examples
     --------
+    >>> from cucumbervision.geometry.tube import shape_from_curve
     >>> x = np.linspace(0, 0.2, 33)
     >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
     >>> found, facing = depth_gaps(shape, np.array([[0.0, 0.0, 1.0]]), np.array([0.47]))

@@ -29,7 +29,6 @@ __all__ = [
     "AcceptedUploads",
     "Layout",
     "Refused",
-    "Sorted",
     "Staging",
     "is_intrinsics",
     "shown_name",
@@ -142,9 +141,13 @@ class AcceptedUploads:
     """
 
     folder: Path
-    sources: tuple[AcceptedSource, ...] = ()
-    refused: tuple[Refused, ...] = ()
-    ignored: tuple[str, ...] = ()
+    sources: list[AcceptedSource] = field(default_factory=list)
+    refused: list[Refused] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)
+
+    def refuse(self, title: str, error: CucumberVisionError) -> None:
+        """Note a file that is not accepted."""
+        self.refused.append(Refused(title, error))
 
 
 def shown_name(text: str) -> str:
@@ -156,19 +159,6 @@ def shown_name(text: str) -> str:
     'row_3_left_rgb'
     """
     return safe_name(text)[:_LONGEST].strip("._") or "capture"
-
-
-@dataclass
-class Sorted:
-    """What the sorting gives, over all zips and batches of an upload."""
-
-    sources: list[AcceptedSource] = field(default_factory=list)
-    refused: list[Refused] = field(default_factory=list)
-    ignored: list[str] = field(default_factory=list)
-
-    def refuse(self, title: str, error: CucumberVisionError) -> None:
-        """Note a file that is not accepted."""
-        self.refused.append(Refused(title, error))
 
 
 class Staging:
@@ -196,7 +186,7 @@ class Staging:
         items: Iterable[Item],
         folder: Path,
         limits: Limits,
-        out: Sorted,
+        out: AcceptedUploads,
         *,
         is_archive: bool = False,
     ) -> None:

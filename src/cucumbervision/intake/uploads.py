@@ -12,7 +12,7 @@ from cucumbervision.intake.archives import Budget, clean_name, unpack, write_chu
 from cucumbervision.intake.file_checks import HEAD_BYTES, Kind, check_item, file_kind
 from cucumbervision.intake.layouts import lay_out
 from cucumbervision.intake.limits import Limits
-from cucumbervision.intake.staging import AcceptedUploads, Sorted, Staging
+from cucumbervision.intake.staging import AcceptedUploads, Staging
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -95,8 +95,7 @@ def accept_uploads(
     except BaseException:
         shutil.rmtree(batch, ignore_errors=True)
         raise
-    out = intake.out
-    return AcceptedUploads(batch, tuple(out.sources), tuple(out.refused), tuple(out.ignored))
+    return intake.out
 
 
 class _Intake:
@@ -105,7 +104,7 @@ class _Intake:
     def __init__(self, batch: Path, limits: Limits, burst: int) -> None:
         self.batch, self.limits, self._burst = batch, limits, burst
         self.stage = batch / "arriving"
-        self.out = Sorted()
+        self.out = AcceptedUploads(batch)
         self.loose: list[Item] = []
         self._bytes_left = limits.total_bytes
         self._budget = Budget(limits.members, limits.unpacked_bytes)

@@ -105,14 +105,9 @@ def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int
     (0, 2, 5, 10)
     """
     height, width = shape
-    left, top = (int(np.ceil(x)) for x in box[:2])
-    right, bottom = (int(np.floor(x)) + 1 for x in box[2:])
-    return (
-        min(max(left, 0), width),
-        min(max(top, 0), height),
-        min(max(right, 0), width),
-        min(max(bottom, 0), height),
-    )
+    edges = np.concatenate([np.ceil(box[:2]), np.floor(box[2:]) + 1])
+    left, top, right, bottom = np.clip(edges, 0, [width, height] * 2).astype(int).tolist()
+    return left, top, right, bottom
 
 
 def _deproject(

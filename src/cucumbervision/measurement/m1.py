@@ -87,9 +87,8 @@ def measure_m1(
 
 
 def _reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | None:
-    x1, y1, x2, y2 = box
-    middle = np.array([x1 + (x2 - x1) / 3, y1 + (y2 - y1) / 3, x2 - (x2 - x1) / 3, 0.0])
-    middle[3] = y2 - (y2 - y1) / 3
+    third = (box[2:] - box[:2]) / 3
+    middle = np.concatenate([box[:2] + third, box[2:] - third])
     left, top, right, bottom = box_pixels(middle, depth_m.shape)
     region = depth_m[top:bottom, left:right]
     readings = region[valid_depth(region)]
@@ -97,15 +96,13 @@ def _reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float |
 
 
 def _sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    x1, y1, x2, y2 = (float(x) for x in box)
-    fractions = np.array(LINES)[:, None]
-    if x2 - x1 >= y2 - y1:
-        along, across = np.linspace(x1, x2, SAMPLES), y1 + fractions * (y2 - y1)
-        u, v = np.broadcast_arrays(along[None, :], across)
-    else:
-        along, across = np.linspace(y1, y2, SAMPLES), x1 + fractions * (x2 - x1)
-        u, v = np.broadcast_arrays(across, along[None, :])
-    return u, v
+    # The longer side: 0 where the box is wide, 1 where it is high.
+    side = int(box[3] - box[1] > box[2] - box[0])
+    other = 1 - side
+    along = np.linspace(box[side], box[side + 2], SAMPLES)
+    across = box[other] + np.array(LINES)[:, None] * (box[other + 2] - box[other])
+    grids = np.broadcast_arrays(along[None, :], across)
+    return grids[side], grids[other]
 
 
 def window_depths(

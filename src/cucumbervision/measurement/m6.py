@@ -119,7 +119,7 @@ def _depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.floa
 
     Examples
     --------
-    >>> bool(depth_noise(np.array(0.5), 924.0).round(5) == 0.00063)
+    >>> bool(_depth_noise(np.array(0.5), 924.0).round(5) == 0.00063)
     True
     """
     return far_m**2 * (DISPARITY_RMS_PX / (focal_px * DEPTH_FOCAL_RATIO * BASELINE_M))

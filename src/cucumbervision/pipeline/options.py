@@ -6,15 +6,13 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cucumbervision.capture.files import json_value
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = ["MeasureOptions", "parse_methods"]
 
@@ -71,7 +69,7 @@ class MeasureOptions:
 
     def as_json(self) -> dict[str, Any]:
         """Return the choices as JSON values."""
-        values: dict[str, Any] = json.loads(json.dumps(asdict(self), default=str))
+        values: dict[str, Any] = json_value(asdict(self))
         return values
 
     @property
@@ -83,11 +81,8 @@ class MeasureOptions:
         >>> MeasureOptions().sha256 == MeasureOptions(confidence=0.31).sha256
         False
         """
-        return _hash(self.as_json())
-
-
-def _hash(values: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+        text = json.dumps(self.as_json(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 def parse_methods(text: str) -> tuple[Method, ...]:

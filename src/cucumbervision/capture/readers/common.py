@@ -12,6 +12,7 @@ from cucumbervision.errors import CaptureError, IntrinsicsError
 from cucumbervision.geometry.camera import align_depth_to_color
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import numpy as np
@@ -84,7 +85,7 @@ def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path)
 
 def frame_capture(
     color: NDArray[np.uint8],
-    raw: NDArray[Any],
+    read_raw: Callable[[], NDArray[Any]],
     own: Intrinsics | None,
     given: CameraFile | None,
     unit_m: float | None,
@@ -103,8 +104,8 @@ def frame_capture(
     ----------
     color : ndarray of uint8, shape (H, W, 3)
         RGB.
-    raw : ndarray, shape (h, w)
-        The depth picture's numbers.
+    read_raw : callable
+        Reads the depth picture's numbers, shape (h, w), once the intrinsics have passed.
     own : Intrinsics, optional
         The source's.
     given : CameraFile, optional
@@ -128,7 +129,7 @@ def frame_capture(
     height, width = color.shape[:2]
     intrinsics = choose_intrinsics(own, given, width, height, source=source)
     unit_m = unit_m or (given.depth_unit_m if given else None)
-    depth_m = depth_to_metres(raw, unit_m, source=depth_source)
+    depth_m = depth_to_metres(read_raw(), unit_m, source=depth_source)
     camera = (given.depth if given else None) or depth_camera
     if given is None or camera is None or given.depth_to_color is None:
         require_same_size(color, depth_m, source=depth_source)

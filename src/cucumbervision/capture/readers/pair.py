@@ -176,7 +176,7 @@ def _load_pair(
         )
     return frame_capture(
         read_color(pair.color),
-        read_depth(pair.depth),
+        partial(read_depth, pair.depth),
         None,
         given,
         options.depth_unit_m,
@@ -206,7 +206,7 @@ def _load_npz(path: Path, given: CameraFile | None, options: ReadOptions, name: 
     own = _npz_intrinsics(arrays, path) if "matrix" in arrays else None
     return frame_capture(
         color,
-        arrays["depth"],
+        lambda: arrays["depth"],
         own,
         given,
         options.depth_unit_m,

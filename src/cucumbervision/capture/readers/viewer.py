@@ -116,7 +116,7 @@ def _load(
     own_path = base.with_name(base.name + _COLOR_TABLE)
     return frame_capture(
         read_color(base.with_name(base.name + _COLOR)),
-        _read_raw(raw_path, table),
+        partial(_read_raw, raw_path, table),
         _read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None,
         given,
         unit_m,

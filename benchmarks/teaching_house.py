@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.files import read_json
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.capture.writer import write_native
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.boxes import box_iou

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,9 +25,12 @@ from cucumbervision.measurement.intervals import (
     shipped_interval_models,
     write_interval_models,
 )
+from cucumbervision.perception.sam import Segmenter
 from cucumbervision_lab.benchmark import experiments
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
-from cucumbervision_lab.benchmark.measure_case import CaseOptions
+from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
+from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.processes import each_done
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.page import Table
     from cucumbervision.accuracy.records import Record
-    from cucumbervision.perception.sam import Segmenter
     from cucumbervision_lab.benchmark.cases import Case
 
 __all__ = [
@@ -137,11 +138,6 @@ def with_intervals(
     return readings.join(found)
 
 
-CHUNK = 4  # cases a worker takes at once: few, so that a killed run loses little
-
-_segmenters: dict[str, Segmenter] = {}
-
-
 def run_cases(
     cases: Sequence[Case],
     options: CaseOptions,
@@ -179,54 +175,21 @@ def run_cases(
     missing = [c for c in cases if not _measured(c, options, done)]
     if report is not None and len(missing) < len(cases):
         report(len(cases) - len(missing))
-    chunks = [missing[k : k + CHUNK] for k in range(0, len(missing), CHUNK)]
-    if workers == 1:
-        for chunk in chunks:
-            _keep(_work(chunk, options), chunk, records, report)
-    elif chunks:
-        # Threads of a fork may be caught holding a lock: every worker starts afresh.
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, context) as pool:
-            jobs = {pool.submit(_work, chunk, options): chunk for chunk in chunks}
-            try:
-                for job in as_completed(jobs):
-                    _keep(job.result(), jobs[job], records, report)
-            except BaseException:
-                # What is finished is on disk; what waits would only delay the news.
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+    for found in ticked(each_done(partial(_measure, options), missing, workers), report):
+        for record in found:
+            append_record(records, record)
     names = {case.name for case in cases}
     return [r for r in read_records([records]) if r.case in names] if records.exists() else []
 
 
-def _keep(
-    found: Sequence[Record],
-    chunk: Sequence[Case],
-    records: Path,
-    report: Callable[[int], None] | None,
-) -> None:
-    for record in found:
-        append_record(records, record)
-    if report is not None:
-        report(len(chunk))
-
-
-def _work(chunk: Sequence[Case], options: CaseOptions) -> list[Record]:
-    import cv2
-
-    from cucumbervision_lab.benchmark.measure_case import measure_case
-
-    cv2.setNumThreads(1)  # one core a worker
+def _measure(options: CaseOptions, case: Case) -> list[Record]:
     segmenter = _segmenter(options.prompt) if Masks.PERCEIVED in options.masks else None
-    return [r for case in chunk for r in measure_case(case, options, segmenter)]
+    return measure_case(case, options, segmenter)
 
 
+@lru_cache
 def _segmenter(prompt: str) -> Segmenter:
-    if prompt not in _segmenters:
-        from cucumbervision.perception.sam import Segmenter
-
-        _segmenters[prompt] = Segmenter("mobile-sam", prompt=prompt, full_precision=True)
-    return _segmenters[prompt]
+    return Segmenter("mobile-sam", prompt=prompt, full_precision=True)
 
 
 def _measured(case: Case, options: CaseOptions, done: set[tuple[str, str, str]]) -> bool:

@@ -40,30 +40,27 @@ def benchmark(
     The paper's 48 captures and five validation fruit, with exact, disturbed and perceived masks,
     and a stress set of independent fruit: tilted, bent, half hidden, far, wet, in the sun.
     """
-    from cucumbervision.cli.figures import figures_console, print_table
     from cucumbervision_lab.benchmark import run
-    from cucumbervision_lab.cli.screen import part_bars
+    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
-    console = figures_console()
     if learn_intervals is not None:
         with part_bars() as report:
             book = run.learn_intervals(learn_intervals, out, learn_fruit, workers, report)
         for key, model in book.models.items():
             band = model.bands[""]
-            console.print(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
-        console.print(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
+            show(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
+        show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
     plan = run.BenchmarkPlan(quick, stress, workers, data=data)
     with part_bars() as report:
         readings, experiments = run.run_benchmark(plan, out, report)
-    for table in _summary_tables(readings):
-        print_table(console, table)
+    show_tables(_summary_tables(readings))
     if not quick:
         from cucumbervision_lab.benchmark.report import write_benchmark_report
 
         origin = run.provenance(plan)
         written = write_benchmark_report(readings, out, experiments=experiments, provenance=origin)
-        console.print(f"The report is {written}", soft_wrap=True, markup=False)
+        show(f"The report is {written}")
 
 
 _SUMMARY = {

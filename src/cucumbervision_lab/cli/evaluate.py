@@ -51,8 +51,7 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Compare the networks with labelled pictures: precision, recall, keypoints, masks, lengths."""
-    from cucumbervision.cli.figures import figures_console, print_table
-    from cucumbervision_lab.cli.screen import part_bars
+    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.figures import summarise
     from cucumbervision_lab.detection.report import main_tables, write_detection_report
     from cucumbervision_lab.detection.run import DetectionPlan, evaluate_detection
@@ -73,11 +72,8 @@ def evaluate_models(
     with part_bars() as report:
         result = evaluate_detection(plan, report)
     summary = summarise(result)
-    console = figures_console()
-    for table in main_tables(summary, plan.confidence, result.photos):
-        print_table(console, table)
-    page = write_detection_report(result, summary, out)
-    console.print(f"The report is {page}", soft_wrap=True, markup=False)
+    show_tables(main_tables(summary, plan.confidence, result.photos))
+    show(f"The report is {write_detection_report(result, summary, out)}")
 
 
 def evaluate_photos(
@@ -92,8 +88,7 @@ def evaluate_photos(
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:
     """Compare the networks with audited real photos: recall and precision, each test apart."""
-    from cucumbervision.cli.figures import figures_console, print_table
-    from cucumbervision_lab.cli.screen import part_bars
+    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.report import photo_tables, write_photo_report
     from cucumbervision_lab.detection.run import evaluate_real_photos
 
@@ -107,8 +102,5 @@ def evaluate_photos(
             split=split,
             report=report,
         )
-    console = figures_console()
-    for table in photo_tables(result):
-        print_table(console, table)
-    file = write_photo_report(result, out)
-    console.print(f"The figures are in {file}", soft_wrap=True, markup=False)
+    show_tables(photo_tables(result))
+    show(f"The figures are in {write_photo_report(result, out)}")

@@ -18,8 +18,7 @@ def pull(
     ] = None,
 ) -> None:
     """Fetch a network from its publisher, check its hash and export it to ONNX."""
-    from cucumbervision_lab.cli.download_bar import DownloadBar
-    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.cli.screen import DownloadBar, show
     from cucumbervision_lab.training.pull import pull_model
 
     show(*pull_model(name, given=given, progress=DownloadBar(name)).values())

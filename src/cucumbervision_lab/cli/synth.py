@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from cucumbervision_lab.datasets.labels import DataSet
 
 __all__ = ["synth"]
 
@@ -59,10 +62,7 @@ def synth(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
     """Draw cucumbers on plants, benches and in crates: colour, depth, masks, keypoints, lengths."""
-    from rich.console import Console
-
-    from cucumbervision.cli.console import progress_bar
-    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.synthesis.generate import generate, parse_options
 
     options = parse_options(
@@ -78,15 +78,17 @@ def synth(
         shares=shares,
         split=split,
     )
-    with progress_bar(Console(stderr=True, quiet=quiet, highlight=False)) as bar:
-        task = bar.add_task("drawing", total=options.frames)
-        data = generate(options, out, workers, lambda done, _: bar.update(task, completed=done))
-    if quiet:
-        return
+    with ticking("drawing", options.frames, quiet=quiet) as tick:
+        data = generate(options, out, workers, tick)
+    if not quiet:
+        show(_contents(data, out))
+
+
+def _contents(data: DataSet, out: Path) -> str:
     fruit = sum(len(picture.labels) for picture in data.pictures)
     ignored = sum(label.ignore for picture in data.pictures for label in picture.labels)
     parts = ", ".join(f"{len(data.in_split(s))} {s}" for s in ("train", "val", "test"))
-    show(
+    return (
         f"{len(data.pictures)} pictures ({parts}) with {fruit} cucumbers, {ignored} of them too "
         f"hidden or too small to count, are in {out}/"
     )

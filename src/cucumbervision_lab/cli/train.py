@@ -55,8 +55,10 @@ OneToMany = Annotated[
 ]
 
 
-@app.command()
-def seg(
+@app.command("pose", help="Train boxes and the five keypoints.")
+@app.command("seg", help="Train boxes and masks.")
+def network(
+    context: typer.Context,
     out: Out,
     data: Data = None,
     init: Init = None,
@@ -76,37 +78,12 @@ def seg(
     one_to_many: OneToMany = 0.8,
     check: Check = True,
 ) -> None:
-    """Train boxes and masks."""
-    _train("seg", **locals())
-
-
-@app.command()
-def pose(
-    out: Out,
-    data: Data = None,
-    init: Init = None,
-    plan: Plan = None,
-    per_epoch: PerEpoch = 500,
-    resume: Resume = False,
-    batch: Batch = 0,
-    device: Device = "auto",
-    precision: Precision = "auto",
-    freeze: Freeze = 0,
-    seed: Seed = 0,
-    cache: Cache = "none",
-    threads: Threads = 0,
-    workers: Workers = 0,
-    minutes: Minutes = None,
-    learning_rate: Rate = 0.001,
-    one_to_many: OneToMany = 0.8,
-    check: Check = True,
-) -> None:
-    """Train boxes and the five keypoints."""
-    _train("pose", **locals())
+    """Train a network for the task that the command is called by."""
+    _train(**locals())
 
 
 def _train(
-    task: str,
+    context: typer.Context,
     out: Path,
     data: Path | None,
     init: str | None,
@@ -115,12 +92,12 @@ def _train(
     resume: bool,
     **options: object,
 ) -> None:
-    from cucumbervision_lab.cli.train_console import TrainConsole
+    from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.train import TrainOptions, train
 
     with TrainConsole() as console:
-        network = train(
-            task,
+        trained = train(
+            str(context.info_name),
             data,
             out,
             init=init,
@@ -130,7 +107,7 @@ def _train(
             options=TrainOptions(**options),  # type: ignore[arg-type]
             watcher=console,
         )
-    console.close(network)
+    console.close(trained)
 
 
 @app.command()
@@ -158,7 +135,7 @@ def recipe(
 
     The same command goes on after any interruption.
     """
-    from cucumbervision_lab.cli.train_console import TrainConsole
+    from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.recipe import read_recipe
     from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe
     from cucumbervision_lab.training.train import TrainOptions

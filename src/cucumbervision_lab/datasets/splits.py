@@ -254,8 +254,8 @@ def scenes_by_name(dataset: DataSet, pattern: str) -> DataSet:
     return replace(dataset, pictures=tuple(pictures))
 
 
-def parse_shares(text: str) -> tuple[float, ...]:
-    """Read shares of train, val and test, in whatever unit.
+def parse_shares(text: str, separator: str = ":") -> tuple[float, float, float]:
+    """Read three shares, in whatever unit.
 
     Raises
     ------
@@ -268,12 +268,14 @@ def parse_shares(text: str) -> tuple[float, ...]:
     (0.7, 0.15, 0.15)
     """
     try:
-        parts = [float(part) for part in text.split(":")]
+        parts = [float(part) for part in text.split(separator)]
     except ValueError:
         parts = []
     if len(parts) != 3 or not 0 < sum(parts) < float("inf") or min(parts) < 0:
-        raise DataSetError(f"{text!r} are no shares", remedy="give three, as in 70:15:15")
-    return tuple(part / sum(parts) for part in parts)
+        remedy = f"give three, as in 70{separator}15{separator}15"
+        raise DataSetError(f"{text!r} are no shares", source="--shares", remedy=remedy)
+    a, b, c = (part / sum(parts) for part in parts)
+    return a, b, c
 
 
 def find_scenes(dataset: DataSet, progress: Callable[[int], None] | None = None) -> DataSet:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-import threading
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
-from multiprocessing.connection import wait
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.files import read_color, write_jpeg, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import (
     collect_fragments,
@@ -22,7 +18,9 @@ from cucumbervision_lab.datasets.coco import (
     write_coco,
     write_fragment,
 )
-from cucumbervision_lab.datasets.labels import Label, LabelledPicture
+from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
+from cucumbervision_lab.datasets.splits import parse_shares
+from cucumbervision_lab.processes import each_done
 from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
 from cucumbervision_lab.synthesis.montage import fruitless, montage
@@ -35,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.appearance import Assets
     from cucumbervision_lab.synthesis.paste import Cutout
 
-__all__ = ["SynthOptions", "generate", "label_frame", "parse_options"]
+__all__ = ["SynthOptions", "generate", "parse_options"]
 
 SMALLEST_PX, LARGEST_PX = 32, 4096
 
@@ -109,25 +107,12 @@ def parse_options(
     return SynthOptions(
         frames=frames,
         seed=seed,
-        frame=FrameOptions(width, height, _shares(shares), depth, scale_sd, hard),
+        frame=FrameOptions(width, height, parse_shares(shares, ","), depth, scale_sd, hard),
         assets=str(assets.resolve()) if assets else "",
         split=split,
         paste=str(paste.resolve()) if paste else "",
         onto=str(onto.resolve()) if onto else "",
     )
-
-
-def _shares(words: str) -> tuple[float, float, float]:
-    try:
-        weights = [float(part) for part in words.split(",")]
-    except ValueError:
-        weights = []
-    if len(weights) != 3 or min(weights) < 0 or not 0 < sum(weights) < float("inf"):
-        raise DataSetError(
-            f"{words!r} are no three weights", source="--shares", remedy="write them as 6,2,2"
-        )
-    a, b, c = (weight / sum(weights) for weight in weights)
-    return a, b, c
 
 
 MANIFEST = "synth.json"
@@ -189,7 +174,7 @@ def generate(
     options: SynthOptions,
     out: Path,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> DataSet:
     """Render a set, or what of it is still missing.
 
@@ -203,7 +188,7 @@ def generate(
     workers : int
         Processes that draw.
     progress : callable, optional
-        Called with the frames done and all frames.
+        Called with how many frames were just found or done.
 
     Returns
     -------
@@ -222,22 +207,17 @@ def generate(
     """
     _claim(options, out)
     missing = [k for k in range(options.frames) if not _fragment(out, k).exists()]
-    done = options.frames - len(missing)
     if progress is not None:
-        progress(done, options.frames)
-    for _ in _drawn(options, out, missing, workers):
-        done += 1
-        if progress is not None:
-            progress(done, options.frames)
+        progress(options.frames - len(missing))
+    for _ in ticked(each_done(partial(_draw, options, out), missing, workers), progress):
+        pass
     return write_coco(collect_fragments(out, FRAGMENTS), out)
 
 
 def _claim(options: SynthOptions, out: Path) -> None:
     """Note the options in the folder, or see that they are the same as those noted there."""
-    folders = {"assets": Path(options.assets).name, "paste": Path(options.paste).name}
-    folders |= {"onto": Path(options.onto).name}
-    wanted = asdict(options) | {"frames": None} | folders
-    wanted = json.loads(json.dumps(wanted))
+    folders = {key: Path(getattr(options, key)).name for key in ("assets", "paste", "onto")}
+    wanted = json.loads(json.dumps(asdict(options) | {"frames": None} | folders))
     file = out / MANIFEST
     try:
         if file.exists() and json.loads(file.read_text(encoding="utf-8")) != wanted:
@@ -257,37 +237,6 @@ def _claim(options: SynthOptions, out: Path) -> None:
         raise DataSetError(
             "is damaged", source=file, remedy="delete it, and the set will be drawn on"
         ) from None
-
-
-def _drawn(options: SynthOptions, out: Path, missing: list[int], workers: int) -> Any:
-    if workers <= 1 or len(missing) <= 1:
-        for index in missing:
-            yield _draw(options, out, index)
-        return
-    # Forking a process that runs threads of OpenCV or Torch may hang.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-        jobs = [pool.submit(_draw, options, out, index) for index in missing]
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _one_thread() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this process when the command has been killed: nobody would fetch its frames."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
 
 
 @lru_cache(maxsize=1)
@@ -315,10 +264,8 @@ def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...
     return tuple(tuple((p, data.path(p)) for p in wide if p.source == one) for one in sources)
 
 
-def _paste_onto(options: SynthOptions, out: Path, index: int) -> int:
+def _paste_onto(options: SynthOptions, out: Path, index: int) -> None:
     """Paste fruit onto a photo in place of drawing a frame."""
-    from cucumbervision.capture.files import read_color
-
     rng = np.random.default_rng([options.seed, index, 2])
     grounds = _grounds(options.onto)
     of_one_source = grounds[int(rng.integers(len(grounds)))]
@@ -335,18 +282,18 @@ def _paste_onto(options: SynthOptions, out: Path, index: int) -> int:
         source=ground.source,
         licence=ground.licence,
     )
-    _write_jpeg(out / picture.file, color, options.quality)
+    write_jpeg(out / picture.file, color, options.quality)
     write_fragment(picture, _fragment(out, index))
-    return index
 
 
-def _draw(options: SynthOptions, out: Path, index: int) -> int:
+def _draw(options: SynthOptions, out: Path, index: int) -> None:
     if options.onto:
-        return _paste_onto(options, out, index)
+        _paste_onto(options, out, index)
+        return
     frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
     name = f"{index:06d}"
     split = options.split or SPLIT_OF[index % len(SPLIT_OF)]
-    picture = label_frame(frame, name, f"synth-{options.seed}-{name}", split)
+    picture = _label_frame(frame, name, f"synth-{options.seed}-{name}", split)
     color = frame.color
     if options.paste and split == "train":
         # Real fruit carry pseudo-labels, which nothing may be tested on.
@@ -355,14 +302,11 @@ def _draw(options: SynthOptions, out: Path, index: int) -> int:
         count = int(rng.poisson(PASTED))
         color, labels = paste(color, frame.exact_m, picture.labels, cutouts, count, rng)
         picture = replace(picture, labels=labels)
-    _write_jpeg(out / "images" / f"{name}.jpg", color, options.quality)
+    write_jpeg(out / "images" / f"{name}.jpg", color, options.quality)
     if frame.depth_m is not None:
-        from cucumbervision.capture.files import write_png
-
         write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, DEPTH_UNIT_M))
         write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, EXACT_UNIT_M))
     write_fragment(picture, _fragment(out, index))
-    return index
 
 
 def _fragment(out: Path, index: int) -> Path:
@@ -373,15 +317,7 @@ def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]
     return np.clip(np.rint(depth_m / unit_m), 0, 65535).astype(np.uint16)
 
 
-def _write_jpeg(path: Path, color: np.ndarray[Any, Any], quality: int) -> None:
-    import cv2
-
-    bgr = np.ascontiguousarray(color[..., ::-1])
-    if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, quality]):
-        raise DataSetError("cannot be written", source=path, remedy="free some space")
-
-
-def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
+def _label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
     """Return a drawn frame's labels.
 
     Parameters

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from cucumbervision.capture.files import write_png
 from cucumbervision.errors import MissingExtraError, TrainingError
+from cucumbervision_lab.cli.screen import epoch_line
 from cucumbervision_lab.cli.train import app
-from cucumbervision_lab.cli.train_console import epoch_line
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.publish import read_card

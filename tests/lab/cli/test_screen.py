@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from cucumbervision_lab.cli.download_bar import DownloadBar
+from cucumbervision_lab.cli.screen import DownloadBar
 
 
 def test_the_bar_counts_as_pooch_calls_it(capsys: pytest.CaptureFixture[str]) -> None:

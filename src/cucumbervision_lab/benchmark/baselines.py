@@ -25,15 +25,7 @@ from cucumbervision.perception.masks import mask_window
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = [
-    "BASELINES",
-    "Baseline",
-    "available_baselines",
-    "lifted_length",
-    "min_area_rect_length",
-    "plantcv_length",
-    "skan_length",
-]
+__all__ = ["available_baselines"]
 
 Baseline = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
 

@@ -28,8 +28,6 @@ __all__ = [
     "Case",
     "Simulated",
     "Suite",
-    "build_fruit",
-    "build_scene",
     "paper_cases",
     "simulate",
     "stress_cases",

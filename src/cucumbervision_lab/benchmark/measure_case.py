@@ -27,16 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.benchmark.cases import Case
     from cucumbervision_lab.synthesis.scene import FruitTruth
 
-__all__ = [
-    "CaseOptions",
-    "Disturbance",
-    "disturb_mask",
-    "draw_disturbance",
-    "end_shift_px",
-    "fruit_lengths",
-    "measure_case",
-    "oracle_length_m",
-]
+__all__ = ["CaseOptions", "fruit_lengths", "measure_case"]
 
 CORRELATION_PX = 12.0
 

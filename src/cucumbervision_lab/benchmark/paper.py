@@ -32,16 +32,7 @@ from cucumbervision_lab.benchmark.cases import Suite
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "NOTES",
-    "PAPER_BENCHMARK",
-    "PAPER_VALIDATION",
-    "PaperFigures",
-    "PaperSpecimen",
-    "paper_section",
-    "paper_table",
-    "paper_validation_table",
-]
+__all__ = ["NOTES", "paper_section"]
 
 
 @dataclass(frozen=True)

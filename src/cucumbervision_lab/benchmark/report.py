@@ -29,18 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-__all__ = [
-    "MASK_WORDS",
-    "SUITE_WORDS",
-    "coverage_by_group",
-    "coverage_plot",
-    "coverage_table",
-    "error_by_value_plot",
-    "glance_table",
-    "parts_of",
-    "suite_section",
-    "write_benchmark_report",
-]
+__all__ = ["parts_of", "write_benchmark_report"]
 
 SUITE_WORDS = {
     Suite.PAPER: "The paper's protocol",

@@ -40,19 +40,7 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.records import Record
     from cucumbervision_lab.benchmark.cases import Case
 
-__all__ = [
-    "KEYS",
-    "TRUTH_OF",
-    "BenchmarkPlan",
-    "fit_interval_models",
-    "learn_intervals",
-    "plan_cases",
-    "provenance",
-    "reading_features",
-    "run_benchmark",
-    "run_cases",
-    "with_intervals",
-]
+__all__ = ["BenchmarkPlan", "learn_intervals", "provenance", "run_benchmark"]
 
 TRUTH_OF = {
     **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),

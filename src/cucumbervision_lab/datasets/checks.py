@@ -26,13 +26,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-__all__ = [
-    "Finding",
-    "check_dataset",
-    "check_folder",
-    "open_dataset",
-    "require_clean",
-]
+__all__ = ["check_folder", "open_dataset", "require_clean"]
 
 _SURE_CORNERS = 25  # two photos of different scenes shared at most 31, then of the same place
 _SURE_COLOR = 0.2

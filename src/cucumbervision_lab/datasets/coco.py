@@ -40,7 +40,6 @@ __all__ = [
     "ROBOFLOW",
     "coco_files",
     "collect_fragments",
-    "picture_of",
     "read_coco",
     "write_coco",
     "write_fragment",

@@ -20,14 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "DIRECTIONS",
-    "crosses_itself",
-    "join_parts",
-    "keypoints_between",
-    "keypoints_of_mask",
-    "one_polygon",
-]
+__all__ = ["DIRECTIONS", "crosses_itself", "keypoints_between", "keypoints_of_mask", "one_polygon"]
 
 
 def _traced(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
 __all__ = [
-    "SHARES",
     "Fingerprint",
     "copies",
     "find_scenes",

@@ -41,10 +41,6 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "PICTURES",
-    "TASKS",
-    "WrittenYolo",
-    "YoloFolder",
     "find_yolo",
     "label_file",
     "load_data_yaml",

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EndScore",
-    "OverlapScore",
-    "Precision",
     "Summary",
     "end_table",
     "false_table",

@@ -21,18 +21,14 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.pictures import Frame, SeenFruit
 
 __all__ = [
-    "IN_IGNORED",
-    "MIN_IOU",
     "EndRow",
     "FoundRow",
     "FruitRow",
     "GroupScore",
-    "Matches",
     "end_rows",
     "found_rows",
     "fruit_rows",
     "group_scores",
-    "match_boxes",
     "matches_of",
     "overall",
 ]

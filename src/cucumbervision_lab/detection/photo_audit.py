@@ -26,7 +26,7 @@ from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["FIRST", "Audit", "AuditedBox", "AuditedPhoto", "Kind", "audited", "load_audit"]
+__all__ = ["audited", "load_audit"]
 
 _FILES = ("photos_audit.json", "photos2_audit.json")
 _PICTURES = {".jpg", ".jpeg", ".png"}

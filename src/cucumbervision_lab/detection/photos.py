@@ -29,14 +29,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.picture_result import Networks
 
-__all__ = [
-    "Photo",
-    "PhotoResult",
-    "audited_photos",
-    "evaluate_photos",
-    "half_size",
-    "score_photos",
-]
+__all__ = ["Photo", "PhotoResult", "audited_photos", "evaluate_photos"]
 
 _GREY = 114  # what a letterbox pads with
 

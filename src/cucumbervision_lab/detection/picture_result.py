@@ -21,16 +21,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
 
-__all__ = [
-    "FLOOR",
-    "MOST",
-    "Networks",
-    "PictureResult",
-    "detect_picture",
-    "found_by_fruit",
-    "open_networks",
-    "shipped",
-]
+__all__ = ["Networks", "PictureResult", "detect_picture", "found_by_fruit", "open_networks"]
 
 FLOOR = 0.001
 """Least confidence for average precision, which judges the ranking of all detections."""

@@ -31,7 +31,6 @@ __all__ = [
     "Stage",
     "TrueFruit",
     "capture_of",
-    "code_mask",
     "code_overlap",
     "frame_of",
     "import_pycocotools",

@@ -44,14 +44,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
 
-__all__ = [
-    "JSON_NAME",
-    "card_numbers",
-    "main_tables",
-    "photo_tables",
-    "write_detection_report",
-    "write_photo_report",
-]
+__all__ = ["main_tables", "photo_tables", "write_detection_report", "write_photo_report"]
 
 JSON_NAME = "results.json"
 CARD_NAME = "card.json"

@@ -16,15 +16,7 @@ from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "Plants",
-    "SimulatedRow",
-    "Walk",
-    "grow_plants",
-    "simulate_plants",
-    "simulate_row",
-    "walk",
-]
+__all__ = ["SimulatedRow", "Walk", "grow_plants", "simulate_row", "walk"]
 
 SIZES = 64  # bodies drawn, from which fruit take their thickness
 UNFLAGGED = 0.2  # share of hidden fruit that nothing tells from whole ones

@@ -25,15 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.scene import Scene
     from cucumbervision_lab.synthesis.skin import Color
 
-__all__ = [
-    "FAR",
-    "ROLES",
-    "SHOWS_FRUIT",
-    "Assets",
-    "Style",
-    "load_assets",
-    "random_style",
-]
+__all__ = ["FAR", "Assets", "Style", "load_assets", "random_style"]
 
 SHOWS_FRUIT = ("fruit", "rot_")
 

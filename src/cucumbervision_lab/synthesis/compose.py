@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
 
-__all__ = ["HARD", "MOST_FRUIT", "PLAIN", "Composition", "Difficulty", "Setting", "compose"]
+__all__ = ["HARD", "PLAIN", "Composition", "Setting", "compose"]
 
 MOST_FRUIT = 12
 TRIES = 30

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["SCENES", "DemoScene", "Pose", "build_scene", "draw_scene", "place", "write_demo"]
+__all__ = ["write_demo"]
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.2, 424.3, 239.6)  # a D435's colour camera at 848x480
 BENCH_M = 0.522

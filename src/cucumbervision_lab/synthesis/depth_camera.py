@@ -20,16 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.synthesis.scene import Scene, View
 
-__all__ = [
-    "D4xx",
-    "Matched",
-    "Matcher",
-    "color_sources",
-    "hidden_from_right",
-    "match",
-    "sense",
-    "smooth_field",
-]
+__all__ = ["D4xx", "sense"]
 
 GAP_LOST = 0.95  # of the pixels in a gap
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.appearance import Assets
     from cucumbervision_lab.synthesis.paste import Cutout
 
-__all__ = ["SynthOptions", "generate", "parse_options"]
+__all__ = ["generate", "parse_options"]
 
 SMALLEST_PX, LARGEST_PX = 32, 4096
 

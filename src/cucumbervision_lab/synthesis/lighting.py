@@ -20,11 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Light",
-    "LightMaps",
     "ambient_occlusion",
     "dappled_shade",
-    "harmonics",
-    "irradiance",
     "light_maps",
     "random_light",
     "sun_shadow",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.appearance import FAR, Style, random_style
+from cucumbervision_lab.synthesis.appearance import FAR, Style
 from cucumbervision_lab.synthesis.lighting import (
     ambient_occlusion,
     dappled_shade,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float32]
 
-__all__ = ["Style", "random_style", "shade"]
+__all__ = ["shade"]
 
 _FAR_M = 8.0
 _PHOTOS = 3

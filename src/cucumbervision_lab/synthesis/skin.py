@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Color = tuple[float, float, float]
 
-__all__ = ["LOOKS", "Skin", "SkinMaps", "random_skin", "skin_maps"]
+__all__ = ["LOOKS", "Skin", "random_skin", "skin_maps"]
 
 _ROWS, _COLUMNS = (24, 1100), (24, 560)
 _TILE_M = 0.05  # what a close-up of skin shows from side to side

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEAF_TEXTURES",
-    "MATERIALS",
     "TILE_M",
     "far_view",
     "jitter",

@@ -189,11 +189,11 @@ def _annotations(
     found: list[dict[str, Any]] = []
     for k, frame in enumerate(frames):
         truth += [_true_entry(one, judged, frame) | {"image_id": k + 1} for one in frame.true]
-        seen = frame.seen(stage)
+        # A detection without a mask is judged, and hits nothing.
         found += [
             _seen_entry(one, judged, frame) | {"image_id": k + 1}
-            for one in seen
-            if _has(one, judged)
+            for one in frame.seen(stage)
+            if judged is not Judged.KEYPOINTS or one.keypoints is not None
         ]
     for entries in (truth, found):
         for number, entry in enumerate(entries):
@@ -205,17 +205,16 @@ def _annotations(
 def _true_entry(one: TrueFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
     masks = import_pycocotools()
     box = _xywh(one.box)
-    unknown = (judged is Judged.MASKS and one.code is None) or (
-        judged is Judged.KEYPOINTS and not _labelled(one).any()
-    )
+    points = np.zeros((5, 3)) if one.keypoints is None else one.keypoints
+    unlabelled = judged is Judged.KEYPOINTS and not (points[:, 2] > 0).any()
+    unknown = unlabelled or (judged is Judged.MASKS and one.code is None)
     area = float(masks.area(one.code)) if one.code else _BOX_FILL * box[2] * box[3]
     entry: dict[str, Any] = {"bbox": box, "area": area, "iscrowd": int(unknown or not one.required)}
     if judged is Judged.MASKS:
         filled = masks.frPyObjects(np.array([box]), frame.height, frame.width)[0]
         entry["segmentation"] = one.code or filled
     if judged is Judged.KEYPOINTS:
-        known = one.keypoints is not None and not unknown
-        points = one.keypoints + _TO_CORNER if known else np.zeros((5, 3))
+        points = np.zeros((5, 3)) if unlabelled else points + _TO_CORNER
         entry["keypoints"] = points.ravel().tolist()
         entry["num_keypoints"] = int(np.count_nonzero(points[:, 2] > 0))
     return entry
@@ -230,15 +229,6 @@ def _seen_entry(one: SeenFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
     if judged is Judged.KEYPOINTS and one.keypoints is not None:
         entry["keypoints"] = (one.keypoints + _TO_CORNER).ravel().tolist()
     return entry
-
-
-def _labelled(one: TrueFruit) -> NDArray[np.bool_]:
-    return np.zeros(5, bool) if one.keypoints is None else one.keypoints[:, 2] > 0
-
-
-def _has(one: SeenFruit, judged: Judged) -> bool:
-    """Return whether a detection can be judged; one without a mask is, and hits nothing."""
-    return judged is not Judged.KEYPOINTS or one.keypoints is not None
 
 
 def _xywh(box: NDArray[np.float64]) -> list[float]:

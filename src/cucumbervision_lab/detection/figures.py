@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.accuracy.records import Record
-    from cucumbervision_lab.detection.overlaps import OverlapRow
     from cucumbervision_lab.detection.photos import PhotoResult
+    from cucumbervision_lab.detection.picture_result import OverlapRow
     from cucumbervision_lab.detection.run import DetectionResult
 
 __all__ = [

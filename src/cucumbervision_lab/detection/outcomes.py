@@ -14,7 +14,7 @@ from cucumbervision.perception.boxes import box_iou, box_ious, share_inside
 from cucumbervision_lab.detection.pictures import Stage, code_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -442,53 +442,40 @@ def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[G
     list of GroupScore
         Groups without any fruit or detection are left out.
     """
-    scores = _by_scale(
-        "distance (m)", _DISTANCE_M, fruit, found, lambda r: r.distance_m, lambda r: r.distance_m
-    )
-    scores += _by_scale(
-        "longer side of the box (px)",
-        _LONG_PX,
-        fruit,
-        found,
-        lambda r: r.long_px,
-        lambda r: r.long_px,
-    )
-    scores += _by_scale("hidden share (%)", _HIDDEN, fruit, found, lambda r: r.hidden_share, None)
+    scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, found)
+    scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, found)
+    scores += _by_scale("hidden share (%)", "hidden_share", _HIDDEN, fruit, None)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
         own = [r for r in fruit if r.cut_off is cut]
         seen = [r for r in found if r.cut_off is cut]
         if own or seen:
-            score = GroupScore("edge", name, math.nan, _recall(own), _precision(seen))
-            scores.append(score)
+            scores.append(GroupScore("edge", name, math.nan, _recall(own), _precision(seen)))
     return scores
 
 
 def _by_scale(
     factor: str,
+    field: str,
     edges: Sequence[float],
     fruit: Sequence[FruitRow],
-    found: Sequence[FoundRow],
-    of_fruit: Callable[[FruitRow], float],
-    of_found: Callable[[FoundRow], float] | None,
+    found: Sequence[FoundRow] | None,
 ) -> list[GroupScore]:
+    """Compute recall and, where it is known of detections too, precision between edges."""
     scores = []
     for low, high in pairwise(edges):
-        own = [r for r in fruit if low <= of_fruit(r) < high]
-        seen = [r for r in found if of_found is not None and low <= of_found(r) < high]
-        if not own and not seen:
-            continue
-        middle = sum(map(of_fruit, own)) / len(own) if own else math.nan
-        precision = None if of_found is None else _precision(seen)
-        name = _name(low, high, 100.0 if of_found is None else 1.0)
-        scores.append(GroupScore(factor, name, middle, _recall(own), precision))
+        own = [r for r in fruit if low <= getattr(r, field) < high]
+        seen = [r for r in found or () if low <= getattr(r, field) < high]
+        if own or seen:
+            middle = sum(getattr(r, field) for r in own) / len(own) if own else math.nan
+            precision = None if found is None else _precision(seen)
+            name = _name(low, high, 100.0 if found is None else 1.0)
+            scores.append(GroupScore(factor, name, middle, _recall(own), precision))
     return scores
 
 
 def _name(low: float, high: float, scale: float) -> str:
-    if high > 1 and scale > 1:
+    if math.isinf(high) or (high > 1 and scale > 1):
         return f"{scale * low:g} or more"
-    if math.isinf(high):
-        return f"{low:g} or more"
     return f"under {scale * high:g}" if low == 0 else f"{scale * low:g} to {scale * high:g}"
 
 

@@ -21,7 +21,7 @@ from cucumbervision.errors import DataSetError
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instance_files import parse_yolo_line
 from cucumbervision.perception.masks import fill_polygon
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["audited", "load_audit"]
 
 _FILES = ("photos_audit.json", "photos2_audit.json")
-_PICTURES = {".jpg", ".jpeg", ".png"}
 _HASH_DIGITS = 12
 _EDGE_PX = 2.0
 _MOST = 0.5
@@ -228,7 +227,7 @@ def audited(
     """
     known = load_audit() if audit is None else audit
     wanted = {photo.sha1: photo for photo in known.in_split(split)}
-    hashes = {path: _sha1(path) for path in _picture_files(folder)}
+    hashes = {path: _sha1(path) for path in list_pictures(folder)}
     files: dict[str, Path] = {}
     for path, sha1 in hashes.items():
         files.setdefault(sha1, path)
@@ -273,10 +272,6 @@ def _ends(points: list[list[float]] | None) -> tuple[Point, Point] | None:
         return None
     (blossom_u, blossom_v), (stem_u, stem_v) = points
     return (blossom_u - 0.5, blossom_v - 0.5), (stem_u - 0.5, stem_v - 0.5)
-
-
-def _picture_files(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in _PICTURES and p.is_file())
 
 
 def _sha1(path: Path) -> str:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from cucumbervision.capture.files import read_color
+from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.outcomes import (
     EndRow,
     FoundRow,
@@ -115,9 +118,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     DataSetError
         If none is.
     """
-    from cucumbervision_lab.detection.photo_audit import audited, load_audit
-
-    data = audited(folder, split)
+    data = photo_audit.audited(folder, split)
     photos = []
     for picture in data.pictures:
         true = tuple(
@@ -133,7 +134,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
         truth = Frame(picture.file, picture.scene, picture.width, picture.height, true)
         extras = picture.extras
         photos.append(Photo(truth, data.path(picture), extras["setting"], extras["test"]))
-    return photos, len(load_audit().in_split(split)) - len(photos)
+    return photos, len(photo_audit.load_audit().in_split(split)) - len(photos)
 
 
 def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:
@@ -170,13 +171,11 @@ def evaluate_photos(
         If a photo cannot be read.
     """
     frames, small = [], []
-    for photo in photos:
+    for photo in ticked(photos, report):
         color = read_color(photo.path)
         frames.append(detect_picture(photo.truth, color, networks).frame)
         truth, shrunk = half_size(photo.truth, color)
         small.append(detect_picture(truth, shrunk, networks).frame)
-        if report is not None:
-            report(1)
     tests = [photo.test for photo in photos]
     result = score_photos(frames, [photo.setting for photo in photos], networks.confidence, missing)
     return replace(
@@ -216,8 +215,6 @@ def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np
     >>> color[:, :, 0].tolist()[1]
     [114, 114, 0, 0, 0, 0, 114, 114]
     """
-    import cv2
-
     height, width = color.shape[:2]
     inner = cv2.resize(color, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     rows, columns = inner.shape[:2]

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from cucumbervision.accuracy.plots import as_png, new_figure
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.statistics import Estimate
     from cucumbervision_lab.detection.figures import Summary
     from cucumbervision_lab.detection.outcomes import EndRow, GroupScore
-    from cucumbervision_lab.detection.overlaps import OverlapRow
+    from cucumbervision_lab.detection.picture_result import OverlapRow
     from cucumbervision_lab.detection.pictures import Code, Frame
     from cucumbervision_lab.detection.run import DetectionResult
 
@@ -248,8 +249,6 @@ def draw_sheet(cases: Sequence[WorstCase], result: DetectionResult) -> bytes:
     ValueError
         If a picture is not a drawn one.
     """
-    import cv2
-
     pictures = {p.file: p for p in result.held_out.pictures}
     frames = {f.name: f for f in result.frames}
     height, width = TILE_PX
@@ -269,8 +268,6 @@ def draw_sheet(cases: Sequence[WorstCase], result: DetectionResult) -> bytes:
 def _tile(
     color: NDArray[np.uint8], frame: Frame, case: WorstCase, confidence: float
 ) -> NDArray[np.uint8]:
-    import cv2
-
     height, width = TILE_PX
     x1, y1, x2, y2 = case.box
     scale = min(width / ((1 + 2 * _MARGIN) * (x2 - x1)), height / ((1 + 2 * _MARGIN) * (y2 - y1)))
@@ -310,8 +307,6 @@ def _outlines(
     place: Callable[[NDArray[np.float64]], NDArray[np.int32]],
     ink: tuple[int, int, int],
 ) -> None:
-    import cv2
-
     for code in codes:
         if code is None:
             continue
@@ -327,8 +322,6 @@ def _points(
     place: Callable[[NDArray[np.float64]], NDArray[np.int32]],
     ink: tuple[int, int, int],
 ) -> None:
-    import cv2
-
     for points in keypoints:
         if points is None:
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
@@ -31,11 +32,11 @@ from cucumbervision_lab.detection.figures import (
     score_ends,
 )
 from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
-from cucumbervision_lab.detection.overlaps import OverlapRow
+from cucumbervision_lab.detection.picture_result import OverlapRow
 from cucumbervision_lab.detection.plots import KINDS, draw_sheet, worst_cases
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from cucumbervision.accuracy.page import Table
@@ -151,8 +152,7 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
     MissingExtraError
         If matplotlib or Jinja2 is not installed; JSON and CSV are written before.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with _made(out):
         numbers = _numbers(result, summary)
         write_json(out / JSON_NAME, numbers)
         write_json(out / CARD_NAME, card_numbers(numbers))
@@ -164,12 +164,7 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
         _write_csv(out / "lengths.csv", readings.reindex(columns=_LENGTH_COLUMNS))
         if result.photos:
             _write_photo_rows(result.photos, out)
-        page = _page(result, summary)
-        (out / HTML_NAME).write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise CucumberVisionError(
-            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-        ) from error
+        (out / HTML_NAME).write_text(_page(result, summary), encoding="utf-8")
     return out / HTML_NAME
 
 
@@ -199,15 +194,22 @@ def write_photo_report(photos: PhotoResult, out: Path) -> Path:
         If a file cannot be written.
     """
     file = out / "photos.json"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with _made(out):
         write_json(file, {"confidence": photos.confidence} | _photo_numbers(photos))
         _write_photo_rows(photos, out)
+    return file
+
+
+@contextmanager
+def _made(out: Path) -> Iterator[None]:
+    """Make a folder to write into; say in one line what cannot be written."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        yield
     except OSError as error:
         raise CucumberVisionError(
             f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
         ) from error
-    return file
 
 
 def _write_photo_rows(photos: PhotoResult, out: Path) -> None:
@@ -323,8 +325,7 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
         ],
         "overall": {str(stage): _scores(one) for stage, one in summary.overall},
         "groups": [_estimates(one, leave=("middle",)) for one in summary.groups],
-        "ends": _end_numbers(summary.ends),
-        "ends_swapped": _estimate(summary.swapped),
+        **_end_numbers(summary.ends, summary.swapped),
         "masks": [_estimates(one) for one in summary.overlaps],
         "lengths": [
             {**_estimates(one, leave=("metrics",)), **json_value(vars(one.metrics))}
@@ -334,8 +335,9 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _end_numbers(ends: Sequence[EndScore]) -> dict[str, Any]:
-    return {one.ends: _estimates(one, leave=("ends",)) for one in ends}
+def _end_numbers(ends: Sequence[EndScore], swapped: Estimate) -> dict[str, Any]:
+    scores = {one.ends: _estimates(one, leave=("ends",)) for one in ends}
+    return {"ends": scores, "ends_swapped": _estimate(swapped)}
 
 
 def _estimates(one: Any, leave: Sequence[str] = ()) -> dict[str, Any]:
@@ -353,15 +355,13 @@ def _estimate(one: Estimate) -> dict[str, Any]:
 
 
 def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
-    ends, swapped = score_ends(photos.ends)
     return {
         "photos": photos.photos,
         "scenes": photos.scenes,
         "missing": photos.missing,
         "scores": {name: _scores(one) for name, one in photos.scores},
         "tests": {name: _scores(one) for name, one in photos.tests},
-        "ends": _end_numbers(ends),
-        "ends_swapped": _estimate(swapped),
+        **_end_numbers(*score_ends(photos.ends)),
         "half_size": {name: _scores(one) for name, one in photos.small},
         "false": [json_value(asdict(r)) for r in photos.found if r.outcome == "false"],
     }

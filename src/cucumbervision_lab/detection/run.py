@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.files import read_color
+from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.detection.lengths import length_records
-from cucumbervision_lab.detection.overlaps import (
-    PROMPTS_COMPARED,
-    OverlapRow,
-    capture_overlaps,
-    draw_by_prompt,
-    overlap_rows,
-)
+from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import (
     Networks,
+    OverlapRow,
     PictureResult,
+    capture_overlaps,
     detect_picture,
+    draw_by_prompt,
     found_by_fruit,
     open_networks,
+    overlap_row,
 )
 from cucumbervision_lab.detection.pictures import (
     DRAWN,
@@ -43,9 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.accuracy.records import Record
-    from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.instances import Instance
-    from cucumbervision_lab.datasets.labels import LabelledPicture
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
 
@@ -138,8 +136,6 @@ def chosen_networks(segment: Path | None, pose: Path | None) -> tuple[Path | Non
     ModelError
         If there is none of either.
     """
-    from cucumbervision.perception.registry import load_registry
-
     registry = load_registry()
 
     def choose(named: Path | None, task: str) -> Path | None:
@@ -192,7 +188,8 @@ def evaluate_detection(
     records: list[Record] = []
     seconds: dict[str, list[float]] = {}
     for picture in held_out.pictures:
-        color, capture = _read(picture, held_out)
+        color = read_color(held_out.data.path(picture))
+        capture = capture_of(picture, held_out.data, color)
         depth_m = None if capture is None else capture.depth_m
         result = detect_picture(frame_of(picture, held_out.data, depth_m), color, networks, depth_m)
         if picture.file in measured:
@@ -206,31 +203,26 @@ def evaluate_detection(
         if report is not None:
             report("pictures", 1, len(held_out.pictures))
     overlaps += _captures(plan, networks, report)
+    photos = None
+    if plan.photos is not None:
+        photos = evaluate_real_photos(
+            plan.photos,
+            plan.segment,
+            plan.pose,
+            runtime=plan.runtime,
+            confidence=plan.confidence,
+            report=report,
+        )
     return DetectionResult(
         plan,
         held_out,
         tuple(frames),
         tuple(overlaps),
         tuple(records),
-        _photos(plan, report),
+        photos,
         networks.models,
         seconds,
         time.perf_counter() - start,
-    )
-
-
-def _photos(
-    plan: DetectionPlan, report: Callable[[str, int, int], None] | None
-) -> PhotoResult | None:
-    if plan.photos is None:
-        return None
-    return evaluate_real_photos(
-        plan.photos,
-        plan.segment,
-        plan.pose,
-        runtime=plan.runtime,
-        confidence=plan.confidence,
-        report=report,
     )
 
 
@@ -268,8 +260,6 @@ def evaluate_real_photos(
     ModelError
         If a network is missing or cannot be loaded.
     """
-    from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
-
     photos, missing = audited_photos(folder, split)
     # No average precision here: unsure detections, whose masks take long, are not wanted.
     networks = open_networks(
@@ -283,11 +273,6 @@ def evaluate_real_photos(
     return evaluate_photos(photos, networks, missing, tell)
 
 
-def _read(picture: LabelledPicture, held_out: HeldOut) -> tuple[NDArray[np.uint8], Capture | None]:
-    color = read_color(held_out.data.path(picture))
-    return color, capture_of(picture, held_out.data, color)
-
-
 def _segment(
     result: PictureResult, color: NDArray[np.uint8], networks: Networks, simulated: bool
 ) -> tuple[dict[int, Instance], list[OverlapRow]]:
@@ -296,21 +281,21 @@ def _segment(
     Without SAM the detector's own masks stay.
     """
     frame, found = result.frame, found_by_fruit(result, networks.confidence)
-    asked = list(found.values())
     if networks.segmenter is None:
         return found, []
-    drawn = draw_by_prompt(networks.segmenter, color, asked)
-    numbered = dict(zip(found, range(len(asked)), strict=True))
-    pairs = []
-    for number, place in numbered.items():
-        code = frame.true[number].code
-        if code is not None:
-            pairs.append((number, decode_rle(code["counts"], *code["size"]), asked[place]))
-    kept = {
-        name: [masks[numbered[number]] for number, _, _ in pairs] for name, masks in drawn.items()
-    }
-    rows = overlap_rows((frame.name, frame.scene), pairs, kept, simulated=simulated)
-    return dict(zip(found, drawn[PROMPTS_COMPARED[-1]], strict=True)), rows
+    drawn = draw_by_prompt(networks.segmenter, color, list(found.values()))
+    rows = [
+        overlap_row(
+            (frame.name, frame.scene, number),
+            decode_rle(code["counts"], *code["size"]),
+            instance,
+            masks,
+            simulated=simulated,
+        )
+        for (number, instance), *masks in zip(found.items(), *drawn, strict=True)
+        if (code := frame.true[number].code) is not None
+    ]
+    return dict(zip(found, drawn[-1], strict=True)), rows
 
 
 def _captures(
@@ -318,8 +303,6 @@ def _captures(
 ) -> list[OverlapRow]:
     if networks.segmenter is None or not plan.captures:
         return []
-    from cucumbervision.capture.readers import open_source
-
     rows: list[OverlapRow] = []
     for path in plan.captures:
         source = open_source(path)

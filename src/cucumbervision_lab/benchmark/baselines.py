@@ -8,12 +8,12 @@ short of the tip: that is the tools' own way.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,7 +72,7 @@ def skan_length(
     if np.count_nonzero(thin) < _MIN_PATH_PX:
         return None
     skeleton = skan.Skeleton(thin)
-    with _foreign_warnings_ignored():
+    with warnings.catch_warnings(action="ignore"):  # packages lag behind what they depend on
         branches = skan.summarize(skeleton, separator="_")
         main = skan.csr.find_main_branches(branches)
     # Each part of a mask that leaves cut in pieces has a main path of its own: the longest counts.
@@ -115,8 +115,8 @@ def plantcv_length(
     if window is None:
         return None
     region = np.pad(mask[window], 2).astype(np.uint8) * 255
-    size = _width_px(region)
-    with _foreign_warnings_ignored():
+    size = int(np.ceil(2 * cv2.distanceTransform(region, cv2.DIST_L2, 5).max()))
+    with warnings.catch_warnings(action="ignore"):
         _, picture, segments = pcv.morphology.prune(pcv.morphology.skeletonize(region), size=size)
         if not segments:
             return None
@@ -155,8 +155,6 @@ def min_area_rect_length(
     >>> round(min_area_rect_length(np.full((48, 64), 0.5, np.float32), mask, camera), 6)  # 30 px
     0.25
     """
-    import cv2
-
     readings = depth_m[mask & valid_depth(depth_m)]
     if not readings.size:
         return None
@@ -274,20 +272,6 @@ def _half(loop_px: NDArray[Any]) -> NDArray[Any]:
     half = len(loop_px) // 2
     across = np.linalg.norm(loop_px - np.roll(loop_px, -half, axis=0), axis=1)
     return np.asarray(np.roll(loop_px, -int(across.argmax()), axis=0)[: half + 1])
-
-
-def _width_px(region: NDArray[np.uint8]) -> int:
-    import cv2
-
-    return int(np.ceil(2 * cv2.distanceTransform(region, cv2.DIST_L2, 5).max()))
-
-
-@contextmanager
-def _foreign_warnings_ignored() -> Iterator[None]:
-    """Pass over deprecations inside packages that lag behind their own dependencies."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def _package(name: str, distribution: str = "") -> ModuleType:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.measurement.cloud import masked_points
+from cucumbervision.measurement.intervals import tube_features
 from cucumbervision.measurement.result import Method, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_iou
+from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
 
 if TYPE_CHECKING:
@@ -32,51 +35,30 @@ __all__ = ["CaseOptions", "fruit_lengths", "measure_case"]
 CORRELATION_PX = 12.0
 
 
-class Disturbance:
-    """A smooth random field by which an outline is moved outward or inward.
-
-    Parameters
-    ----------
-    shift_px : ndarray of float32, shape (H, W)
-        Outward shift at each pixel.
-    """
-
-    def __init__(self, shift_px: NDArray[np.float32]) -> None:
-        self.shift_px = shift_px
-
-    def at(self, u_px: float, v_px: float) -> float:
-        """Return the shift at a position, the nearest pixel's; positions outside are clamped."""
-        height, width = self.shift_px.shape
-        column, row = round(np.clip(u_px, 0, width - 1)), round(np.clip(v_px, 0, height - 1))
-        return float(self.shift_px[row, column])
-
-
 def draw_disturbance(
     shape: tuple[int, int], rms_px: float, rng: np.random.Generator
-) -> Disturbance:
-    """Draw a field of the given RMS, smooth over a dozen pixels.
+) -> NDArray[np.float32]:
+    """Draw the shift of an outline at each pixel, of the given RMS, smooth over a dozen pixels.
 
     Examples
     --------
     >>> field = draw_disturbance((240, 320), 1.5, np.random.default_rng(0))
-    >>> bool(abs(field.shift_px.std() - 1.5) < 1e-3)
+    >>> bool(abs(field.std() - 1.5) < 1e-3)
     True
     """
-    import cv2
-
     noise = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), CORRELATION_PX)
-    return Disturbance(np.asarray(noise * np.float32(rms_px / noise.std())))
+    return np.asarray(noise * np.float32(rms_px / noise.std()))
 
 
-def disturb_mask(mask: NDArray[np.bool_], disturbance: Disturbance) -> NDArray[np.bool_]:
+def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Move a mask's outline by a field.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
         The exact mask.
-    disturbance : Disturbance
-        The field, of the same size.
+    shift_px : ndarray of float32, shape (H, W)
+        Outward shift at each pixel.
 
     Returns
     -------
@@ -87,17 +69,15 @@ def disturb_mask(mask: NDArray[np.bool_], disturbance: Disturbance) -> NDArray[n
     --------
     >>> mask = np.zeros((40, 40), bool)
     >>> mask[10:30, 10:30] = True
-    >>> grown = disturb_mask(mask, Disturbance(np.full((40, 40), 2.0, np.float32)))
+    >>> grown = disturb_mask(mask, np.full((40, 40), 2.0, np.float32))
     >>> int(np.flatnonzero(grown[20])[0])
     8
     """
-    import cv2
-
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     # A pixel's centre is half a pixel from the border between it and its neighbour.
     signed = np.where(mask, inside - 0.5, 0.5 - outside)
-    return np.asarray(signed > -disturbance.shift_px)
+    return np.asarray(signed > -shift_px)
 
 
 BACK_SHARE = 0.12  # of the axis: where the walk to the end begins
@@ -281,7 +261,8 @@ def _record(
         rng = np.random.default_rng(case.capture_seed + 5)
         lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
         if baselines:
-            lengths.update(_baselines(capture, instance.mask))
+            for name, measure in available_baselines().items():
+                lengths[name] = measure(capture.depth_m, instance.mask, capture.intrinsics)
     return Record(
         case=case.name,
         suite=case.suite,
@@ -344,18 +325,9 @@ def fruit_lengths(
     return lengths, chosen
 
 
-def _baselines(capture: Capture, mask: NDArray[np.bool_]) -> dict[str, float | None]:
-    from cucumbervision_lab.benchmark.baselines import available_baselines
-
-    tools = available_baselines()
-    return {name: tool(capture.depth_m, mask, capture.intrinsics) for name, tool in tools.items()}
-
-
 def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:
     noted: dict[str, Any] = {"m6_reason": str(m6.reason), "mask_failure": instance.mask_failure}
     if m6.fit is not None:
-        from cucumbervision.measurement.intervals import tube_features
-
         noted["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
         noted["m6_flags"] = list(m6.fit.flags)
     return noted

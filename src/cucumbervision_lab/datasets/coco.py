@@ -485,7 +485,7 @@ def _annotation(label: Label) -> dict[str, Any]:
     area = size[0] * size[1] if label.mask_code is None else label.mask_code.area_px
     item: dict[str, Any] = {
         "category_id": label.category + 1,
-        "bbox": _rounded([x1 + 0.5, y1 + 0.5, *size]),
+        "bbox": [round(v, _DIGITS) for v in (x1 + 0.5, y1 + 0.5, *size)],
         "area": round(area, _DIGITS),
         # COCO's own evaluation skips crowds: that is what 'ignore' asks for.
         "iscrowd": int(label.ignore),
@@ -521,10 +521,6 @@ def _keypoints(points: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
 
 def _code(code: Rle) -> dict[str, Any]:
     return {"size": [code.height, code.width], "counts": code.counts}
-
-
-def _rounded(values: list[float]) -> list[float]:
-    return [round(v, _DIGITS) for v in values]
 
 
 def _json(data: Any) -> str:

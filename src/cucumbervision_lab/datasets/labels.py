@@ -17,9 +17,9 @@ from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.masks import Rle, box_of_mask
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.errors import CucumberVisionError
@@ -29,7 +29,6 @@ __all__ = [
     "DataSet",
     "Label",
     "LabelledPicture",
-    "class_index",
     "flat_names",
     "keep_classes",
     "list_pictures",
@@ -99,11 +98,10 @@ class Label:
         cls,
         mask: NDArray[np.bool_],
         *,
-        box: ArrayLike | None = None,
         amodal: NDArray[np.bool_] | None = None,
         **rest: Any,
     ) -> Label:
-        """Make a label from masks of shape (H, W); the box is the visible mask's if none is given.
+        """Make a label from masks of shape (H, W); the box is the visible mask's.
 
         Parameters
         ----------
@@ -121,11 +119,9 @@ class Label:
         ValueError
             If the mask is empty and no box is given.
         """
-        edges = box_of_mask(mask) if box is None else np.asarray(box, np.float64)
         code = Rle.of(mask) if mask.any() else None
-        return cls(
-            edges, mask_code=code, amodal_code=amodal if amodal is None else Rle.of(amodal), **rest
-        )
+        whole = None if amodal is None else Rle.of(amodal)
+        return cls(box_of_mask(mask), mask_code=code, amodal_code=whole, **rest)
 
     @property
     def mask(self) -> NDArray[np.bool_] | None:
@@ -229,31 +225,6 @@ class DataSet:
         return tuple(p for p in self.pictures if p.split == split)
 
 
-def class_index(
-    names: Sequence[str], keep: Mapping[int | str, str]
-) -> tuple[dict[int, int], tuple[str, ...]]:
-    """Return each kept class's new number, and the new names.
-
-    Raises
-    ------
-    DataSetError
-        If a class is not there.
-    """
-    wanted = {str(k): v for k, v in keep.items()}
-    unknown = [k for k in wanted if k not in names and not (k.isdecimal() and int(k) < len(names))]
-    if unknown:
-        raise DataSetError(
-            f"no class is called {', '.join(unknown)}", remedy=f"there are {', '.join(names)}"
-        )
-    categories = tuple(dict.fromkeys(wanted.values()))
-    index = {}
-    for k, name in enumerate(names):
-        new = wanted.get(name, wanted.get(str(k)))
-        if new is not None:
-            index[k] = categories.index(new)
-    return index, categories
-
-
 def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
     """Rename classes; what is not kept becomes background.
 
@@ -279,7 +250,15 @@ def keep_classes(dataset: DataSet, keep: Mapping[int | str, str]) -> DataSet:
     >>> kept.categories, len(kept.pictures[0].labels)
     (('cucumber',), 1)
     """
-    index, categories = class_index(dataset.categories, keep)
+    names, wanted = dataset.categories, {str(k): v for k, v in keep.items()}
+    unknown = [k for k in wanted if k not in names and not (k.isdecimal() and int(k) < len(names))]
+    if unknown:
+        raise DataSetError(
+            f"no class is called {', '.join(unknown)}", remedy=f"there are {', '.join(names)}"
+        )
+    categories = tuple(dict.fromkeys(wanted.values()))
+    kept = {k: wanted.get(name, wanted.get(str(k))) for k, name in enumerate(names)}
+    index = {k: categories.index(new) for k, new in kept.items() if new is not None}
     pictures = tuple(
         replace(
             p,
@@ -375,7 +354,9 @@ def place_file(source: Path, target: Path, *, link: bool) -> None:
     """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.resolve() == source.resolve() or (link and _same(source, target)):
+        if target.resolve() == source.resolve():
+            return
+        if link and target.exists() and target.samefile(source):
             return
         target.unlink(missing_ok=True)
         if link:
@@ -395,10 +376,6 @@ def place_file(source: Path, target: Path, *, link: bool) -> None:
         raise DataSetError(
             f"cannot be written ({error.strerror})", source=target, remedy="choose another folder"
         ) from None
-
-
-def _same(source: Path, target: Path) -> bool:
-    return target.exists() and target.samefile(source)
 
 
 def write_text(path: Path, text: str) -> None:

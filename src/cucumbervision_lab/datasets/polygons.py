@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    Array = NDArray[np.float64]
+
 __all__ = ["DIRECTIONS", "crosses_itself", "keypoints_between", "keypoints_of_mask", "one_polygon"]
 
 
-def _traced(mask: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+def _traced(mask: NDArray[np.bool_]) -> list[Array]:
     """Return each part's outer outline, the largest first, with a point every half pixel.
 
     It runs through the middles of the pixels' edges: every pixel centre of the part lies inside,
@@ -56,7 +58,7 @@ def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return grid
 
 
-def _straightened(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _straightened(points: Array) -> Array:
     """Leave out the points amid straight runs; turning back on itself is no straight run.
 
     Where a bridge begins or ends, which is passed twice, a point stays: two bridges that meet there
@@ -67,16 +69,16 @@ def _straightened(points: NDArray[np.float64]) -> NDArray[np.float64]:
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     _, which, times = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     kept = (cross != 0) | ((before * after).sum(axis=1) < 0) | (times[which.ravel()] > 1)
-    straight: NDArray[np.float64] = points[kept]
+    straight: Array = points[kept]
     return straight
 
 
-def _area(points: NDArray[np.float64]) -> float:
+def _area(points: Array) -> float:
     x, y = points.T
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
-def join_parts(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+def join_parts(parts: Sequence[Array]) -> Array:
     """Join polygons to one by bridges without width, each over the shortest gap that is left.
 
     YOLO files have one polygon a fruit; Ultralytics' converters join parts in the same way.
@@ -110,7 +112,7 @@ def join_parts(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     return joined
 
 
-def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> NDArray[np.float64] | None:
+def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> Array | None:
     """Return a mask as one polygon: its parts joined, specks left out.
 
     Parameters
@@ -137,7 +139,7 @@ def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> NDArray[n
     return _straightened(join_parts(large))
 
 
-def crosses_itself(points: NDArray[np.float64], slack: float = 2e-3) -> bool:
+def crosses_itself(points: Array, slack: float = 2e-3) -> bool:
     """Return whether two edges of a closed polygon cross, each going through the other.
 
     Edges that only touch or lie on each other, as bridges between parts do, cross nothing.
@@ -169,13 +171,7 @@ def crosses_itself(points: NDArray[np.float64], slack: float = 2e-3) -> bool:
     return bool(through.any())
 
 
-def _apart(
-    a1: NDArray[np.float64],
-    a2: NDArray[np.float64],
-    b1: NDArray[np.float64],
-    b2: NDArray[np.float64],
-    slack: float,
-) -> NDArray[np.bool_]:
+def _apart(a1: Array, a2: Array, b1: Array, b2: Array, slack: float) -> NDArray[np.bool_]:
     """Return whether b1 and b2 lie on different sides of the line through a1 and a2."""
     along = (a2 - a1) / np.hypot(*(a2 - a1).T)[:, None]
     left = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -202,7 +198,7 @@ FADE = 4  # in the middle of the fruit a sixteenth of an end's shift is left
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
-def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> NDArray[np.float64] | None:
+def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> Array | None:
     """Return keypoints along the axis of an outline.
 
     Parameters
@@ -257,7 +253,7 @@ def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> NDArray[np.float64]
     return np.column_stack([points, np.full(len(points), 2.0)])
 
 
-def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> NDArray[np.float64] | None:
+def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | None:
     """Return keypoints along the axis of an outline from one known end to the other.
 
     Parameters
@@ -302,17 +298,7 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> NDArray[np
     return np.column_stack([points, np.full(len(points), 2.0)])
 
 
-def _axis(
-    mask: NDArray[np.bool_],
-) -> (
-    tuple[
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    ]
-    | None
-):
+def _axis(mask: NDArray[np.bool_]) -> tuple[Array, Array, Array, Callable[[Array], Array]] | None:
     """Return the pixels' middle, their principal axes, their places along and the axis across."""
     pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
     if len(pixels) < LEAST_PIXELS:
@@ -326,7 +312,7 @@ def _axis(
     return middle, frame, along, np.polynomial.Polynomial.fit(along, across, 3)
 
 
-def _inside(mask: NDArray[np.bool_], line: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _inside(mask: NDArray[np.bool_], line: Array) -> NDArray[np.bool_]:
     u, v = np.rint(line).astype(int).T
     height, width = mask.shape
     within = (u >= 0) & (v >= 0) & (u < width) & (v < height)

@@ -24,7 +24,6 @@ from cucumbervision_lab.datasets.labels import (
     DataSet,
     Label,
     LabelledPicture,
-    class_index,
     flat_names,
     list_pictures,
     picture_size,
@@ -78,14 +77,7 @@ class YoloFolder:
     keypoints: tuple[int, int] | None = None
 
 
-def read_yolo(
-    path: Path,
-    names: Sequence[str] = (),
-    *,
-    keep: Mapping[int | str, str] | None = None,
-    source: str = "",
-    licence: str = "",
-) -> DataSet:
+def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     """Read a YOLO data set: boxes, polygons or keypoints.
 
     Parameters
@@ -94,10 +86,6 @@ def read_yolo(
         `data.yaml`, a folder with one, or a folder with images/ and labels/.
     names : sequence of str
         The classes, where no `data.yaml` names them.
-    keep : mapping of int or str to str, optional
-        Class numbers or names to keep and what each becomes; every other class is background.
-    source, licence : str
-        Of pictures that state none.
 
     Returns
     -------
@@ -122,10 +110,6 @@ def read_yolo(
     [19.5, 14.5, 59.5, 44.5]
     """
     found = find_yolo(path, names)
-    if keep is None:
-        index, categories = {k: k for k in range(len(found.names))}, found.names
-    else:
-        index, categories = class_index(found.names, keep)
     origins = _origins(found.folder)
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
@@ -136,22 +120,11 @@ def read_yolo(
         except CucumberVisionError as error:
             refused.append(error)
             continue
-        labels, bad = _read_labels(label_file(file), found, index, width, height)
+        labels, bad = _read_labels(label_file(file), found, width, height)
         refused.extend(bad)
         origin = origins.get(name, {})
-        pictures.append(
-            LabelledPicture(
-                name,
-                width,
-                height,
-                tuple(labels),
-                scene=origin.get("scene", ""),
-                split=split,
-                source=origin.get("source", source),
-                licence=origin.get("licence", licence),
-            )
-        )
-    return DataSet(found.folder, tuple(pictures), categories, refused=tuple(refused))
+        pictures.append(LabelledPicture(name, width, height, tuple(labels), split=split, **origin))
+    return DataSet(found.folder, tuple(pictures), found.names, refused=tuple(refused))
 
 
 def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
@@ -268,7 +241,7 @@ def label_file(picture: Path) -> Path:
     return Path(*parts).with_suffix(".txt")
 
 
-def _origins(folder: Path) -> dict[str, dict[str, str]]:
+def _origins(folder: Path) -> dict[str, dict[str, Any]]:
     file = folder / PICTURES
     data = read_json(file) if file.is_file() else {}
     if not isinstance(data, dict) or not all(isinstance(v, dict) for v in data.values()):
@@ -278,7 +251,7 @@ def _origins(folder: Path) -> dict[str, dict[str, str]]:
 
 
 def _read_labels(
-    file: Path, found: YoloFolder, index: Mapping[int, int], width: int, height: int
+    file: Path, found: YoloFolder, width: int, height: int
 ) -> tuple[list[Label], list[CucumberVisionError]]:
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -295,17 +268,10 @@ def _read_labels(
         if not line.strip():
             continue
         try:
-            label, _ = read_label_line(line, found, width, height)
+            labels.append(read_label_line(line, found, width, height)[0])
         except ValueError as error:
             refused.append(DataSetError(f"line {i}: {error}", source=file, remedy="correct it"))
-        else:
-            if label.category in index:
-                labels.append(_recoded(label, index[label.category]))
     return labels, refused
-
-
-def _recoded(label: Label, category: int) -> Label:
-    return label if label.category == category else replace(label, category=category)
 
 
 def read_label_line(
@@ -448,7 +414,10 @@ def write_yolo(
     counts = dict.fromkeys(SPLITS, 0)
     lines = painted = holes = 0
     origins = {}
-    grounds = _grounds(dataset, paint_ignored)
+    grounds = {
+        split: [dataset.path(p) for p in dataset.in_split(split) if not p.labels]
+        for split in paint_ignored
+    }
     for picture in ticked(dataset.pictures, progress):
         name = names[picture.file]
         target = out / "images" / picture.split / name
@@ -587,14 +556,6 @@ def _pixels_of(label: Label, shape: tuple[int, ...], *, edge: bool) -> NDArray[n
     margin = int(_EDGE_SHARE * math.sqrt(np.count_nonzero(mask))) if edge else 0
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel), bool)
-
-
-def _grounds(dataset: DataSet, splits: Sequence[str]) -> dict[str, list[Path]]:
-    """Return the pictures without fruit, by split."""
-    return {
-        split: [dataset.path(p) for p in dataset.in_split(split) if not p.labels]
-        for split in splits
-    }
 
 
 def _paint(

@@ -6,8 +6,8 @@ the errors that the benchmark of single captures found. No pictures are drawn.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -297,18 +297,13 @@ def grow_plants(
         name=names,
     )
     return Plants(
-        *(
-            np.concatenate([getattr(grown, name), getattr(young, name)])
-            for name in ("place_m", "length_m", "diameter_m", "seen_from", "name")
-        )
+        *(np.concatenate(both) for both in zip(_arrays(grown), _arrays(young), strict=True))
     )
 
 
 def _some(plants: Plants, which: NDArray[np.intp]) -> Plants:
-    return Plants(
-        plants.place_m[which],
-        plants.length_m[which],
-        plants.diameter_m[which],
-        plants.seen_from[which],
-        plants.name[which],
-    )
+    return Plants(*(array[which] for array in _arrays(plants)))
+
+
+def _arrays(plants: Plants) -> list[NDArray[Any]]:
+    return [getattr(plants, field.name) for field in fields(plants)]

@@ -16,7 +16,7 @@ from cucumbervision_lab.synthesis.skin import LOOKS, Skin, random_skin
 from cucumbervision_lab.synthesis.textures import jitter, material_color
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -120,21 +120,11 @@ def load_assets(folder: Path | None, without: Sequence[str] = SHOWS_FRUIT) -> As
     return assets
 
 
-def _files(folder: Path, pattern: str, endings: set[str]) -> list[Path]:
-    return sorted(p for p in set(folder.glob(pattern)) if p.suffix.lower() in endings)
-
-
 def _pictures(
     folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
 ) -> tuple[NDArray[np.uint8], ...]:
     found = []
-    for path in _files(folder, pattern, _PICTURES):
-        if any(word.lower() in path.name.lower() for word in without):
-            continue
-        picture = _read(path, cv2.IMREAD_COLOR)
-        if picture is None:
-            bad.append(str(path.relative_to(folder)))
-            continue
+    for picture in _read_all(folder, pattern, _PICTURES, without, bad):
         scale = min(longest_px / max(picture.shape[:2]), 1.0)
         if scale < 1:
             picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -144,25 +134,31 @@ def _pictures(
 
 def _environments(folder: Path, bad: list[str]) -> tuple[NDArray[np.float32], ...]:
     found = []
-    for path in _files(folder, "**/hdri*/**/*", _LIGHTS):
-        light = _read(path, cv2.IMREAD_UNCHANGED)
-        if light is None or light.ndim != 3 or not np.isfinite(light).all():
-            bad.append(str(path.relative_to(folder)))
-            continue
-        small = cv2.resize(
-            light[..., :3].astype(np.float32), _LIGHT_SIZE, interpolation=cv2.INTER_AREA
-        )
+    for light in _read_all(folder, "**/hdri*/**/*", _LIGHTS, (), bad):
+        sky = light[..., :3].astype(np.float32)
+        small = cv2.resize(sky, _LIGHT_SIZE, interpolation=cv2.INTER_AREA)
         found.append(np.ascontiguousarray(small[..., ::-1], np.float32))
     return tuple(found)
 
 
-def _read(path: Path, flag: int) -> NDArray[Any] | None:
-    # An empty file makes OpenCV raise, a broken one makes it give nothing.
-    try:
-        picture = cv2.imdecode(np.fromfile(path, np.uint8), flag)
-    except (OSError, cv2.error):
-        return None
-    return None if picture is None or picture.size == 0 else np.asarray(picture)
+def _read_all(
+    folder: Path, pattern: str, endings: set[str], without: Sequence[str], bad: list[str]
+) -> Iterator[NDArray[Any]]:
+    """Yield the colour pictures of a pattern, and note the names of those that are none."""
+    flag = cv2.IMREAD_UNCHANGED if endings is _LIGHTS else cv2.IMREAD_COLOR
+    for path in sorted(set(folder.glob(pattern))):
+        named = any(word.lower() in path.name.lower() for word in without)
+        if named or path.suffix.lower() not in endings:
+            continue
+        # An empty file makes OpenCV raise, a broken one makes it give nothing.
+        try:
+            picture = cv2.imdecode(np.fromfile(path, np.uint8), flag)
+        except (OSError, cv2.error):
+            picture = None
+        if picture is None or picture.ndim != 3 or not np.isfinite(picture).all():
+            bad.append(str(path.relative_to(folder)))
+        else:
+            yield np.asarray(picture)
 
 
 ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")

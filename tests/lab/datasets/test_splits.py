@@ -139,7 +139,7 @@ def test_copies_and_exports_of_one_picture_share_a_scene(make_set: MakeSet) -> N
 def test_scenes_of_real_photos_against_scenes_told_by_eye(shared_data: Path) -> None:
     """The audit's scenes were told by eye, without knowing of the fingerprints."""
     folder = shared_data / "photos/ingredients_ccby4"
-    dataset = read_yolo(folder, CLASSES, source="Roboflow")
+    dataset = read_yolo(folder, CLASSES)
     assert dataset.refused == ()
     assert len(dataset.pictures) == 173
     found = find_scenes(dataset)

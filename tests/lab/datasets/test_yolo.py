@@ -10,7 +10,7 @@ import pytest
 
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, keep_classes
 from cucumbervision_lab.datasets.yolo import read_yolo, write_yolo
 
 MakeSet = Callable[..., DataSet]
@@ -198,7 +198,7 @@ names: ['cucumber', 'zucchini', 'leaf']
 def test_roboflow_export_with_boxes_and_polygons(tmp_path: Path) -> None:
     export(tmp_path / "x", ROBOFLOW_YAML, ("train", "valid", "test"))
     keep: dict[int | str, str] = {"cucumber": "cucumber", 1: "cucumber"}
-    dataset = read_yolo(tmp_path / "x/data.yaml", keep=keep, source="them", licence="CC BY 4.0")
+    dataset = keep_classes(read_yolo(tmp_path / "x/data.yaml"), keep)
     assert dataset.refused == ()
     assert dataset.categories == ("cucumber",)
     assert sorted((p.file, p.split) for p in dataset.pictures) == [
@@ -215,7 +215,6 @@ def test_roboflow_export_with_boxes_and_polygons(tmp_path: Path) -> None:
     wanted[6:24, 8:32] = True
     assert (polygon.mask == wanted).all()
     assert (box.category, polygon.category) == (0, 0)
-    assert (dataset.pictures[0].source, dataset.pictures[0].licence) == ("them", "CC BY 4.0")
 
 
 def test_paths_lists_and_names_of_ultralytics(tmp_path: Path) -> None:
@@ -247,11 +246,12 @@ def test_a_folder_without_yaml_needs_names(tmp_path: Path) -> None:
     (tmp_path / "labels/a.txt").write_text("1 0.5 0.5 0.5 0.5\n")
     with pytest.raises(DataSetError, match=r"add data\.yaml or give --names"):
         read_yolo(tmp_path)
-    dataset = read_yolo(tmp_path, ["cucumber", "zucchini"], keep={"zucchini": "fruit"})
+    both = read_yolo(tmp_path, ["cucumber", "zucchini"])
+    dataset = keep_classes(both, {"zucchini": "fruit"})
     assert [(p.file, p.split) for p in dataset.pictures] == [("images/a.png", "")]
     assert dataset.categories == ("fruit",)
     with pytest.raises(DataSetError, match="no class is called melon"):
-        read_yolo(tmp_path, ["cucumber", "zucchini"], keep={"melon": "fruit"})
+        keep_classes(both, {"melon": "fruit"})
     (tmp_path / "images/a.png").unlink()
     with pytest.raises(DataSetError, match="holds no pictures"):
         read_yolo(tmp_path, ["cucumber"])

@@ -21,7 +21,7 @@ from cucumbervision.agronomy.forecast import Counts, DetectionRates, Forecast, f
 from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
-from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, simulate_house
+from cucumbervision_lab.simulation import HouseSettings, SimulatedHouse, simulate_house
 
 NAIVE_M_PER_DAY = 0.03
 CLIP = 0.01  # the least probability that the log score counts for either

@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/round_merging.py --rows 20
 
-Rows are simulated (`cucumbervision_lab.simulation.rounds`). Precision and recall are of pairs of
+Rows are simulated (`cucumbervision_lab.simulation`). Precision and recall are of pairs of
 views: of the pairs that were merged, how many are one fruit, and the reverse. Beside it stands what
 position alone does: views of neighbouring stops nearer to each other than three standard
 deviations, one to one. Intervals are 95 %, from resampling rows.
@@ -21,7 +21,7 @@ from scipy.optimize import linear_sum_assignment
 from cucumbervision.rounds.day_linking import DayLinks, link_days
 from cucumbervision.rounds.merge import Merged, cluster_pairs, merge_row
 from cucumbervision.rounds.row_fruit import count_fruit, row_fruit
-from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, grow_plants, simulate_row, walk
+from cucumbervision_lab.simulation import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}
 CASES = {

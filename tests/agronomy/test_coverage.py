@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cucumbervision.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision_lab.simulation.growth import HouseSettings, SimulatedHouse, simulate_house
+from cucumbervision_lab.simulation import HouseSettings, SimulatedHouse, simulate_house
 
 LONG = load_profile("long-cucumber")
 PRIOR = GrowthPrior.of(LONG)

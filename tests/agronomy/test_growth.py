@@ -7,7 +7,7 @@ from cucumbervision.agronomy.growth import LINEAR, Curve, GrowthPrior, Link, fit
 from cucumbervision.agronomy.kalman import Basis, Spreads, kalman_filter, measured_histories
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
-from cucumbervision_lab.simulation.growth import HouseSettings, simulate_house
+from cucumbervision_lab.simulation import HouseSettings, simulate_house
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior.of(load_profile("long-cucumber"))

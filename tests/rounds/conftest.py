@@ -15,7 +15,7 @@ from cucumbervision.store.records import (
     key_of,
 )
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision_lab.simulation.rounds import Walk
+from cucumbervision_lab.simulation import Walk
 
 MORNING = RoundRecord(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
 

@@ -6,7 +6,7 @@ import pytest
 from cucumbervision.rounds.day_linking import DayLinks, link_days
 from cucumbervision.rounds.merge import merge_row
 from cucumbervision.rounds.row_fruit import RowFruit, row_fruit
-from cucumbervision_lab.simulation.rounds import SimulatedRow, grow_plants, simulate_row, walk
+from cucumbervision_lab.simulation import SimulatedRow, grow_plants, simulate_row, walk
 
 ROW = SimulatedRow(per_m=10)
 

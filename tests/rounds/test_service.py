@@ -36,7 +36,7 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import LinkKind
-from cucumbervision_lab.simulation.rounds import SimulatedRow, Walk, grow_plants, simulate_row, walk
+from cucumbervision_lab.simulation import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 Save = Callable[..., None]
 LONG = load_profile("long-cucumber")

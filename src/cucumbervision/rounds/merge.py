@@ -283,7 +283,7 @@ def merge_row(
 
     Examples
     --------
-    >>> from cucumbervision_lab.simulation.rounds import SimulatedRow, simulate_row
+    >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(fruit=40), seed=1)
     >>> merged = merge_row(row.stops, row.views)
     >>> int(merged.cluster.max()) + 1 >= 40  # every fruit, and what the detector invented
@@ -332,7 +332,7 @@ def views_per_m(stops: RowStops, views: RowViews) -> float:
 
     Examples
     --------
-    >>> from cucumbervision_lab.simulation.rounds import SimulatedRow, simulate_row
+    >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(per_m=10, fruit=200), seed=1)
     >>> 8 < views_per_m(row.stops, row.views) < 12
     True

@@ -206,7 +206,7 @@ def count_fruit(merged: Merged, stops: RowStops, views: RowViews) -> CountEstima
     Examples
     --------
     >>> from cucumbervision.rounds.merge import merge_row
-    >>> from cucumbervision_lab.simulation.rounds import SimulatedRow, simulate_row
+    >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(fruit=100), seed=2)
     >>> merged = merge_row(row.stops, row.views)
     >>> abs(count_fruit(merged, row.stops, row.views).expected - row.in_view) < 4

@@ -1,1 +1,0 @@
-"""Simulated houses and rounds of known truth."""

@@ -14,8 +14,7 @@ contain the mean it belongs to (9.68 beside [9.72, 13.88]), the second is printe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import pandas as pd
 
 from cucumbervision.accuracy.length_tables import (
     PAPER_METHODS,
@@ -29,69 +28,30 @@ from cucumbervision.accuracy.statistics import estimate, score
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import Suite
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 __all__ = ["NOTES", "paper_section"]
 
-
-@dataclass(frozen=True)
-class PaperFigures:
-    """One row of the paper's table of accuracy (48 captures of 7 cucumbers, against a thread).
-
-    Parameters
-    ----------
-    mae_cm, rmse_cm, mape_percent, r2 : float
-        As printed.
-    median_cm : float
-        Median absolute error, from the caption of its plot of errors.
-    interval_percent : (float, float) or None
-        Bootstrap 95 % interval of the MAPE by capture; None where what is printed contradicts
-        itself.
-    """
-
-    mae_cm: float
-    rmse_cm: float
-    mape_percent: float
-    r2: float
-    median_cm: float
-    interval_percent: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class PaperSpecimen:
-    """One fruit of the paper's validation table.
-
-    Parameters
-    ----------
-    name : str
-        As printed.
-    thread_cm : float
-        Its length by thread.
-    lengths_cm : dict of str to float
-        What M1 to M4 read.
-    """
-
-    name: str
-    thread_cm: float
-    lengths_cm: dict[str, float]
-
-
-PAPER_BENCHMARK: dict[str, PaperFigures] = {
-    "M1": PaperFigures(1.63, 2.26, 9.68, 0.89, 1.31, None),
-    "M2": PaperFigures(0.83, 1.12, 5.31, 0.95, 0.59, (3.97, 6.60)),
-    "M3": PaperFigures(0.96, 1.02, 5.82, 0.97, 0.72, (4.87, 7.49)),
-    "M4": PaperFigures(0.85, 1.01, 5.51, 0.97, 0.55, (4.12, 7.01)),
-    "M5": PaperFigures(0.58, 0.61, 4.13, 0.98, 0.40, None),
+_PUBLISHED: dict[str, tuple[Cell, ...]] = {
+    "M1": (1.63, 2.26, 9.68, None, 1.31, 0.89),
+    "M2": (0.83, 1.12, 5.31, "3.97 to 6.60", 0.59, 0.95),
+    "M3": (0.96, 1.02, 5.82, "4.87 to 7.49", 0.72, 0.97),
+    "M4": (0.85, 1.01, 5.51, "4.12 to 7.01", 0.55, 0.97),
+    "M5": (0.58, 0.61, 4.13, None, 0.40, 0.98),
 }
+"""The paper's table of accuracy (48 captures of 7 cucumbers, against a thread): MAE and RMSE in cm,
+MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the caption of
+its plot of errors), R². No interval where what is printed contradicts itself."""
 
-PAPER_VALIDATION: tuple[PaperSpecimen, ...] = (
-    PaperSpecimen("Cu-1 large", 25.70, {"M1": 23.59, "M2": 25.91, "M3": 24.20, "M4": 24.34}),
-    PaperSpecimen("Cu-2 medium", 14.72, {"M1": 13.86, "M2": 13.70, "M3": 13.59, "M4": 12.59}),
-    PaperSpecimen("Cu-3 medium", 15.52, {"M1": 14.39, "M2": 14.52, "M3": 13.34, "M4": 13.53}),
-    PaperSpecimen("Cu-4 large", 23.92, {"M1": 21.71, "M2": 25.27, "M3": 23.24, "M4": 23.51}),
-    PaperSpecimen("Cu-5 extra-large", 38.00, {"M1": 31.73, "M2": 39.17, "M3": 37.30, "M4": 37.33}),
+_VALIDATION_CM = pd.DataFrame(
+    [
+        ("Cu-1 large", 25.70, 23.59, 25.91, 24.20, 24.34),
+        ("Cu-2 medium", 14.72, 13.86, 13.70, 13.59, 12.59),
+        ("Cu-3 medium", 15.52, 14.39, 14.52, 13.34, 13.53),
+        ("Cu-4 large", 23.92, 21.71, 25.27, 23.24, 23.51),
+        ("Cu-5 extra-large", 38.00, 31.73, 39.17, 37.30, 37.33),
+    ],
+    columns=["fruit", "thread", "M1", "M2", "M3", "M4"],
 )
+"""The paper's validation table: each fruit's length by thread, and what M1 to M4 read."""
 
 NOTES = {
     "summary": (
@@ -139,17 +99,11 @@ def paper_validation_table() -> Table:
     methods = PAPER_METHODS[:4]
     heads = ["fruit", "true thread (cm)", *(f"{method} (cm)" for method in methods)]
     rows: list[tuple[Cell, ...]] = []
-    for one in PAPER_VALIDATION:
-        true_m = one.thread_cm / 100
-        cells = [length_and_error(one.lengths_cm[method] / 100, true_m) for method in methods]
-        rows.append((one.name, one.thread_cm, *cells))
-    scores = [
-        score(
-            [one.lengths_cm[method] / 100 for one in PAPER_VALIDATION],
-            [one.thread_cm / 100 for one in PAPER_VALIDATION],
-        )
-        for method in methods
-    ]
+    for name, thread_cm, *read_cm in _VALIDATION_CM.itertuples(index=False):
+        cells = [length_and_error(one / 100, thread_cm / 100) for one in read_cm]
+        rows.append((name, thread_cm, *cells))
+    lengths_m = _VALIDATION_CM.set_index("fruit") / 100
+    scores = [score(lengths_m[method], lengths_m["thread"]) for method in methods]
     rows.append(("MAE (cm)", None, *[m.mae_cm for m in scores]))
     rows.append(("MAPE (%)", None, *[m.mape_percent for m in scores]))
     comment = (
@@ -175,7 +129,8 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
     heads += ["median error (cm)", "R²"]
     rows: list[tuple[Cell, ...]] = []
     for method in (*PAPER_METHODS, "M6 thread"):
-        rows += _printed(method)
+        if method in _PUBLISHED:
+            rows.append((method, "the paper", *_PUBLISHED[method]))
         for masks in Masks:
             rows += _here(scored[(scored["masks"] == masks) & (scored["method"] == method)], masks)
     comment = (
@@ -187,15 +142,6 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
     )
     title = "The paper's figures, on its own captures, beside ours"
     return Table.of(title, heads, rows, comment)
-
-
-def _printed(method: str) -> list[tuple[Cell, ...]]:
-    one = PAPER_BENCHMARK.get(method)
-    if one is None:
-        return []
-    interval = span_text(one.interval_percent)
-    errors = (one.mae_cm, one.rmse_cm, one.mape_percent, interval, one.median_cm, one.r2)
-    return [(method, "the paper", *errors)]
 
 
 def _here(read: pd.DataFrame, masks: Masks) -> list[tuple[Cell, ...]]:

@@ -262,8 +262,6 @@ class Simulated:
         The burst, fused; black where `paint` was not asked. Its depth scale is exact.
     truth : FruitTruth
         Of its one fruit.
-    view : View
-        The exact picture.
     depth_scale : float
         What this camera would read over what is, had it not been calibrated: the sensor's scale
         error multiplies every depth, and so every length, by it.
@@ -271,7 +269,6 @@ class Simulated:
 
     capture: Capture
     truth: FruitTruth
-    view: View
     depth_scale: float
 
 
@@ -354,7 +351,7 @@ def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated
         simulated=True,
     )
     scale = 1 + float(np.random.default_rng(case.capture_seed + 3).normal(0, SCALE_SD))
-    return Simulated(capture, truth, view, scale)
+    return Simulated(capture, truth, scale)
 
 
 def _color_picture(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:

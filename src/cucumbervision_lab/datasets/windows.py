@@ -322,7 +322,6 @@ def write_sheets(
     *,
     split: str = "train",
     seed: int = 0,
-    progress: Callable[[int], None] | None = None,
 ) -> DataSet:
     """Lay the pictures of a split out on sheets, two by two or three by three.
 
@@ -340,8 +339,6 @@ def write_sheets(
         Whose pictures; sheets are to train on, or to validate.
     seed : int
         The same seed lays out the same sheets.
-    progress : callable, optional
-        Called with 1 after each sheet.
 
     Returns
     -------
@@ -364,7 +361,7 @@ def write_sheets(
     sources = "; ".join(sorted({picture.source for picture in pictures}))
     licences = "; ".join(sorted({picture.licence for picture in pictures}))
     (out / "images").mkdir(parents=True, exist_ok=True)
-    for number in ticked(range(count), progress):
+    for number in range(count):
         grid = GRIDS[int(rng.integers(len(GRIDS)))]
         while len(row) < grid**2:
             row += rng.permutation(len(pictures)).tolist()

@@ -42,16 +42,20 @@ class Judged(StrEnum):
 
 @dataclass(frozen=True)
 class AveragePrecision:
-    """COCO's two figures.
+    """COCO's two figures of one network's boxes, masks or keypoints.
 
     Parameters
     ----------
+    stage, judged : Stage, Judged
+        Whose detections, and what of them was compared.
     map50 : Estimate
         Average precision where a hit needs an IoU (keypoints: an OKS) of 0.50.
     map50_95 : Estimate
         Its mean over 0.50, 0.55 … 0.95.
     """
 
+    stage: Stage
+    judged: Judged
     map50: Estimate
     map50_95: Estimate
 
@@ -92,7 +96,7 @@ def average_precision(
     count = int(tally.required.sum())
     if not count:
         nothing = Estimate(math.nan, math.nan, math.nan, 0, 0)
-        return AveragePrecision(nothing, nothing)
+        return AveragePrecision(stage, judged, nothing, nothing)
     of_frame = np.array([scenes[name] for name in kept])
     drawn = np.array(
         [_precisions(tally, w[of_frame]) for w in resample_weights(len(scenes), _RESAMPLES)]
@@ -106,7 +110,8 @@ def average_precision(
             low, high = np.nanpercentile(resampled, [2.5, 97.5])
         return Estimate(float(value), float(low), float(high), count, with_fruit)
 
-    return AveragePrecision(one(values[0], drawn[:, 0]), one(values.mean(), drawn.mean(axis=1)))
+    map50, map50_95 = one(values[0], drawn[:, 0]), one(values.mean(), drawn.mean(axis=1))
+    return AveragePrecision(stage, judged, map50, map50_95)
 
 
 @dataclass(frozen=True, eq=False)

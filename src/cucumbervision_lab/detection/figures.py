@@ -59,15 +59,6 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Precision:
-    """Average precision of one network's boxes, masks or keypoints."""
-
-    stage: Stage
-    judged: Judged
-    found: AveragePrecision
-
-
-@dataclass(frozen=True)
 class EndScore:
     """How well ends are set.
 
@@ -117,7 +108,7 @@ class Summary:
 
     Parameters
     ----------
-    precisions : tuple of Precision
+    precisions : tuple of AveragePrecision
         COCO's.
     overall : tuple of (Stage, GroupScore)
         Recall and precision at the confidence.
@@ -135,7 +126,7 @@ class Summary:
         What the figures are of.
     """
 
-    precisions: tuple[Precision, ...]
+    precisions: tuple[AveragePrecision, ...]
     overall: tuple[tuple[Stage, GroupScore], ...]
     groups: tuple[GroupScore, ...]
     ends: tuple[EndScore, ...]
@@ -166,7 +157,7 @@ def summarise(result: DetectionResult) -> Summary:
     ends = end_rows(frames, confidence)
     end_scores, swapped = score_ends(ends)
     return Summary(
-        tuple(Precision(s, j, average_precision(frames, j, s)) for s, j in asked),
+        tuple(average_precision(frames, judged, stage) for stage, judged in asked),
         tuple(
             (s, overall(fruit_rows(frames, confidence, s), found_rows(frames, confidence, s)))
             for s in parts
@@ -269,12 +260,11 @@ def precision_table(summary: Summary) -> Table:
         (
             str(one.stage),
             _JUDGED[one.judged],
-            ap.map50.count,
-            *_spanned(ap.map50),
-            *_spanned(ap.map50_95),
+            one.map50.count,
+            *_spanned(one.map50),
+            *_spanned(one.map50_95),
         )
         for one in summary.precisions
-        for ap in (one.found,)
     ]
     comment = (
         "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "

@@ -252,13 +252,10 @@ class HeldOut:
         The set that they are of.
     pictures : tuple of LabelledPicture
         Those of the split.
-    split : str
-        Which split.
     """
 
     data: DataSet
     pictures: tuple[LabelledPicture, ...]
-    split: str
 
 
 def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -> HeldOut:
@@ -309,7 +306,7 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
             source=folder,
             remedy="copy the pictures that were labelled",
         )
-    return HeldOut(data, chosen, split)
+    return HeldOut(data, chosen)
 
 
 def _file_fault(picture: LabelledPicture, data: DataSet) -> str:

@@ -320,7 +320,8 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
         "licence": LICENCE,
         "pictures": len(result.frames),
         "average_precision": [
-            {"stage": str(one.stage), "of": one.judged.name.lower(), **_estimates(one.found)}
+            {"stage": str(one.stage), "of": one.judged.name.lower()}
+            | _estimates(one, leave=("stage", "judged"))
             for one in summary.precisions
         ],
         "overall": {str(stage): _scores(one) for stage, one in summary.overall},

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, metadata, version
 
-__all__ = ["LICENCE", "installed_versions", "source_offer"]
+from cucumbervision._version import __version__
+
+__all__ = ["LICENCE", "installed_versions", "software", "source_offer"]
 
 LICENCE = "AGPL-3.0-only"
 _VERSIONS_OF = (
@@ -36,6 +38,21 @@ def source_offer() -> str:
         "this installation names no address of its source (Source in [project.urls]); "
         "whoever runs it owes you the source (AGPL-3.0, section 13)"
     )
+
+
+def software() -> dict[str, str]:
+    """Return what every file that the program writes says of the program.
+
+    Examples
+    --------
+    >>> list(software())
+    ['software', 'licence', 'source']
+    """
+    return {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "source": source_offer(),
+    }
 
 
 def installed_versions() -> dict[str, str]:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision._version import __version__
-from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.about import installed_versions, software
 from cucumbervision.accuracy.measured import REPORTED, Reading
 from cucumbervision.accuracy.page import Table, write_report
 from cucumbervision.accuracy.records import Masks, Record, append_record, readings_frame
@@ -332,7 +331,15 @@ def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Trut
         provenance = _provenance(measured, truth)
         floor = found.floor and asdict(found.floor)
         scores = [json_value(asdict(one)) for one in found.scores]
-        head = {**_software(), **provenance, "notes": found.notes, "floor": floor, "scores": scores}
+        versions = {"python": platform.python_version(), **installed_versions()}
+        head = {
+            **software(),
+            "versions": versions,
+            **provenance,
+            "notes": found.notes,
+            "floor": floor,
+            "scores": scores,
+        }
         text = json.dumps(head, indent=1, ensure_ascii=False)
         (out / "scores.json").write_text(text + "\n", encoding="utf-8")
         _write_page(found, out, provenance)
@@ -398,13 +405,4 @@ def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:
         "calibration": (report.get("calibration") or {}).get("tag"),
         "truth": str(truth.path),
         "truth_sha256": truth.sha256,
-    }
-
-
-def _software() -> dict[str, Any]:
-    return {
-        "software": f"cucumbervision {__version__}",
-        "licence": LICENCE,
-        "source": source_offer(),
-        "versions": {"python": platform.python_version(), **installed_versions()},
     }

@@ -103,19 +103,16 @@ def require_readings(depth_m: NDArray[np.float32], *, source: object = None) -> 
 
 def _check_kind(raw: NDArray[Any], source: object) -> None:
     if raw.ndim != 2 or not raw.size:
-        raise DepthError(
+        fault = (
             f"depth is {raw.dtype} {raw.shape}, not one value a pixel; "
-            "a colourised picture of depth has no distances",
-            source=source,
-            remedy="give the 16-bit depth itself",
+            "a colourised picture of depth has no distances"
         )
-    if raw.dtype.itemsize < 2 or raw.dtype.kind not in "uif":
+    elif raw.dtype.itemsize < 2 or raw.dtype.kind not in "uif":
         bits = 8 * raw.dtype.itemsize
-        raise DepthError(
-            f"depth has {bits} bits ({raw.dtype}), a picture to look at and no distances",
-            source=source,
-            remedy="give the 16-bit depth itself",
-        )
+        fault = f"depth has {bits} bits ({raw.dtype}), a picture to look at and no distances"
+    else:
+        return
+    raise DepthError(fault, source=source, remedy="give the 16-bit depth itself")
 
 
 def _check_unit(readings: NDArray[Any], unit_m: float, source: object) -> None:

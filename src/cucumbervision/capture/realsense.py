@@ -144,7 +144,7 @@ class AlignedStream:
         self._align: Any = None
         self._resuming: threading.Thread | None = None
         self._reached_s = 0.0
-        self.intrinsics: Intrinsics
+        self._intrinsics: Intrinsics
         self.device: dict[str, str] = {}
 
     def __enter__(self) -> Self:
@@ -196,6 +196,20 @@ class AlignedStream:
             _finish_reading(self._file)
         self._pipeline = self._playback = self._file = self._align = self._resuming = None
 
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The colour stream's, at the size that is streamed; once it is open."""
+        self._require_open()
+        return self._intrinsics
+
+    def _require_open(self) -> None:
+        if self._pipeline is None:
+            raise CameraError(
+                "the camera is not open",
+                source=self._source,
+                remedy="use it in a 'with' block",
+            )
+
     def read(self) -> AlignedFrame | None:
         """Return the next frame that has both pictures; None at a recording's end.
 
@@ -206,6 +220,7 @@ class AlignedStream:
         CaptureError
             If a recording breaks off.
         """
+        self._require_open()
         deadline_s = time.monotonic() + self._timeout_s
         while time.monotonic() < deadline_s:
             try:
@@ -262,7 +277,7 @@ class AlignedStream:
         lens = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
         k1, k2, p1, p2, k3 = (float(c) for c in lens.coeffs)
         pinhole = lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy
-        self.intrinsics = Intrinsics(
+        self._intrinsics = Intrinsics(
             *pinhole, Stream.COLOR, self._lens_model(lens), (k1, k2, p1, p2, k3)
         )
         device = profile.get_device()
@@ -419,7 +434,7 @@ class CameraConfig:
             raise ValueError("timeout_s must be positive")
 
 
-class RealSenseCamera:
+class RealSenseCamera(AlignedStream):
     """A camera as a context manager: `with RealSenseCamera() as camera: camera.capture_burst()`.
 
     Parameters
@@ -437,21 +452,16 @@ class RealSenseCamera:
 
     def __init__(self, config: CameraConfig | None = None) -> None:
         self.config = config or CameraConfig()
-        source = self.config.playback or (
-            f"camera {self.config.serial}" if self.config.serial else "camera"
-        )
-        self._source = source
-        self._stream = AlignedStream(
-            self._configure if self.config.playback is None else play_file(self.config.playback),
-            source=source,
-            playback=self.config.playback is not None,
+        file, serial = self.config.playback, self.config.serial
+        super().__init__(
+            self._stream_live if file is None else play_file(file),
+            source=file or (f"camera {serial}" if serial else "camera"),
+            playback=file is not None,
             timeout_s=self.config.timeout_s,
         )
-        self._open = False
 
     def __enter__(self) -> Self:
-        self._stream.__enter__()
-        self._open = True
+        super().__enter__()
         try:
             for _ in range(self.config.warm_up):
                 self._next_frame()
@@ -459,20 +469,6 @@ class RealSenseCamera:
             self.close()
             raise
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Let the camera go; harmless when it is not open."""
-        self._open = False
-        self._stream.close()
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """The colour stream's, at the size that is streamed; once the camera is open."""
-        self._require_open()
-        return self._stream.intrinsics
 
     def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
         """Take a burst and fuse it to one capture.
@@ -499,15 +495,15 @@ class RealSenseCamera:
         frames = [self._next_frame() for _ in range(self.config.burst)]
         return burst_capture(
             frames,
-            self._stream.intrinsics,
+            self.intrinsics,
             name or f"capture_{frames[0].number:06d}",
             place=self._source,
             stop=stop or Stop(),
             source=str(self._source),
-            provenance={"reader": "camera", **self._stream.device},
+            provenance={"reader": "camera", **self.device},
         )
 
-    def _configure(self, rs: Any, config: Any) -> None:
+    def _stream_live(self, rs: Any, config: Any) -> None:
         c = self.config
         if c.serial:
             config.enable_device(c.serial)
@@ -515,18 +511,9 @@ class RealSenseCamera:
         config.enable_stream(rs.stream.color, c.width, c.height, rs.format.rgb8, c.fps)
 
     def _next_frame(self) -> AlignedFrame:
-        self._require_open()
-        frame = self._stream.read()
+        frame = self.read()
         if frame is None:
             raise CameraError(
                 "the recording is over", source=self._source, remedy="play a longer one"
             )
         return frame
-
-    def _require_open(self) -> None:
-        if not self._open:
-            raise CameraError(
-                "the camera is not open",
-                source=self._source,
-                remedy="use it in a 'with' block",
-            )

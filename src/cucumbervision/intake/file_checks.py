@@ -380,40 +380,17 @@ def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
             source=title,
             remedy="send a smaller file",
         )
-    data = path.read_bytes()
-    if kind is Kind.JSON:
-        return _parse_json(data, source=title)
+    fault, remedy = (
+        ("is not JSON", "correct or export it again")
+        if kind is Kind.JSON
+        else ("is not text in UTF-8", "save the table as UTF-8")
+    )
     try:
-        data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise UploadError(
-            "is not text in UTF-8", source=title, remedy="save the table as UTF-8"
-        ) from None
-    return None
-
-
-def _parse_json(data: bytes, *, source: str) -> Any:
-    """Return a JSON document, read strictly: without NaN and Infinity.
-
-    Raises
-    ------
-    UploadError
-        If it is not JSON, is nested too deeply, or holds NaN or Infinity.
-
-    Examples
-    --------
-    >>> _parse_json(b'{"stop": {"row": NaN}}', source="capture.json")
-    Traceback (most recent call last):
-    ...
-    cucumbervision.errors.UploadError: capture.json: is not JSON; correct or export it again
-    """
-
-    def refuse(name: str) -> NoReturn:
-        raise ValueError(f"{name} is not a number")
-
-    try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=refuse)
+        text = path.read_bytes().decode("utf-8-sig")
+        return json.loads(text, parse_constant=_refuse) if kind is Kind.JSON else None
     except (ValueError, RecursionError):
-        raise UploadError(
-            "is not JSON", source=source, remedy="correct or export it again"
-        ) from None
+        raise UploadError(fault, source=title, remedy=remedy) from None
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from cucumbervision._version import __version__
-from cucumbervision.about import LICENCE, source_offer
+from cucumbervision.about import software
 from cucumbervision.capture.files import (
     PHOTO_SUFFIXES,
     json_value,
@@ -372,9 +371,7 @@ class _Run:
     def finish(self) -> None:
         info = {
             "description": "Pictures given to cucumbervision detect; results.json has their fruit",
-            "software": f"cucumbervision {__version__}",
-            "licence": LICENCE,
-            "source": source_offer(),
+            **software(),
             "started": self._started.isoformat(timespec="seconds"),
             "options": json_value(vars(self._options)),
             "models": self.result.models,

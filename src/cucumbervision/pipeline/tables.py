@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision._version import __version__
-from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.about import installed_versions, software
 from cucumbervision.capture.files import json_value
 from cucumbervision.pipeline.fields import FIELDS, defused
 
@@ -165,9 +164,7 @@ def provenance_of(measurer: Measurer, started: datetime) -> dict[str, Any]:
     """Return what a run was measured with: software, options, networks, calibration, versions."""
     site = measurer.site
     return {
-        "software": f"cucumbervision {__version__}",
-        "licence": LICENCE,
-        "source": source_offer(),
+        **software(),
         "started": started.isoformat(timespec="seconds"),
         "config": measurer.options.as_json(),
         "config_sha256": measurer.options.sha256,

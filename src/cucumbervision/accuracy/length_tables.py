@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = [
     "DESCRIPTIONS",
     "PAPER_METHODS",
-    "TRUTHS",
     "Factor",
     "accuracy_table",
     "against",
@@ -34,7 +33,7 @@ __all__ = [
     "truths_of",
 ]
 
-TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
+_TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
 """Kinds of true length, in the order of every report."""
 
 DESCRIPTIONS = {
@@ -108,7 +107,7 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
         fits &= ~method.isin(["M6", "selector best"])
     if "reported_kind" in readings:
         kind = readings["reported_kind"]
-        fits &= (method != "reported") | (kind == truth) | ~kind.isin([str(k) for k in TRUTHS])
+        fits &= (method != "reported") | (kind == truth) | ~kind.isin([str(k) for k in _TRUTHS])
     scored = readings[fits].copy()
     scored["true_m"] = true[fits]
     scored["error_cm"] = 100 * (scored["length_m"].fillna(0) - scored["true_m"]).abs()
@@ -122,7 +121,7 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
 
 def truths_of(readings: pd.DataFrame) -> list[LengthDefinition]:
     """Return the kinds of true length that are known of any fruit."""
-    return [truth for truth in TRUTHS if readings[f"{truth}_m"].notna().any()]
+    return [truth for truth in _TRUTHS if readings[f"{truth}_m"].notna().any()]
 
 
 def shown_methods(scored: pd.DataFrame, truth: LengthDefinition) -> list[str]:

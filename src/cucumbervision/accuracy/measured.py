@@ -14,11 +14,11 @@ from cucumbervision.errors import CucumberVisionError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["REPORTED", "TUBE_COLUMNS", "Measured", "Reading", "read_measured"]
+__all__ = ["REPORTED", "Measured", "Reading", "read_measured"]
 
 REPORTED = "reported"
-TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
-METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
+_TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
+_METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
 REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
 
 
@@ -146,7 +146,7 @@ def _typed(cells: Mapping[str, str]) -> dict[str, Any]:
 
 def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> list[str]:
     """Return the methods to score: those that ran, by the report or by having a length at all."""
-    columns = {**METHOD_COLUMNS, **TUBE_COLUMNS}
+    columns = {**_METHOD_COLUMNS, **_TUBE_COLUMNS}
     asked = report.get("config", {}).get("methods", [])
     return [
         key
@@ -156,7 +156,7 @@ def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any])
 
 
 def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
-    columns = {**METHOD_COLUMNS, **TUBE_COLUMNS}
+    columns = {**_METHOD_COLUMNS, **_TUBE_COLUMNS}
     lengths = {key: _metres(row.get(columns[key])) for key in ran}
     methods = row.get("methods", {})
     distance = _metres(row.get("distance_cm"))

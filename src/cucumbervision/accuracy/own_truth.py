@@ -253,7 +253,8 @@ def _record(same: Sequence[tuple[TrueLength, Reading]], simulated: dict[str, boo
 
 
 def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:
-    ratios = [one.length_m / typical for one, reading in pairs if (typical := _typical_m(reading))]
+    measured = [(one, [x for x in reading.lengths_m.values() if x]) for one, reading in pairs]
+    ratios = [one.length_m / float(np.median(known)) for one, known in measured if known]
     ratio = float(np.median(ratios)) if ratios else 1.0
     for about, factor, words, remedy in UNITS:
         if about / factor < ratio < about * factor:
@@ -271,11 +272,6 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
                     source=path,
                     remedy="give centimetres, between 1 and 100",
                 )
-
-
-def _typical_m(reading: Reading) -> float | None:
-    known = [x for x in reading.lengths_m.values() if x]
-    return float(np.median(known)) if known else None
 
 
 def _notes(

@@ -221,6 +221,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _decode(path: Path, flags: int) -> NDArray[Any]:
+    import cv2
 
     data = read_bytes(path)
     # OpenCV gives a truncated picture with its missing part grey, as if nothing were wrong.
@@ -229,7 +230,11 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
     )
     image = None
     if not truncated:
-        image = _decoded(data, flags)
+        # OpenCV would tell of a broken file itself, in lines of its own.
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        with suppress(cv2.error):
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise CaptureError(
             "is truncated or damaged" if truncated else "is no picture that can be read",
@@ -237,19 +242,6 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
             remedy="copy or export it again",
         )
     return image
-
-
-def _decoded(data: bytes, flags: int) -> NDArray[Any] | None:
-    import cv2
-
-    # OpenCV would tell of a broken file itself, in lines of its own.
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        return cast("NDArray[Any] | None", cv2.imdecode(np.frombuffer(data, np.uint8), flags))
-    except cv2.error:
-        return None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
 
 
 def _whole_png(data: bytes) -> bool:

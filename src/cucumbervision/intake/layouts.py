@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.readers.native import FORMAT, MANIFEST, MASKS, Manifest
-from cucumbervision.capture.readers.pair import is_8_bit_png, pair_role
+from cucumbervision.capture.readers.pair import is_8_bit_png, pair_up
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError
 from cucumbervision.intake.file_checks import COLORS, DEPTHS, PICTURES, Item, Kind
 from cucumbervision.intake.recordings import play_apart
@@ -198,16 +198,12 @@ def _arrays(staging: Staging) -> None:
 
 def _pairs(staging: Staging) -> None:
     """Make a source of the pairs of pictures that share an intrinsics file."""
-    colors: dict[str, Item] = {}
-    depths: dict[str, Item] = {}
-    for item in sorted(staging.left.values(), key=lambda i: i.name):
-        # By what it is, not by the ending that its sender gave it.
-        role, key = pair_role(f"{item.name.with_suffix('')}{item.kind.value}")
-        if role == "depth" and item.kind in DEPTHS:
-            if key not in depths or is_8_bit_png(depths[key].path):
-                depths[key] = item
-        elif role == "color" and item.kind in COLORS:
-            colors.setdefault(key, item)
+    # By what each is, not by the ending that its sender gave it.
+    named = (
+        (f"{item.name.with_suffix('')}{item.kind.value}", item)
+        for item in sorted(staging.left.values(), key=lambda i: i.name)
+    )
+    colors, depths = pair_up(named, lambda item: is_8_bit_png(item.path))
     groups: dict[PurePosixPath | None, list[tuple[Item, Item]]] = {}
     for key in sorted(colors.keys() & depths.keys()):
         intrinsics = staging.intrinsics_for(colors[key].name)

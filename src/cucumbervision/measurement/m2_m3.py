@@ -12,7 +12,7 @@ from cucumbervision.measurement.result import LengthKind, Measurement, Method, R
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["GATE_M", "MIN_POINTS", "measure_m2", "measure_m3", "principal_chord"]
+__all__ = ["GATE_M", "MIN_POINTS", "measure_m2", "measure_m3"]
 
 GATE_M = 0.035
 
@@ -45,10 +45,10 @@ def measure_m2(box_points_m: NDArray[Any]) -> Measurement:
     """
     if not len(box_points_m):
         return Measurement(Method.M2, reason=Reason.NO_DEPTH)
-    return principal_chord(align_near(box_points_m, GATE_M), Method.M2)
+    return _principal_chord(align_near(box_points_m, GATE_M), Method.M2)
 
 
-def principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
+def _principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
     """Return the chord between the extreme projections on the principal axis.
 
     Parameters
@@ -67,7 +67,7 @@ def principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
     Examples
     --------
     >>> cloud = align_near(np.array([[0.0, 0.0, 0.5], [0.3, 0.4, 0.5]]), GATE_M)
-    >>> round(principal_chord(cloud, Method.M3).length_m, 6)
+    >>> round(_principal_chord(cloud, Method.M3).length_m, 6)
     0.5
     """
     if len(cloud.points_m) < 2:
@@ -113,4 +113,4 @@ def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     """
     if len(mask_points_m) < MIN_POINTS:
         return Measurement(Method.M3, reason=Reason.TOO_FEW_POINTS)
-    return principal_chord(near or align_near(mask_points_m, GATE_M), Method.M3)
+    return _principal_chord(near or align_near(mask_points_m, GATE_M), Method.M3)

@@ -29,7 +29,6 @@ from cucumbervision.perception.masks import mask_window
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture

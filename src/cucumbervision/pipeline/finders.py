@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.instances import Instance, MaskSource, with_keypoints
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.pipeline.options import MeasureOptions
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.networks import Detectors, NetworkLoader
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision.pipeline.options import MeasureOptions
 
 __all__ = [
     "Finder",
@@ -168,8 +168,6 @@ def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
     >>> line.endswith("masks by mobile-sam.")
     True
     """
-    from cucumbervision.pipeline.options import MeasureOptions
-
     detector, pose = registry.default("segment"), registry.default("pose")
     if detector is None:
         options = MeasureOptions(instances="dataset", segmenter="mobile-sam")
@@ -221,8 +219,6 @@ def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
         return find
 
     def find_with_keypoints(capture: Capture) -> Found:
-        from cucumbervision.perception.instances import with_keypoints
-
         found = find(capture)
         if not found.instances:
             return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -22,13 +22,15 @@ from cucumbervision.capture.source import CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["Pair", "find_pairs", "is_8_bit_png", "open_pair_file", "open_pairs", "pair_role"]
+__all__ = ["Pair", "find_pairs", "is_8_bit_png", "open_pair_file", "open_pairs", "pair_up"]
+
+Part = TypeVar("Part")
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -50,14 +52,9 @@ def find_pairs(path: Path) -> list[Pair]:
     pair with one part missing, so that it is not lost silently; an 8-bit 'depth' picture left
     alone is only there to be looked at. Without any whole pair there are none.
     """
-    colors: dict[str, Path] = {}
-    depths: dict[str, Path] = {}
-    for file in sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern)):
-        role, key = pair_role(file.relative_to(path).as_posix())
-        if role == "depth" and (key not in depths or is_8_bit_png(depths[key])):
-            depths[key] = file
-        elif role == "color":
-            colors.setdefault(key, file)
+    files = sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern))
+    named = ((file.relative_to(path).as_posix(), file) for file in files)
+    colors, depths = pair_up(named, is_8_bit_png)
     if not colors.keys() & depths.keys():
         return []
     alone = {k for k in depths.keys() - colors.keys() if is_8_bit_png(depths[k])}
@@ -67,14 +64,32 @@ def find_pairs(path: Path) -> list[Pair]:
     ]
 
 
-def pair_role(name: str) -> tuple[str, str]:
+def pair_up(
+    named: Iterable[tuple[str, Part]], is_8_bit: Callable[[Part], bool]
+) -> tuple[dict[str, Part], dict[str, Part]]:
+    """Return the colour and the depth pictures among files by name, under the key of their pair.
+
+    A depth picture of 8 bits gives way to any other of its key.
+    """
+    colors: dict[str, Part] = {}
+    depths: dict[str, Part] = {}
+    for name, part in named:
+        role, key = _pair_role(name)
+        if role == "depth" and (key not in depths or is_8_bit(depths[key])):
+            depths[key] = part
+        elif role == "color":
+            colors.setdefault(key, part)
+    return colors, depths
+
+
+def _pair_role(name: str) -> tuple[str, str]:
     """Tell from a file's name which part of a pair it is: 'depth', 'color' or '', and the key.
 
     Both parts of a pair have one key.
 
     Examples
     --------
-    >>> pair_role("color/7.jpg"), pair_role("depth/7.npy"), pair_role("notes.txt")[0]
+    >>> _pair_role("color/7.jpg"), _pair_role("depth/7.npy"), _pair_role("notes.txt")[0]
     (('color', '7'), ('depth', '7'), '')
     """
     stem, dot, ending = name.rpartition(".")

@@ -8,6 +8,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model
+from cucumbervision.capture.readers.bop import SCENE_CAMERAS
 from cucumbervision.capture.readers.native import FORMAT, MANIFEST, MASKS, Manifest
 from cucumbervision.capture.readers.pair import is_8_bit_png, pair_up
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["lay_out"]
 
-_SCENE = "scene_camera.json"
 _EXTRA = frozenset({"rgb", "depth", "gray", "mask", MASKS})
 _BURST, _MASKS = 4, 20  # times the pixels of one picture: of a burst's frames, of a frame's masks
 _RAW = "_Depth.raw"
@@ -145,7 +145,7 @@ def _bop(staging: Staging) -> None:
                 layout.names[f"{layout.folder.name}_{own}_{image}"] = f"{shown}_{image}"
                 if kind != MASKS:  # what the reader names for a picture that is missing
                     layout.titles.setdefault(path.with_name(f"{image}.png"), part.title)
-        layout.write(item, f"{own}/{_SCENE}", item.document)
+        layout.write(item, f"{own}/{SCENE_CAMERAS}", item.document)
         layout.titles[layout.folder / own] = item.title
         _ignore_beside(staging, at)
     if layout is not None:
@@ -246,7 +246,7 @@ def _is_manifest(item: Item) -> bool:
 
 
 def _is_scene(item: Item) -> bool:
-    return isinstance(item.document, dict) and item.name.name.lower() == _SCENE
+    return isinstance(item.document, dict) and item.name.name.lower() == SCENE_CAMERAS
 
 
 def _documents(staging: Staging, wanted: Any) -> list[Item]:

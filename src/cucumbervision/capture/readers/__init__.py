@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cucumbervision.capture.readers.bop import find_scenes, open_bop
-from cucumbervision.capture.readers.native import find_captures, open_native
+from cucumbervision.capture.readers.bop import SCENE_CAMERAS, open_bop
+from cucumbervision.capture.readers.native import MANIFEST, open_native
 from cucumbervision.capture.readers.pair import find_pairs, open_pair_file, open_pairs
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
@@ -47,13 +47,13 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
         raise CaptureError("does not exist", source=path, remedy="check the path")
     if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
         return open_recording(path, options)
-    if path.name == "capture.json" and path.is_file():
+    if path.name == MANIFEST and path.is_file():
         return open_source(path.parent, options)
     if path.is_file():
         return open_pair_file(path, options)
-    if folders := find_captures(path):
+    if folders := _folders_with(path, MANIFEST):
         return open_native(path, folders, options)
-    if scenes := find_scenes(path):
+    if scenes := _folders_with(path, SCENE_CAMERAS):
         return open_bop(path, scenes, options)
     if snapshots := find_snapshots(path):
         return open_viewer(path, snapshots, options)
@@ -65,3 +65,8 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
         remedy="name a capture folder (capture.json), a BOP scene (scene_camera.json), colour and "
         "depth pictures with matching names, or a .bag or .db3 recording",
     )
+
+
+def _folders_with(path: Path, name: str) -> list[Path]:
+    # The folder itself, or every one below it that holds such a file, in order.
+    return [path] if (path / name).is_file() else sorted(p.parent for p in path.rglob(name))

@@ -35,21 +35,14 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera_file import CameraFile
 
-__all__ = ["find_scenes", "open_bop"]
+__all__ = ["SCENE_CAMERAS", "open_bop"]
 
-_CAMERA_FILE = "scene_camera.json"
+SCENE_CAMERAS = "scene_camera.json"
 
 
 class _FrameCamera(BaseModel):
     cam_K: list[float] = Field(min_length=9, max_length=9)  # noqa: N815 - BOP's own key
     depth_scale: float = Field(default=1.0, gt=0)
-
-
-def find_scenes(path: Path) -> list[Path]:
-    """Return the BOP scenes in a folder: itself, or every one below it, in order."""
-    if (path / _CAMERA_FILE).is_file():
-        return [path]
-    return sorted(p.parent for p in path.rglob(_CAMERA_FILE))
 
 
 def open_bop(path: Path, scenes: Sequence[Path], options: ReadOptions) -> CaptureSource:
@@ -60,7 +53,7 @@ def open_bop(path: Path, scenes: Sequence[Path], options: ReadOptions) -> Captur
     path : Path
         What the user named.
     scenes : sequence of Path
-        From `find_scenes`.
+        The scenes in it, in order.
     options : ReadOptions
         The user's intrinsics replace `cam_K` if the guard lets them pass; a depth unit
         replaces `depth_scale`.
@@ -85,10 +78,10 @@ def _parts(
     files = {kind: _by_image(scene / kind) for kind in ("rgb", "depth", "mask_visib")}
     cameras, fault = dict[str, Any](), None
     try:
-        cameras = read_json(scene / _CAMERA_FILE)
+        cameras = read_json(scene / SCENE_CAMERAS)
         if not isinstance(cameras, dict):
             raise CaptureError(
-                "is no object of image ids", source=scene / _CAMERA_FILE, remedy="correct the file"
+                "is no object of image ids", source=scene / SCENE_CAMERAS, remedy="correct the file"
             )
     except CaptureError as error:
         # The other scenes of a data set still load.
@@ -125,7 +118,7 @@ def _load(
                 source=scene / kind / f"{image:06d}.png",
                 remedy="copy the scene again",
             )
-    camera_path = scene / _CAMERA_FILE
+    camera_path = scene / SCENE_CAMERAS
     if str(image) not in cameras:
         raise IntrinsicsError(
             f"has no entry for image {image}", source=camera_path, remedy="add its cam_K"

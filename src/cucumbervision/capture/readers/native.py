@@ -43,7 +43,6 @@ __all__ = [
     "MANIFEST",
     "MASKS",
     "Manifest",
-    "find_captures",
     "open_native",
     "write_native",
 ]
@@ -100,13 +99,6 @@ class Manifest(StrictModel):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-def find_captures(path: Path) -> list[Path]:
-    """Return the native captures in a folder: itself, or every one below it, in order."""
-    if (path / MANIFEST).is_file():
-        return [path]
-    return sorted(p.parent for p in path.rglob(MANIFEST))
-
-
 def open_native(path: Path, folders: Sequence[Path], options: ReadOptions) -> CaptureSource:
     """Open native capture folders.
 
@@ -115,7 +107,7 @@ def open_native(path: Path, folders: Sequence[Path], options: ReadOptions) -> Ca
     path : Path
         What the user named.
     folders : sequence of Path
-        From `find_captures`.
+        The captures in it, in order.
     options : ReadOptions
         The user's intrinsics replace the folder's if the guard lets them pass.
 

@@ -200,8 +200,7 @@ def house(
 
     The same command goes on after any interruption. `models use RUN` then switches.
     """
-    from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.cli.train_console import TrainConsole
+    from cucumbervision_lab.cli.screen import TrainConsole, show
     from cucumbervision_lab.training.house import HousePlan, train_house
     from cucumbervision_lab.training.train import TrainOptions
 

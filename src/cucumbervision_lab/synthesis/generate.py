@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.appearance import Assets
     from cucumbervision_lab.synthesis.paste import Cutout
 
-__all__ = ["generate", "parse_options"]
+__all__ = ["generate", "label_frame", "parse_options"]
 
 SMALLEST_PX, LARGEST_PX = 32, 4096
 
@@ -293,7 +293,7 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
     frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
     name = f"{index:06d}"
     split = options.split or SPLIT_OF[index % len(SPLIT_OF)]
-    picture = _label_frame(frame, name, f"synth-{options.seed}-{name}", split)
+    picture = label_frame(frame, name, f"synth-{options.seed}-{name}", split)
     color = frame.color
     if options.paste and split == "train":
         # Real fruit carry pseudo-labels, which nothing may be tested on.
@@ -317,7 +317,7 @@ def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]
     return np.clip(np.rint(depth_m / unit_m), 0, 65535).astype(np.uint16)
 
 
-def _label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
+def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPicture:
     """Return a drawn frame's labels.
 
     Parameters

@@ -56,7 +56,7 @@ def software() -> dict[str, str]:
 
 
 def installed_versions() -> dict[str, str]:
-    """Give the versions of the libraries that a length depends on.
+    """Return the versions of the libraries that a length depends on.
 
     Examples
     --------

@@ -132,11 +132,11 @@ class AcceptedUploads:
     ----------
     folder : Path
         Where all of it lies; does not exist if nothing was accepted.
-    sources : tuple of AcceptedSource
+    sources : list of AcceptedSource
         What can be measured.
-    refused : tuple of Refused
+    refused : list of Refused
         What cannot, each with its error.
-    ignored : tuple of str
+    ignored : list of str
         What is not needed.
     """
 

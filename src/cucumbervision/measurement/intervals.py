@@ -300,7 +300,7 @@ TUBE_EDGES = (("tilt", (15 / 60, 40 / 60)), ("log_outline", (float(np.log(0.5)),
 
 
 def tube_features(measurement: Measurement) -> dict[str, float]:
-    """Return the features of `uncertainty.IntervalModel` for an M6 measurement.
+    """Return the features of an `IntervalModel` for an M6 measurement.
 
     Parameters
     ----------

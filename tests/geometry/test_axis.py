@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.geometry.axis import bin_centroids, depth_gate, principal_axis, project
+from cucumbervision.geometry.axis import align_near, bin_centroids, depth_gate, principal_axis
 
 
 def test_principal_axis_is_the_first_right_singular_vector() -> None:
@@ -43,6 +43,6 @@ def test_points_at_one_place_have_no_bins() -> None:
     assert bin_centroids(points, np.zeros(9), bins=5, at_least=1).shape == (0, 3)
 
 
-def test_projection_is_measured_from_the_centroid() -> None:
-    along = project(np.array([[1.0, 2.0, 3.0]]), np.array([1.0, 0.0, 0.0]), np.array([0, 0.6, 0.8]))
-    assert along == pytest.approx([3.6])
+def test_positions_are_measured_from_the_centroid() -> None:
+    cloud = align_near(np.array([[1.0, 0.0, 0.5], [2.0, 0.0, 0.5], [6.0, 0.0, 0.5]]), 0.1)
+    assert cloud.along_m == pytest.approx([-2.0, -1.0, 3.0])

@@ -16,7 +16,6 @@ __all__ = [
     "bin_centroids",
     "depth_gate",
     "principal_axis",
-    "project",
 ]
 
 
@@ -61,7 +60,8 @@ def align_near(points_m: NDArray[Any], half_width_m: float) -> AlignedCloud:
         nowhere = np.full(3, np.nan)
         return AlignedCloud(near, nowhere, nowhere, np.full(len(near), np.nan))
     centroid, axis = principal_axis(near)
-    return AlignedCloud(near, centroid, axis, project(near, centroid, axis))
+    along = np.asarray(near @ axis - centroid @ axis, dtype=np.float64)
+    return AlignedCloud(near, centroid, axis, along)
 
 
 def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
@@ -125,19 +125,6 @@ def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray
     centred = points_m - centroid
     axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
     return centroid, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
-
-
-def project(
-    points_m: NDArray[Any], centroid_m: NDArray[Any], axis: NDArray[Any]
-) -> NDArray[np.float64]:
-    """Return each point's position along an axis, in metres from the centroid.
-
-    Examples
-    --------
-    >>> project(np.array([[3.0, 5.0, 1.0]]), np.zeros(3), np.array([1.0, 0.0, 0.0])).tolist()
-    [3.0]
-    """
-    return np.asarray(points_m @ axis - centroid_m @ axis, dtype=np.float64)
 
 
 def bin_centroids(

@@ -114,8 +114,4 @@ def _deproject(
     u_px: NDArray[Any], v_px: NDArray[Any], z_m: NDArray[Any], intrinsics: Intrinsics
 ) -> NDArray[np.float64]:
     x, y = intrinsics.rays(u_px, v_px)
-    points = np.empty((len(z_m), 3))
-    points[:, 2] = z_m
-    np.multiply(x, points[:, 2], out=points[:, 0])
-    np.multiply(y, points[:, 2], out=points[:, 1])
-    return points
+    return np.stack([x * z_m, y * z_m, z_m], axis=1)

@@ -8,8 +8,6 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.intervals import (
-    RAW_FEATURES,
-    TUBE_FEATURES,
     Band,
     IntervalModel,
     IntervalModels,
@@ -26,6 +24,7 @@ from cucumbervision.measurement.result import (
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision_lab.benchmark.interval_fit import RAW_FEATURES, TUBE_FEATURES
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

@@ -16,18 +16,20 @@ from cucumbervision.about import installed_versions
 from cucumbervision.accuracy.records import Masks, append_record, read_records, readings_frame
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.intervals import (
-    RAW_FEATURES,
-    TUBE_EDGES,
-    TUBE_FEATURES,
     IntervalModels,
-    fit_interval_model,
     raw_features,
     shipped_interval_models,
-    write_interval_models,
 )
 from cucumbervision.perception.sam import Segmenter
 from cucumbervision_lab.benchmark import experiments
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
+from cucumbervision_lab.benchmark.interval_fit import (
+    RAW_FEATURES,
+    TUBE_EDGES,
+    TUBE_FEATURES,
+    fit_interval_model,
+    write_interval_models,
+)
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.processes import each_done

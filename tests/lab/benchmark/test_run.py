@@ -11,7 +11,6 @@ import pytest
 from cucumbervision.accuracy.length_tables import against, method_metrics
 from cucumbervision.accuracy.records import Masks, Record, readings_frame
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.intervals import TUBE_FEATURES
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import (
     CAMERA,
@@ -24,6 +23,7 @@ from cucumbervision_lab.benchmark.cases import (
     stress_cases,
     validation_cases,
 )
+from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
 from cucumbervision_lab.benchmark.run import (
     KEYS,

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.measurement.intervals import (
-    Band,
-    IntervalModel,
-    conformal_quantile,
-    fit_interval_model,
-)
+from cucumbervision.measurement.intervals import Band, IntervalModel
+from cucumbervision_lab.benchmark.interval_fit import conformal_quantile, fit_interval_model
 
 Array: TypeAlias = NDArray[np.float64]
 

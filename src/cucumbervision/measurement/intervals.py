@@ -33,6 +33,7 @@ __all__ = [
     "IntervalModels",
     "feature_group",
     "raw_features",
+    "read_interval_models",
     "shipped_interval_models",
     "tube_features",
     "with_interval",
@@ -259,24 +260,13 @@ class IntervalModels:
         return model.interval(length_m, features, 0.0 if scale_known else SCALE_SD)
 
 
-def _read_interval_models(path: Path) -> IntervalModels:
+def read_interval_models(path: Path) -> IntervalModels:
     """Read interval models.
 
     Raises
     ------
     ModelError
         If the file is none.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "models.json"
-    >>> bands = {"": Band(0.001, 1.5, 1.7, 700)}
-    >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
-    >>> models = IntervalModels(0.9, {"M6": model}, 700)
-    >>> write_interval_models(path, models)
-    >>> _read_interval_models(path) == models
-    True
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -294,7 +284,7 @@ def _read_interval_models(path: Path) -> IntervalModels:
 @lru_cache(maxsize=1)
 def shipped_interval_models() -> IntervalModels:
     """Return the models that come with the package."""
-    return _read_interval_models(_SHIPPED)
+    return read_interval_models(_SHIPPED)
 
 
 def with_interval(

@@ -176,7 +176,20 @@ def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDAr
 
 
 def write_interval_models(path: Path, models: IntervalModels) -> None:
-    """Write interval models as JSON, numbers to nine digits."""
+    """Write interval models as JSON, numbers to nine digits.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from cucumbervision.measurement.intervals import read_interval_models
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "models.json"
+    >>> bands = {"": Band(0.001, 1.5, 1.7, 700)}
+    >>> model = IntervalModel("M6", 0.9, ("tilt",), (-4.5, 0.5), bands, (("tilt", (0.25,)),))
+    >>> models = IntervalModels(0.9, {"M6": model}, 700)
+    >>> write_interval_models(path, models)
+    >>> read_interval_models(path) == models
+    True
+    """
     content = {
         "basis": str(IntervalBasis.SIMULATED),
         "level": models.level,

@@ -251,9 +251,7 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=130)
     parser.add_argument("--corrections", default="30,100,300")
     parser.add_argument("--plan", default="448x600")
-    parser.add_argument(  # the rate rises over the first 800 pictures: a short plan needs more
-        "--learning-rate", type=float, default=0.001
-    )
+    parser.add_argument("--learning-rate", type=float, default=HousePlan.learning_rate)
     parser.add_argument("--drawn", type=int, default=60, help="frames a source of the mixture")
     parser.add_argument("--tested", type=int, default=30, help="drawn frames and photos judged on")
     parser.add_argument("--per-epoch", type=int, default=200)
@@ -276,9 +274,10 @@ def main() -> None:
     table: list[str] = []
     for number, house in enumerate(sets, 1):
         run = asked.out / f"run-{number}"
-        for shared in ("drawn-train", "drawn-val", "hard-train"):  # the same in every run
-            first, own = asked.out / "run-1" / "data" / shared, run / "data" / shared
-            if number > 1 and not own.exists():
+        for first in (asked.out / "run-1" / "data").glob("*"):
+            own = run / "data" / first.name
+            # The shipped mixture's drawn frames are the same in every run.
+            if not (own.exists() or first.name.startswith("house")):
                 shutil.copytree(first, own)
         train_house(house, run, init=asked.init, plan=plan, options=options, say=lambda _: None)
         if not table:

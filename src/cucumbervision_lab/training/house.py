@@ -74,7 +74,7 @@ class HousePlan:
     windows: tuple[int, ...] = (240, 400)
     tested: int = 256
     per_epoch: int = 200
-    learning_rate: float = 0.0005
+    learning_rate: float = 0.0003
     one_to_many: float = 0.1
 
 

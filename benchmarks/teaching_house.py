@@ -252,6 +252,7 @@ def main() -> None:
     parser.add_argument("--corrections", default="30,100,300")
     parser.add_argument("--plan", default="448x600")
     parser.add_argument("--learning-rate", type=float, default=HousePlan.learning_rate)
+    parser.add_argument("--share", type=float, default=HousePlan.share, help="the house's")
     parser.add_argument("--drawn", type=int, default=60, help="frames a source of the mixture")
     parser.add_argument("--tested", type=int, default=30, help="drawn frames and photos judged on")
     parser.add_argument("--per-epoch", type=int, default=200)
@@ -263,6 +264,7 @@ def main() -> None:
     sets = correct_house(asked.out, marks)
     plan = HousePlan(
         asked.plan,
+        asked.share,
         drawn=asked.drawn,
         windows=(240,),
         tested=asked.tested,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.perception.instances import (
     Instance,
+    apart,
     join_pieces,
     merge_instances,
     with_keypoints,
@@ -221,3 +222,27 @@ def test_hopeless_pairs_push_no_good_one_aside() -> None:
     assert out[0].keypoints is not None
     assert out[0].keypoints[0, 0] == 1
     assert out[1].keypoints is None
+
+
+def test_a_mask_over_two_fruit_leaves_the_second_to_itself() -> None:
+    # Side by side, 20 thick each; the second is found only together with the first.
+    upper, lower = bar(120, 70, 140, 20), bar(120, 91, 140, 20)
+    kept = merge_instances([found(upper, 0.9), found(upper | lower, 0.6)])
+    first, second = apart(kept)
+    assert first.detector_mask is not None
+    assert second.detector_mask is not None
+    assert (first.detector_mask == upper).all()
+    assert (second.detector_mask == (lower & ~upper)).all()
+    assert second.box.tolist() == box_of_mask(lower & ~upper).tolist()
+
+
+def test_a_surer_mask_over_a_narrow_one_is_the_fruit() -> None:
+    whole, strip = bar(120, 80, 140, 40), bar(120, 70, 140, 20)
+    assert len(merge_instances([found(whole, 0.9), found(strip, 0.6)])) == 1
+
+
+def test_what_shares_nothing_is_left_as_it_is() -> None:
+    a, b = found(bar(120, 40, 140, 20), 0.9), found(bar(120, 90, 140, 20), 0.8)
+    assert apart([a, b]) == (a, b)
+    box = Instance(np.array([0.0, 0, 9, 9]))
+    assert apart([box]) == (box,)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from cucumbervision.perception.masks import (
     Rle,
     box_of_mask,
     decode_rle,
+    disjoint_masks,
     encode_rle,
     mask_iou,
     mask_window,
@@ -126,3 +129,56 @@ def test_overlap_of_masks() -> None:
     left[:, :3] = right[:, 1:] = True
     assert mask_iou(left, right) == 4 / 8
     assert mask_iou(None, right) == mask_iou(np.zeros((2, 4), bool), ~np.ones((2, 4), bool)) == 0
+
+
+def strips(*spans: tuple[int, int]) -> list[NDArray[np.bool_]]:
+    """One row's masks from column to column."""
+    columns = np.arange(20)[None]
+    return [(columns >= start) & (columns < stop) for start, stop in spans]
+
+
+def widths(masks: Sequence[NDArray[np.bool_] | None]) -> list[int]:
+    return [int(mask.sum()) for mask in masks if mask is not None]
+
+
+def test_what_is_shared_goes_to_the_surer_and_a_swallowed_one_keeps_all() -> None:
+    assert widths(disjoint_masks(strips((0, 10), (8, 18)), [0.4, 0.9])) == [8, 10]
+    assert widths(disjoint_masks(strips((0, 10), (8, 18)), [0.9, 0.4])) == [10, 8]
+    # 6 of the smaller one's 8 columns lie in the larger.
+    assert widths(disjoint_masks(strips((0, 18), (12, 20)), [0.9, 0.4])) == [12, 8]
+
+
+def test_what_is_shared_goes_to_what_lies_in_front() -> None:
+    masks = strips((0, 10), (6, 16))
+    depth = np.full((1, 20), 0.60, np.float32)
+    depth[:, 10:] = 0.50  # the second's own; both share what is as far as the first
+    assert widths(disjoint_masks(masks, [0.4, 0.9], depth)) == [10, 6]
+    depth[:, 6:] = 0.50
+    assert widths(disjoint_masks(masks, [0.9, 0.4], depth)) == [6, 10]
+    assert widths(disjoint_masks(masks, [0.9, 0.4], np.zeros_like(depth))) == [10, 6]
+
+
+def test_masks_of_one_fruit_and_missing_ones_are_left() -> None:
+    a, b = strips((0, 10), (0, 9))
+    kept = disjoint_masks([a, None, b], [0.9, 0.5, 0.8])
+    assert kept[0] is a
+    assert kept[1] is None
+    assert kept[2] is b
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    spans=st.lists(st.tuples(st.integers(0, 12), st.integers(1, 8)), min_size=2, max_size=5),
+    seed=st.integers(0, 99),
+)
+def test_no_pixel_is_lost_or_won(spans: list[tuple[int, int]], seed: int) -> None:
+    masks = strips(*((start, start + wide) for start, wide in spans))
+    scores = np.random.default_rng(seed).random(len(masks)).tolist()
+    kept = [mask for mask in disjoint_masks(masks, scores) if mask is not None]
+    assert all(not (after & ~before).any() for before, after in zip(masks, kept, strict=True))
+    assert (np.any(kept, axis=0) == np.any(masks, axis=0)).all()
+    # What two masks still share, they share since they are, or were, of one fruit.
+    for k in range(len(kept)):
+        for i in range(k):
+            alike = max(mask_iou(kept[i], kept[k]), mask_iou(masks[i], masks[k]))
+            assert alike >= 0.8 or not (kept[i] & kept[k]).any()

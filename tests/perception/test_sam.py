@@ -119,6 +119,31 @@ def test_auto_takes_openvino_where_it_is() -> None:
     assert Segmenter("mobile-sam").runtime.startswith("openvino")
 
 
+def test_parts_of_a_fruit_are_drawn_without_what_parts_them(segmenter: Segmenter) -> None:
+    line = [(100, 200), (520, 200)]
+    picture, truth = drawn(480, 640, line, thick=60), tube(480, 640, line, 60)
+    before = tube(480, 640, [(310, 0), (310, 479)], 70)
+    picture[before] = (200, 60, 60)
+    truth &= ~before
+    fruit = Instance(box_of_mask(truth), 0.8, detector_mask=truth)
+    (found,) = segmenter.segment(picture, [fruit])
+    assert iou(found.mask, truth) > 0.9
+    assert found.mask is not None
+    assert (found.mask & before).sum() < 0.02 * truth.sum()
+
+
+def test_no_pixel_is_of_two_fruit(segmenter: Segmenter) -> None:
+    across = [(200, 60), (200, 420)]
+    picture = drawn(480, 640, LEFT, across)
+    fruit = [
+        Instance(box_of_mask(tube(480, 640, curve)), score)
+        for curve, score in ((LEFT, 0.8), (across, 0.9))
+    ]
+    masks = [one.mask for one in segmenter.segment(picture, fruit) if one.mask is not None]
+    assert masks
+    assert np.sum(masks, axis=0).max() == 1
+
+
 def test_no_fruit_gives_no_instances(segmenter: Segmenter) -> None:
     assert segmenter.segment(np.zeros((48, 64, 3), np.uint8), []) == ()
 

@@ -6,8 +6,13 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from cucumbervision.errors import ModelError
-from cucumbervision.perception.yolo import YoloDetector, choose_raw, choose_rows
+from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.perception.yolo import (
+    YoloDetector,
+    choose_raw,
+    choose_rows,
+    parse_input_sizes,
+)
 
 onnx = pytest.importorskip("onnx")
 
@@ -131,6 +136,43 @@ def test_free_size_pads_to_the_stride_only() -> None:
     graph = network(rows, props=props, shape=(1, 3, "height", "width"))
     (fruit,) = YoloDetector(graph).detect(PICTURE)
     assert fruit.box.tolist() == [7.5, 19.5, 39.5, 29.5]
+
+
+FREE = (1, 3, "height", "width")
+
+
+def test_an_input_size_scales_the_picture_and_is_told() -> None:
+    # The network sees this box whatever the size: at 128 px it is half as large in the picture.
+    rows = chosen([8, 4, 40, 12, 0.8, 0])
+    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    (own,) = YoloDetector(free).detect(PICTURE)
+    (large,) = YoloDetector(free, input_sizes=(128,)).detect(PICTURE)
+    assert (own.box.tolist(), own.input_size_px) == ([7.5, 3.5, 39.5, 11.5], 64)
+    assert (large.box.tolist(), large.input_size_px) == ([3.5, 1.5, 19.5, 5.5], 128)
+    both = YoloDetector(free, input_sizes=(64, 128)).detect(PICTURE)
+    assert sorted(one.input_size_px or 0 for one in both) == [64, 128]
+
+
+def test_what_two_sizes_find_alike_is_found_once() -> None:
+    # Beyond the input at either size: the whole picture.
+    rows = chosen([0, 0, 900, 900, 0.8, 0], [0, 0, 900, 900, 0.6, 1])
+    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    found = YoloDetector(free, input_sizes=(64, 128)).detect(PICTURE)
+    assert [one.class_name for one in found] == ["cucumber", "leaf"]
+    assert [one.confidence for one in found] == pytest.approx([0.8, 0.6])
+
+
+def test_a_network_of_one_size_refuses_another() -> None:
+    fixed = network(chosen([8, 20, 40, 30, 0.8, 0]), props=CUCUMBER | {"end2end": True})
+    assert len(YoloDetector(fixed, input_sizes=(64,)).detect(PICTURE)) == 1
+    with pytest.raises(ModelError, match="takes 64x64 only, not 128"):
+        YoloDetector(fixed, input_sizes=(128,))
+
+
+@pytest.mark.parametrize("text", ["650", "0", "-32", "640,", "640;960", "1e3", "4128"])
+def test_what_is_no_input_size_is_refused(text: str) -> None:
+    with pytest.raises(CucumberVisionError, match="is no input size"):
+        parse_input_sizes(text)
 
 
 def test_box_on_the_grey_border_is_left_out() -> None:

@@ -6,6 +6,7 @@ from enum import StrEnum
 
 __all__ = [
     "EXIT_CODES",
+    "INPUT_SIZE",
     "PromptChoice",
     "RuntimeChoice",
     "SegmenterChoice",
@@ -17,6 +18,13 @@ EXIT_CODES = (
     "of the software was met, the rest was done; 130 interrupted."
 )
 """What commands that work through many captures exit with; shown by their --help."""
+
+
+INPUT_SIZE = (
+    "Long side of what the networks see, pixels: a multiple of 32, or several joined by commas, "
+    "whose finds are merged. Without it each network's own."
+)
+"""Help of `--input-size`."""
 
 
 class SegmenterChoice(StrEnum):

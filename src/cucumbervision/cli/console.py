@@ -20,6 +20,7 @@ from rich.table import Table
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.intake.recordings import open_guarded
+from cucumbervision.measurement.result import LOWER_BOUND
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.pipeline.run import count_captures, measure_inputs
 
@@ -113,13 +114,18 @@ def _cells(row: Mapping[str, Any], ran: Sequence[str]) -> list[str]:
     return [
         row["capture"],
         str(row["fruit"]),
-        _number(row["length_cm"]),
+        _length(row),
         _interval(row),
         row["method"] or "",
         row["length_kind"] or "",
         *(_number(row[f"{method}_cm"]) for method in ran),
         "; ".join(part for part in remarks if part),
     ]
+
+
+def _length(row: Mapping[str, Any]) -> str:
+    bound = row["length_cm"] is not None and not LOWER_BOUND.isdisjoint(row["flags"].split())
+    return f"≥ {_number(row['length_cm'])}" if bound else _number(row["length_cm"])
 
 
 def _interval(row: Mapping[str, Any]) -> str:

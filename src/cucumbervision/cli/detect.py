@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import PromptChoice, RuntimeChoice, SegmenterChoice
+from cucumbervision.cli.choices import INPUT_SIZE, PromptChoice, RuntimeChoice, SegmenterChoice
 
 __all__ = ["detect"]
 
@@ -39,6 +39,7 @@ def detect(
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write annotated pictures.")
     ] = True,
+    input_size: Annotated[str, typer.Option(help=INPUT_SIZE, metavar="PX[,PX]")] = "",
     runtime: Annotated[
         RuntimeChoice, typer.Option(help="What runs the networks.")
     ] = RuntimeChoice.auto,
@@ -54,6 +55,7 @@ def detect(
 ) -> None:
     """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
     from cucumbervision.cli.detect_console import run_and_show
+    from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision.pipeline.detect import DetectOptions
 
     options = DetectOptions(
@@ -62,6 +64,7 @@ def detect(
         segmenter=segmenter.value,
         prompt=prompt.value,
         confidence=confidence,
+        input_sizes=parse_input_sizes(input_size),
         runtime=runtime.value,
         full_precision=not fast,
         overlays=overlays,

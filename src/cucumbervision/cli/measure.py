@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision.cli.choices import (
+    INPUT_SIZE,
     PromptChoice,
     RuntimeChoice,
     SegmenterChoice,
@@ -64,6 +65,7 @@ def measure(
     calibration: Annotated[
         Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
     ] = None,
+    input_size: Annotated[str, typer.Option(help=INPUT_SIZE, metavar="PX[,PX]")] = "",
     runtime: Annotated[
         RuntimeChoice, typer.Option(help="What runs the networks.")
     ] = RuntimeChoice.auto,
@@ -89,6 +91,7 @@ def measure(
     """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import run_and_show
+    from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions, parse_methods
 
     options = MeasureOptions(
@@ -100,6 +103,7 @@ def measure(
         selector=selector,
         length=length,
         confidence=confidence,
+        input_sizes=parse_input_sizes(input_size),
         runtime=runtime.value,
         full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),

@@ -86,12 +86,14 @@ def add(
         LengthDefinition, typer.Option(help="As in `measure`.")
     ] = LengthDefinition.THREAD,
     confidence: Annotated[float, typer.Option(min=0.0, max=1.0, help="As in `measure`.")] = 0.30,
+    input_size: Annotated[str, typer.Option(help="As in `measure`.", metavar="PX[,PX]")] = "",
     calibration: Annotated[Path | None, typer.Option(help="Site's calibration.")] = None,
     runtime: Annotated[RuntimeChoice, typer.Option(help="As in `measure`.")] = RuntimeChoice.auto,
     images: Images = None,
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
     from cucumbervision.cli.round_console import add_and_show
+    from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.poses import read_poses
@@ -105,6 +107,7 @@ def add(
         instances=instances,
         length=length,
         confidence=confidence,
+        input_sizes=parse_input_sizes(input_size),
         runtime=runtime.value,
         calibration=calibration,
     )

@@ -68,6 +68,7 @@ class Units:
 
 
 Share = Annotated[float, Field(ge=0.05, le=0.95)]
+InputSize = Annotated[int, Field(ge=32, le=4096, multiple_of=32)]
 
 
 class Settings(BaseModel):
@@ -83,6 +84,8 @@ class Settings(BaseModel):
         Frames fused to one capture.
     confidence : float
         Detections below it are left out.
+    input_sizes : tuple of int
+        Long sides that the networks see, as `MeasureOptions.input_sizes`; empty for their own.
     selector, length : Selector, LengthDefinition
         As in `MeasureOptions`.
     fruit_from : {'auto', 'models', 'dataset'}
@@ -101,6 +104,7 @@ class Settings(BaseModel):
     unit: Literal["cm", "in"] = "cm"
     burst: Annotated[int, Field(ge=1, le=15)] = 5
     confidence: Share = 0.30
+    input_sizes: Annotated[tuple[InputSize, ...], Field(max_length=2)] = ()
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.THREAD
     fruit_from: Annotated[
@@ -137,6 +141,7 @@ class Settings(BaseModel):
             selector=self.selector,
             length=self.length,
             confidence=self.confidence,
+            input_sizes=self.input_sizes,
             full_precision=self.full_precision,
             reading=ReadOptions(burst=self.burst),
             calibration=Path(self.calibration) if self.calibration else None,

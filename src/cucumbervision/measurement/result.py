@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance, MaskSource
 
 __all__ = [
+    "LOWER_BOUND",
     "Choice",
     "Flag",
     "FruitMeasurement",
@@ -129,6 +130,10 @@ class Flag(StrEnum):
     NOT_COVERED = "calibration-not-covered"
     OTHER_MASK = "calibration-other-mask"
     OUTSIDE_RANGE = "outside-calibrated-range"
+
+
+LOWER_BOUND = frozenset({Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN})
+"""Flags of a fruit that goes on out of sight: it is at least as long as was measured."""
 
 
 @dataclass(frozen=True)
@@ -308,6 +313,11 @@ class FruitMeasurement:
     def traits(self) -> TubeTraits | None:
         """Lengths, bend, diameters, volume and tilt of the fitted tube."""
         return None if self.fit is None else self.fit.traits
+
+    @property
+    def at_least(self) -> bool:
+        """Whether the fruit goes on out of sight, so that its length is a lower bound."""
+        return not LOWER_BOUND.isdisjoint(self.flags)
 
     def flagged(self, *flags: Flag) -> Self:
         """Return the same with further flags."""

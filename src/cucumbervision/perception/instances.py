@@ -5,6 +5,9 @@ Three ways in which a fruit is found more than once are known by the masks: two 
 makes of a fruit beside the whole (each lies in it). Pieces without the whole share no pixel; only
 a pose network that sees one fruit over both tells them from two fruit in a row. Boxes alone say
 little, since fruit that cross have boxes within each other.
+
+A mask over two fruit side by side is told from the whole of a piece by its thickness, and loses
+to the neighbour what is the neighbour's.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.perception.boxes import box_areas, box_iou
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.perception.masks import box_of_mask, disjoint_masks, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,9 +31,11 @@ __all__ = [
     "SKELETON",
     "Instance",
     "MaskSource",
+    "apart",
     "each_once",
     "join_pieces",
     "merge_instances",
+    "visible_mask",
     "with_keypoints",
 ]
 
@@ -81,6 +86,9 @@ class Instance:
     end_confidence : float, optional
         How probable it is that `keypoints` run from blossom to stem and not the other way; None
         where the pose network itself is said to know.
+    input_size_px : int, optional
+        Long side of the network's input at which it was found, pixels; None for what no network
+        found.
     """
 
     box: NDArray[np.float64]
@@ -92,6 +100,7 @@ class Instance:
     keypoints: NDArray[np.float64] | None = None
     mask_failure: str = ""
     end_confidence: float | None = None
+    input_size_px: int | None = None
 
 
 SAME_IOU = 0.5  # of two masks of one fruit
@@ -100,6 +109,8 @@ SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
 TRUSTED = 0.5  # of the best confidence, which the largest mask needs to be kept
 SPAN_IOU = 0.75  # of a pose's box with the common box of the pieces that it joins
 OWN_IOU = 0.5  # of a piece's box with that of another pose, whose fruit it is then
+THICKER = 1.6  # of a mask over two fruit side by side, to the one of them that is found too
+MUCH_CUT = 0.3  # of a mask given to others, from which on its box no longer holds
 OFF_LINE = 0.15  # of the pose's length: how far from its line a piece's middle may lie
 
 
@@ -109,9 +120,10 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     Two instances are one fruit when their masks have an IoU of at least 0.5, or when 80 % of the
     smaller mask lies in the larger; without masks, when their boxes have an IoU of at least 0.7.
     Fruit that cross share their crossing only: about the thickness over the length of the thinner
-    one. An instance that holds two or more others which are not one fruit is the fruit that they
-    are pieces of if its confidence is at least their mean, else a box around several fruit, and
-    goes.
+    one. A mask that holds another but is 1.6 times as thick, is believed less, and without it is
+    about the same again beside it, lies over two fruit: they stay two. An instance that holds two
+    or more others which are not one fruit is the fruit that they are pieces of if its confidence
+    is at least their mean, else a box around several fruit, and goes.
 
     Parameters
     ----------
@@ -215,6 +227,37 @@ def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Ins
     return with_keypoints(join_pieces(found, poses), poses)
 
 
+def apart(
+    instances: Sequence[Instance], depth_m: NDArray[np.float32] | None = None
+) -> tuple[Instance, ...]:
+    """Give each pixel that several masks share to one fruit, as `disjoint_masks` does.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+        After `merge_instances`; `detector_mask` is shared out.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Metres; 0 where there is no reading.
+
+    Returns
+    -------
+    tuple of Instance
+        In their order. Where a mask loses 30 % or more its box is drawn anew; a fruit of which
+        nothing is left goes.
+    """
+    masks = [one.detector_mask for one in instances]
+    left = disjoint_masks(masks, [one.confidence for one in instances], depth_m)
+    out = []
+    for one, before, after in zip(instances, masks, left, strict=True):
+        if before is None or after is None or after is before:
+            out.append(one)
+        elif after.any():
+            much = np.count_nonzero(after) < (1 - MUCH_CUT) * np.count_nonzero(before)
+            box = box_of_mask(after) if much else one.box
+            out.append(replace(one, box=box, detector_mask=after))
+    return tuple(out)
+
+
 def with_keypoints(
     instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float = 0.5
 ) -> tuple[Instance, ...]:
@@ -271,14 +314,15 @@ class _Region:
 
     @classmethod
     def of(cls, instance: Instance) -> _Region:
-        mask = _mask(instance)
+        mask = visible_mask(instance)
         window = None if mask is None else mask_window(mask)
         if mask is None or window is None:
             return cls(instance, None, None, float(box_areas(instance.box[None])[0]))
         return cls(instance, mask, window, float(np.count_nonzero(mask[window])))
 
 
-def _mask(instance: Instance) -> NDArray[np.bool_] | None:
+def visible_mask(instance: Instance) -> NDArray[np.bool_] | None:
+    """Return the detector's own mask, or without one that which is measured."""
     return instance.mask if instance.detector_mask is None else instance.detector_mask
 
 
@@ -301,11 +345,38 @@ def _same(a: _Region, b: _Region) -> bool:
     if a.mask is None or b.mask is None:
         return box_iou(a.instance.box, b.instance.box) >= SAME_BOX_IOU
     shared = _shared(a, b)
-    return shared >= SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b)
+    if shared >= SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b):
+        return not _over_two(*sorted((a, b), key=lambda one: one.area))
+    return False
 
 
 def _inside(shared: float, a: _Region, b: _Region) -> bool:
     return shared >= INSIDE * min(a.area, b.area)
+
+
+def _over_two(part: _Region, whole: _Region) -> bool:
+    """Return whether a mask lies over the fruit of another and over a fruit beside it."""
+    if whole.mask is None or part.mask is None or whole.window is None:
+        return False
+    if whole.instance.confidence > part.instance.confidence:
+        return False
+    rest = whole.mask[whole.window] & ~part.mask[whole.window]
+    sides = [_sides(one) for one in (part.mask[whole.window], whole.mask[whole.window], rest)]
+    (long, thick), (_, of_both), (of_rest, thick_rest) = sides
+    return (
+        of_both >= THICKER * thick
+        and thick / THICKER <= thick_rest <= THICKER * thick
+        and of_rest >= long / 2
+    )
+
+
+def _sides(mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the longer and the shorter side of the rectangle with a mask's second moments."""
+    v, u = np.nonzero(mask)
+    if len(v) < 2:
+        return 0.0, 0.0
+    short, long = np.sqrt(12 * np.clip(np.linalg.eigvalsh(np.cov(np.stack([u, v]))), 0, None))
+    return float(long), float(short)
 
 
 def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
@@ -339,7 +410,7 @@ def _kept(group: Sequence[_Region]) -> Instance:
 
 
 def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
-    mask = _mask(one)
+    mask = visible_mask(one)
     if pose.keypoints is None or mask is None or not mask.any():
         return False
     if any(box_iou(one.box, other.box) >= OWN_IOU for other in poses if other is not pose):
@@ -362,7 +433,7 @@ def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:
 
 def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance) -> Instance:
     best = max(pieces, key=lambda one: one.confidence)
-    masks = [mask for one in pieces if (mask := _mask(one)) is not None]
+    masks = [mask for one in pieces if (mask := visible_mask(one)) is not None]
     mask = np.logical_or.reduce(masks)
     return replace(
         best,

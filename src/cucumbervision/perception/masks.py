@@ -17,6 +17,7 @@ __all__ = [
     "Rle",
     "box_of_mask",
     "decode_rle",
+    "disjoint_masks",
     "encode_rle",
     "fill_polygon",
     "mask_iou",
@@ -101,6 +102,106 @@ def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
     True
     """
     return 0.0 if a is None else float(mask_ious(a[None], b)[0])
+
+
+SWALLOWED = 0.5  # share of the smaller mask in the larger: then the larger has swallowed it
+ONE_IOU = 0.8  # two masks of one thing, which is nobody's neighbour
+_BESIDE_PX = 8
+NEARER = 0.01  # of the distance: what tells by depth which of two lies in front
+
+
+def disjoint_masks(
+    masks: Sequence[NDArray[np.bool_] | None],
+    scores: Sequence[float],
+    depth_m: NDArray[np.float32] | None = None,
+) -> list[NDArray[np.bool_] | None]:
+    """Give each pixel that two masks share to one of them.
+
+    The smaller one gets it where the larger holds half of it or more, and so has swallowed it;
+    else the one whose own pixels are nearer in depth to what both share; else the surer one.
+
+    Parameters
+    ----------
+    masks : sequence of ndarray of bool, shape (H, W), or None
+        Of different fruit; two with an IoU of 0.8 or more are of one, and keep what they share.
+    scores : sequence of float
+        How sure each is.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Metres; 0 where there is no reading.
+
+    Returns
+    -------
+    list of ndarray of bool, shape (H, W), or None
+        In the same order. Where nothing is shared the very array that was given.
+
+    Examples
+    --------
+    >>> left, both = np.zeros((2, 1, 6), bool)
+    >>> left[0, :3] = both[0, :] = True
+    >>> [mask.astype(int).tolist() for mask in disjoint_masks([left, both], [0.5, 0.9])]
+    [[[1, 1, 1, 0, 0, 0]], [[0, 0, 0, 1, 1, 1]]]
+    """
+    kept = list(masks)
+    windows = [None if mask is None else mask_window(mask) for mask in masks]
+    for j, of_b in enumerate(windows):
+        for i, of_a in enumerate(windows[:j]):
+            a, b = kept[i], kept[j]
+            if a is None or b is None or of_a is None or of_b is None:
+                continue
+            rows, columns = (
+                slice(max(one.start, other.start), min(one.stop, other.stop))
+                for one, other in zip(of_a, of_b, strict=True)
+            )
+            if not (a[rows, columns] & b[rows, columns]).any():
+                continue
+            loser = _loser((a, b), (scores[i], scores[j]), depth_m)
+            if loser is not None:
+                kept[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
+    return kept
+
+
+def _loser(
+    pair: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    scores: tuple[float, float],
+    depth_m: NDArray[np.float32] | None,
+) -> int | None:
+    """Return which of two masks that overlap gives up what they share; None if neither does."""
+    a, b = pair
+    shared = a & b
+    areas = int(np.count_nonzero(a)), int(np.count_nonzero(b))
+    count = int(np.count_nonzero(shared))
+    if count >= ONE_IOU * (sum(areas) - count):
+        return None
+    if count >= SWALLOWED * min(areas):
+        return int(areas[1] > areas[0])
+    far_m = _distances(shared, pair, depth_m)
+    if all(far_m):
+        off = [abs(one - far_m[0]) for one in far_m[1:]]
+        if abs(off[0] - off[1]) > NEARER * far_m[0]:
+            return int(off[1] > off[0])
+    return int(scores[1] <= scores[0])
+
+
+def _distances(
+    shared: NDArray[np.bool_],
+    pair: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    depth_m: NDArray[np.float32] | None,
+) -> list[float]:
+    """Return the median depth of what two masks share and of each one's own beside it, metres.
+
+    0 without a reading. A fruit that lies askew is at its other end at another depth.
+    """
+    window = mask_window(shared)
+    if depth_m is None or window is None:
+        return [0.0]
+    margin = max(_BESIDE_PX, *(part.stop - part.start for part in window))
+    around = mask_window(shared, margin) or window
+    medians = []
+    for mask in (shared, *(one & ~shared for one in pair)):
+        readings = depth_m[around][mask[around]]
+        readings = readings[readings > 0]
+        medians.append(float(np.median(readings)) if readings.size else 0.0)
+    return medians
 
 
 def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> NDArray[np.bool_]:

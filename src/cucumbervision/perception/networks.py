@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.ends import EndTeller
-from cucumbervision.perception.instances import each_once, merge_instances
+from cucumbervision.perception.instances import apart, each_once, merge_instances
+from cucumbervision.perception.pieces import join_across
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.sam import Segmenter
 from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
@@ -47,13 +48,17 @@ class Detectors:
         """Whether fruit may come with keypoints."""
         return self._pose is not None or self._detector.task == "pose"
 
-    def find(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+    def find(
+        self, color_rgb: NDArray[np.uint8], depth_m: NDArray[np.float32] | None = None
+    ) -> tuple[Instance, ...]:
         """Find the fruit of one picture, each once.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
+        depth_m : ndarray of float32, shape (H, W), optional
+            Metres, aligned to colour: tells what lies in front.
 
         Returns
         -------
@@ -62,11 +67,14 @@ class Detectors:
         """
         found = self._detector.detect(color_rgb)
         pose = self._pose.detect(color_rgb) if self._pose is not None and found else ()
-        return each_fruit_once(found, pose)
+        return each_fruit_once(found, pose, color_rgb, depth_m)
 
 
 def each_fruit_once(
-    detected: Sequence[Instance], posed: Sequence[Instance]
+    detected: Sequence[Instance],
+    posed: Sequence[Instance],
+    color_rgb: NDArray[np.uint8],
+    depth_m: NDArray[np.float32] | None = None,
 ) -> tuple[Instance, ...]:
     """Return what is reported of a detector's and a pose network's detections of one picture.
 
@@ -76,14 +84,18 @@ def each_fruit_once(
         Of the detector: the fruit.
     posed : sequence of Instance
         Of the pose network, whose keypoints they get; empty without one.
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Metres, aligned to colour.
 
     Returns
     -------
     tuple of Instance
-        Each fruit once, best first.
+        Each fruit once, best first; no pixel is of two masks.
     """
-    found = merge_instances(detected)
-    return each_once(found, posed) if posed and found else found
+    found = join_across(merge_instances(detected), color_rgb, depth_m)
+    return apart(each_once(found, posed) if posed and found else found, depth_m)
 
 
 class NetworkLoader:
@@ -103,6 +115,8 @@ class NetworkLoader:
         Compute in float32.
     most : int, optional
         Detections a picture at most.
+    input_sizes : tuple of int
+        Long sides that detector and pose network see, pixels; empty for each file's own.
     models : list of dict, optional
         Gets name, task, SHA-256 and runtime of each network that is loaded.
 
@@ -124,12 +138,13 @@ class NetworkLoader:
         prompt: str = "box+point",
         full_precision: bool = False,
         most: int | None = None,
+        input_sizes: tuple[int, ...] = (),
         models: list[dict[str, Any]] | None = None,
     ) -> None:
         self.registry = registry or load_registry()
         self.models: list[dict[str, Any]] = [] if models is None else models
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
-        self._confidence, self._most = confidence, most
+        self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str, Segmenter] = {}
 
@@ -163,6 +178,7 @@ class NetworkLoader:
             self._confidence,
             full_precision=self._full_precision,
             most=self._most,
+            input_sizes=self._input_sizes,
         )
         if isinstance(chosen, str):
             self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)

@@ -17,7 +17,7 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, mask_ious
+from cucumbervision.perception.masks import box_of_mask, disjoint_masks, mask_iou, mask_ious
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.resize import (
     mask_from_logits,
@@ -49,6 +49,9 @@ _MIN_BOX_IOU = 0.5
 
 _MIN_AGREEMENT = 0.6
 """Least IoU with the detector's own mask, where there is one, that a mask is taken with."""
+
+_LEAST_PART = 0.1
+"""Of the detector's mask, what a part must be to be drawn by itself."""
 
 _TOGETHER = 4  # prompts in one call of the decoder: more would only need more memory
 
@@ -138,8 +141,22 @@ class Segmenter:
         Notes
         -----
         SAM gives several masks, each with the IoU that it expects. Where the detector drew a mask,
-        the sum of that and the IoU with the detector's decides; else it alone.
+        the sum of that and the IoU with the detector's decides; else it alone. The parts of a fruit
+        left and right of what hides it are drawn one by one: the middle of their common box lies
+        on what hides it. No pixel is of two fruit's masks.
         """
+        parts = [_parts(instance) for instance in instances]
+        drawn = iter(self._drawn(color_rgb, [one for some in parts for one in some]))
+        whole = [
+            _whole(instance, [next(drawn) for _ in some])
+            for instance, some in zip(instances, parts, strict=True)
+        ]
+        return _apart(whole)
+
+    def _drawn(
+        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
+    ) -> tuple[Instance, ...]:
+        """Draw a mask for each, as if it were in one part."""
         height, width = color_rgb.shape[:2]
         boxes = [_clip(instance.box, height, width) for instance in instances]
         seen = {i: box for i, box in enumerate(boxes) if box is not None}
@@ -289,6 +306,53 @@ def _with_mask(
     if fault:
         return _without_mask(instance, fault)
     return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
+
+
+def _parts(instance: Instance) -> tuple[Instance, ...]:
+    """Return an instance for each part of the detector's mask; itself where there is one only."""
+    import cv2
+
+    own = instance.detector_mask
+    if own is None:
+        return (instance,)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(own.view(np.uint8), connectivity=8)
+    areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
+    least = max(_MIN_MASK_PX, _LEAST_PART * areas[1:].sum())
+    masks = [np.asarray(labels) == k for k in range(1, count) if areas[k] >= least]
+    if len(masks) < 2:
+        return (instance,)
+    return tuple(replace(instance, box=box_of_mask(one), detector_mask=one) for one in masks)
+
+
+def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
+    """Return an instance with the masks of its parts as one; refused where one of them is."""
+    masks = [one.mask for one in drawn if one.mask is not None]
+    if len(masks) < len(drawn):
+        fault = next(one.mask_failure for one in drawn if one.mask is None)
+        return _without_mask(instance, fault)
+    mask = masks[0] if len(masks) == 1 else np.logical_or.reduce(masks)
+    return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
+
+
+def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
+    """Give each pixel to one fruit; a mask of which too little is left is refused."""
+    masks = [one.mask for one in instances]
+    left = disjoint_masks(masks, [one.confidence for one in instances])
+    out = []
+    for one, before, after in zip(instances, masks, left, strict=True):
+        if after is None or after is before:
+            out.append(one)
+        elif np.count_nonzero(after) < _MIN_MASK_PX:
+            out.append(_without_mask(one, "mask-small"))
+        elif not _agrees(after, one.detector_mask):
+            out.append(_without_mask(one, "mask-off-detector"))
+        else:
+            out.append(replace(one, mask=after))
+    return tuple(out)
+
+
+def _agrees(mask: NDArray[np.bool_], own: NDArray[np.bool_] | None) -> bool:
+    return own is None or not own.any() or mask_iou(own, mask) >= _MIN_AGREEMENT
 
 
 def _without_mask(instance: Instance, fault: str) -> Instance:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.errors import ModelError
+from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.boxes import suppress
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -33,6 +33,8 @@ __all__ = [
     "YoloLayout",
     "choose_raw",
     "choose_rows",
+    "one_of_each",
+    "parse_input_sizes",
 ]
 
 ONE_TO_ONE_KEY = "one2one"
@@ -318,6 +320,78 @@ def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
+_SIZE_STEP_PX, _LARGEST_PX = 32, 4096
+
+
+def parse_input_sizes(text: str) -> tuple[int, ...]:
+    """Read what `--input-size` is given: a size in pixels, or several for their merged finds.
+
+    Parameters
+    ----------
+    text : str
+        Multiples of 32 up to 4096, joined by commas; empty for the network's own size.
+
+    Returns
+    -------
+    tuple of int
+        Each size once, the smallest first.
+
+    Raises
+    ------
+    CucumberVisionError
+        For anything else.
+
+    Examples
+    --------
+    >>> parse_input_sizes("1280,640"), parse_input_sizes("")
+    ((640, 1280), ())
+    """
+    parts = [part.strip() for part in text.split(",")] if text.strip() else []
+    sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
+    if not all(0 < size <= _LARGEST_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
+        raise CucumberVisionError(
+            f"{text!r} is no input size",
+            source="--input-size",
+            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {_LARGEST_PX}, such as 640, "
+            "or several joined by commas",
+        )
+    return tuple(sorted(sizes))
+
+
+def one_of_each(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
+    """Return what a network finds at several sizes, what it finds twice once, best first.
+
+    Parameters
+    ----------
+    found : sequence of sequence of Instance
+        Of each size; those of a single size stay as they are.
+
+    Returns
+    -------
+    tuple of Instance
+        Of boxes of one class that overlap by an IoU of more than 0.7, the best. Finds that agree
+        less are joined by their masks, as those of one size are (`merge_instances`).
+
+    Examples
+    --------
+    >>> one = Instance(np.array([0.0, 0, 100, 20]), 0.8, input_size_px=640)
+    >>> two = Instance(np.array([0.0, 0, 98, 20]), 0.9, input_size_px=1280)
+    >>> [(best.confidence, best.input_size_px) for best in one_of_each([[one], [two]])]
+    [(0.9, 1280)]
+    """
+    every = [one for some in found for one in some]
+    if len(found) < 2 or not every:
+        return tuple(every)
+    names = sorted({one.class_name for one in every})
+    kept = suppress(
+        np.array([one.box for one in every]),
+        np.array([one.confidence for one in every]),
+        np.array([names.index(one.class_name) for one in every]),
+        _NMS_IOU,
+    )
+    return tuple(sorted((every[k] for k in kept), key=lambda one: -one.confidence))
+
+
 DEFAULT_CONFIDENCE = 0.30
 
 _KEYPOINTS = 5
@@ -344,11 +418,15 @@ class YoloDetector:
     most : int, optional
         Detections a picture at most, the best ones: with next to no least confidence there are
         hundreds, and each mask is drawn at full size.
+    input_sizes : tuple of int
+        Long sides that the network sees, pixels, multiples of its stride; what it finds at several
+        is merged. Empty for the file's own.
 
     Raises
     ------
     ModelError
-        If the file cannot be loaded, or is no YOLO network for one picture at a time.
+        If the file cannot be loaded, is no YOLO network for one picture at a time, or takes
+        another size only.
     """
 
     def __init__(
@@ -359,11 +437,14 @@ class YoloDetector:
         full_precision: bool = False,
         most: int | None = None,
         ends: EndTeller | None = None,
+        input_sizes: tuple[int, ...] = (),
     ) -> None:
         self._network = open_network(path, runtime, full_precision=full_precision)
         self._most, self.ends = most, ends
         self._layout = _read_layout(self._network)
         self._confidence = confidence
+        self._sizes_px = tuple((side, side) for side in input_sizes) or (self._layout.size_px,)
+        self._check_sizes()
         if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
             _log.warning(
                 "%s: it gives %d keypoints, a fruit has %d; only its boxes are used",
@@ -393,7 +474,7 @@ class YoloDetector:
         return self._network.runtime
 
     def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
-        """Find fruit in one picture.
+        """Find fruit in one picture, at every input size.
 
         Parameters
         ----------
@@ -412,9 +493,36 @@ class YoloDetector:
         ModelError
             If the network fails, or its output has no known layout.
         """
+        found = one_of_each([self._detect_at(color_rgb, size_px) for size_px in self._sizes_px])
+        found = found[: self._most]
+        if not self._layout.by_place:
+            return found
+        if self.ends is None:
+            return tuple(replace(one, end_confidence=0.5) for one in found)
+        return self.ends.tell(color_rgb, found)
+
+    def _check_sizes(self) -> None:
+        layout = self._layout
+        for size_px in self._sizes_px:
+            if not layout.free_size and size_px != layout.size_px:
+                raise ModelError(
+                    f"it takes {layout.size_px[1]}x{layout.size_px[0]} only, not {size_px[0]}",
+                    source=layout.source,
+                    remedy="leave --input-size out, or export the network with dynamic sizes",
+                )
+            if size_px[0] % layout.stride_px:
+                raise ModelError(
+                    f"its input must be a multiple of {layout.stride_px}, not {size_px[0]}",
+                    source=layout.source,
+                    remedy="choose another --input-size",
+                )
+
+    def _detect_at(
+        self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int]
+    ) -> tuple[Instance, ...]:
         layout = self._layout
         height, width = color_rgb.shape[:2]
-        box = fit(height, width, layout.size_px, minimal=layout.free_size, stride=layout.stride_px)
+        box = fit(height, width, size_px, minimal=layout.free_size, stride=layout.stride_px)
         planes = np.ascontiguousarray(box.apply(color_rgb).transpose(2, 0, 1)[None])
         # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
         picture = np.divide(planes, np.float32(255), dtype=np.float32)
@@ -428,11 +536,7 @@ class YoloDetector:
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
         found = self._instances(rows[: self._most], prototypes, box)
-        if not layout.by_place:
-            return found
-        if self.ends is None:
-            return tuple(replace(one, end_confidence=0.5) for one in found)
-        return self.ends.tell(color_rgb, found)
+        return tuple(replace(one, input_size_px=max(size_px)) for one in found)
 
     def _instances(
         self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox

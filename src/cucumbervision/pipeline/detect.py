@@ -183,6 +183,8 @@ class DetectOptions:
         SAM's prompt: 'box+point', 'box' or 'point'.
     confidence : float
         Detections below it are left out.
+    input_sizes : tuple of int
+        Long sides that the networks see, as in `MeasureOptions`.
     runtime : str
         What runs the networks.
     full_precision : bool
@@ -196,6 +198,7 @@ class DetectOptions:
     segmenter: str = "mobile-sam"
     prompt: str = "box+point"
     confidence: float = 0.30
+    input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"
     full_precision: bool = True
     overlays: bool = True
@@ -321,6 +324,7 @@ class _Run:
             confidence=options.confidence,
             prompt=options.prompt,
             full_precision=options.full_precision,
+            input_sizes=options.input_sizes,
             models=result.models,
         )
         self._detectors = self._networks.detectors(options.model, options.pose)
@@ -417,6 +421,8 @@ def _coco_fields(one: Instance, *, keypoints: bool) -> dict[str, Any]:
         "bbox": [round(value, 3) for value in box],
         "score": round(one.confidence, 5),
     }
+    if one.input_size_px is not None:
+        entry["input_size"] = one.input_size_px
     mask = one.detector_mask if one.mask is None else one.mask
     if mask is not None:
         entry["segmentation"] = {"size": list(mask.shape), "counts": encode_rle(mask)}

@@ -96,6 +96,7 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         confidence=options.confidence,
         prompt=options.prompt,
         full_precision=options.full_precision,
+        input_sizes=options.input_sizes,
     )
     boxes = _box_finder(options, networks)
     if options.segmenter not in (None, "none"):
@@ -210,7 +211,7 @@ def _auto_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
 
 
 def _network_finder(detectors: Detectors) -> Find:
-    return lambda capture: Found(detectors.find(capture.color))
+    return lambda capture: Found(detectors.find(capture.color, capture.depth_m))
 
 
 def _with_pose(find: Find, pose: YoloDetector | None) -> Find:

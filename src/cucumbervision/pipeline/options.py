@@ -43,6 +43,9 @@ class MeasureOptions:
         Which length `length_cm` holds where a tube was fitted.
     confidence : float
         Detections below it are left out.
+    input_sizes : tuple of int
+        Long sides, pixels, that detector and pose network see; what they find at several is
+        merged. Empty for each network's own.
     runtime : str
         What runs the networks.
     full_precision : bool
@@ -62,6 +65,7 @@ class MeasureOptions:
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.THREAD
     confidence: float = 0.30
+    input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"
     full_precision: bool = True
     reading: ReadOptions = field(default_factory=ReadOptions)

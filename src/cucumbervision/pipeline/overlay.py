@@ -9,7 +9,6 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
-from cucumbervision.measurement.result import Flag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,7 +109,7 @@ def _label(number: int, fruit: FruitMeasurement) -> str:
     if length is None:
         return f"{number}: not measured ({fruit.reason})"
     # What runs on out of sight is longer than what was seen of it.
-    least = "at least " if {Flag.CUT_BY_FRAME, Flag.END_HIDDEN} & set(fruit.flags) else ""
+    least = "at least " if fruit.at_least else ""
     return f"{number}: {least}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
 
 

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
+from cucumbervision.measurement.result import LOWER_BOUND
 
 __all__ = [
     "ArtifactRecord",
@@ -31,7 +32,7 @@ __all__ = [
 Point: TypeAlias = tuple[float, ...]
 
 # What the flags call a fruit of which part is out of sight, and the hidden share that says so too.
-PARTIAL_FLAGS = frozenset({"cut-by-frame", "box-clipped", "end-hidden"})
+PARTIAL_FLAGS = frozenset(map(str, LOWER_BOUND))
 HIDDEN_SHARE = 0.15
 
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")

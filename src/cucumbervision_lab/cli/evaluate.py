@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import RuntimeChoice, SegmenterChoice
+from cucumbervision.cli.choices import INPUT_SIZE, RuntimeChoice, SegmenterChoice
 
 __all__ = ["evaluate_models", "evaluate_photos"]
 
@@ -19,6 +19,7 @@ Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
 Confidence = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
 ]
+InputSize = Annotated[str, typer.Option(help=INPUT_SIZE, metavar="PX[,PX]")]
 
 
 def evaluate_models(
@@ -34,6 +35,7 @@ def evaluate_models(
     ] = SegmenterChoice.mobile_sam,
     runtime: Runtime = RuntimeChoice.auto,
     confidence: Confidence = 0.30,
+    input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
     photos: Annotated[
         Path | None,
@@ -51,6 +53,7 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Compare the networks with labelled pictures: precision, recall, keypoints, masks, lengths."""
+    from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.figures import summarise
     from cucumbervision_lab.detection.report import main_tables, write_detection_report
@@ -68,6 +71,7 @@ def evaluate_models(
         sam_limit,
         tuple(captures or ()),
         photos,
+        parse_input_sizes(input_size),
     )
     with part_bars() as report:
         result = evaluate_detection(plan, report)
@@ -85,9 +89,11 @@ def evaluate_photos(
     pose: Pose = None,
     runtime: Runtime = RuntimeChoice.auto,
     confidence: Confidence = 0.30,
+    input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:
     """Compare the networks with audited real photos: recall and precision, each test apart."""
+    from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.report import photo_tables, write_photo_report
     from cucumbervision_lab.detection.run import evaluate_real_photos
@@ -100,6 +106,7 @@ def evaluate_photos(
             runtime=runtime.value,
             confidence=confidence,
             split=split,
+            input_sizes=parse_input_sizes(input_size),
             report=report,
         )
     show_tables(photo_tables(result))

@@ -31,6 +31,7 @@ from cucumbervision_lab.detection.outcomes import (
     group_scores,
     overall,
 )
+from cucumbervision_lab.detection.parts import PartScore, score_parts
 from cucumbervision_lab.detection.pictures import Stage
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ __all__ = [
     "length_table",
     "overall_table",
     "overlap_table",
+    "part_table",
     "photo_end_table",
     "photo_table",
     "precision_table",
@@ -122,6 +124,9 @@ class Summary:
         Masks.
     lengths : tuple of LengthScore
         Against centreline and thread.
+    parts : tuple of PartScore
+        Fruit in parts and finds over two fruit, where there are masks: of the network alone, and
+        of what is reported.
     fruit, found, end_rows : tuple
         What the figures are of.
     """
@@ -133,6 +138,7 @@ class Summary:
     swapped: Estimate
     overlaps: tuple[OverlapScore, ...]
     lengths: tuple[LengthScore, ...]
+    parts: tuple[PartScore, ...]
     fruit: tuple[FruitRow, ...]
     found: tuple[FoundRow, ...]
     end_rows: tuple[EndRow, ...]
@@ -167,6 +173,10 @@ def summarise(result: DetectionResult) -> Summary:
         swapped,
         tuple(_overlap_scores(result.overlaps)),
         tuple(_length_scores(result.records)),
+        tuple(
+            score_parts(frames, confidence, stage)
+            for stage in ((Stage.SEGMENTED, Stage.KEPT) if "segment" in stages else ())
+        ),
         tuple(fruit),
         tuple(found),
         tuple(ends),
@@ -287,6 +297,19 @@ def group_table(summary: Summary, factor: str) -> Table:
     """Return one factor's groups as a table."""
     named = [(one.group, one) for one in summary.groups if one.factor == factor]
     return _share_table(f"By {factor}", "group", named)
+
+
+def part_table(scores: Sequence[PartScore]) -> Table:
+    """Return what became of fruit in parts and of neighbours as a table."""
+    heads = ["stage", "fruit in parts", "found whole", "in pieces", "one part", "missed"]
+    heads += ["finds", "over two fruit", "pixels in two masks (%):.2"]
+    rows = [(str(one.stage), *list(vars(one).values())[1:]) for one in scores]
+    comment = (
+        "Fruit whose visible mask has two or more parts, since something nearer lies across them: "
+        "held by one find with two parts or more, or each part by a find of its own. A find over "
+        "two fruit holds 30 % of each: parts joined wrongly, or a neighbour swallowed."
+    )
+    return Table.of("Fruit in parts, and neighbours", heads, rows, comment)
 
 
 def end_table(ends: Sequence[EndScore], swapped: Estimate, title: str = "Ends") -> Table:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.pictures import Frame, SeenFruit
 
 __all__ = [
+    "HIDDEN_SHARE",
     "EndRow",
     "FoundRow",
     "FruitRow",
@@ -394,6 +395,9 @@ _DISTANCE_M = (0.0, 0.45, 0.6, 0.75, 0.9, math.inf)
 
 _LONG_PX = (0.0, 50.0, 100.0, 200.0, 300.0, 450.0, math.inf)
 
+HIDDEN_SHARE = "hidden share (%)"
+"""The factor that groups fruit by how much of them is hidden."""
+
 _HIDDEN = (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.01)
 
 
@@ -444,7 +448,7 @@ def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[G
     """
     scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, found)
     scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, found)
-    scores += _by_scale("hidden share (%)", "hidden_share", _HIDDEN, fruit, None)
+    scores += _by_scale(HIDDEN_SHARE, "hidden_share", _HIDDEN, fruit, None)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
         own = [r for r in fruit if r.cut_off is cut]
         seen = [r for r in found if r.cut_off is cut]

@@ -96,6 +96,7 @@ def open_networks(
     runtime: str = "auto",
     confidence: float = 0.30,
     floor: float = FLOOR,
+    input_sizes: tuple[int, ...] = (),
 ) -> Networks:
     """Load the networks.
 
@@ -111,13 +112,21 @@ def open_networks(
         At which detections count.
     floor : float
         Below it there are no detections at all; average precision needs it low.
+    input_sizes : tuple of int
+        Long sides that the detectors see, as in `NetworkLoader`.
 
     Raises
     ------
     ModelError
         If a file cannot be loaded.
     """
-    loader = NetworkLoader(runtime=runtime, confidence=floor, full_precision=True, most=MOST)
+    loader = NetworkLoader(
+        runtime=runtime,
+        confidence=floor,
+        full_precision=True,
+        most=MOST,
+        input_sizes=input_sizes,
+    )
     detector, points = (None if path is None else loader.yolo(path) for path in (segment, pose))
     sam = None if segmenter is None else loader.segmenter(segmenter)
     return Networks(detector, points, sam, confidence, loader.models)
@@ -140,7 +149,7 @@ def detect_picture(
     networks : Networks
         The networks.
     depth_m : ndarray of float32, shape (H, W), optional
-        Tells how far away each detection is.
+        Tells how far away each detection is, and what lies in front of it.
     """
     seconds: dict[str, float] = {}
 
@@ -153,7 +162,8 @@ def detect_picture(
         return found
 
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
-    kept = shipped(segmented if networks.segment else None, posed, networks.confidence)
+    detected = segmented if networks.segment else None
+    kept = shipped(detected, posed, networks.confidence, color, depth_m)
 
     def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
         return tuple(seen_fruit(one, depth_m) for one in found)
@@ -169,7 +179,11 @@ def detect_picture(
 
 
 def shipped(
-    segmented: Sequence[Instance] | None, posed: Sequence[Instance], confidence: float
+    segmented: Sequence[Instance] | None,
+    posed: Sequence[Instance],
+    confidence: float,
+    color_rgb: NDArray[np.uint8],
+    depth_m: NDArray[np.float32] | None = None,
 ) -> tuple[Instance, ...]:
     """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
@@ -181,11 +195,16 @@ def shipped(
         Of the pose network.
     confidence : float
         A score must exceed it.
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Metres, aligned to colour.
     """
     posed = [one for one in posed if one.confidence > confidence]
     if segmented is None:
-        return each_fruit_once(posed, ())
-    return each_fruit_once([one for one in segmented if one.confidence > confidence], posed)
+        return each_fruit_once(posed, (), color_rgb, depth_m)
+    found = [one for one in segmented if one.confidence > confidence]
+    return each_fruit_once(found, posed, color_rgb, depth_m)
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

@@ -26,12 +26,13 @@ from cucumbervision_lab.detection.figures import (
     length_table,
     overall_table,
     overlap_table,
+    part_table,
     photo_end_table,
     photo_table,
     precision_table,
     score_ends,
 )
-from cucumbervision_lab.detection.outcomes import EndRow, FoundRow, FruitRow
+from cucumbervision_lab.detection.outcomes import HIDDEN_SHARE, EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.picture_result import OverlapRow
 from cucumbervision_lab.detection.plots import KINDS, draw_sheet, worst_cases
 
@@ -62,6 +63,7 @@ _CARD_KEYS = (
     "ends",
     "ends_swapped",
     "masks",
+    "parts",
 )
 _LENGTH_COLUMNS = (
     *("fruit", "scene", "masks", "method", "length_m", "centreline_m", "thread_m", "chord_m"),
@@ -104,6 +106,9 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
         On real photos.
     """
     tables = [precision_table(summary), overall_table(summary, confidence)]
+    hidden = group_table(summary, HIDDEN_SHARE)
+    tables += [hidden] if hidden.rows else []
+    tables += [part_table(summary.parts)] if summary.parts else []
     tables += [end_table(summary.ends, summary.swapped)] if summary.ends else []
     tables += [overlap_table(summary)] if summary.overlaps else []
     tables += [length_table(summary, "centreline", "whole")] if summary.lengths else []
@@ -307,6 +312,7 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
         "data set": result.plan.data.name,
         "split": result.plan.split,
         "confidence": result.plan.confidence,
+        "input sizes (px)": list(result.plan.input_sizes) or "each network's own",
         "networks": result.models,
         **seconds,
         "duration (s)": f"{result.duration_s:.0f}",
@@ -328,6 +334,7 @@ def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
         "groups": [_estimates(one, leave=("middle",)) for one in summary.groups],
         **_end_numbers(summary.ends, summary.swapped),
         "masks": [_estimates(one) for one in summary.overlaps],
+        "parts": [_estimates(one) for one in summary.parts],
         "lengths": [
             {**_estimates(one, leave=("metrics",)), **json_value(vars(one.metrics))}
             for one in summary.lengths

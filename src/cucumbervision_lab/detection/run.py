@@ -76,6 +76,8 @@ class DetectionPlan:
         Real captures with true masks, for SAM's prompts.
     photos : Path, optional
         Folder of the audited real photos.
+    input_sizes : tuple of int
+        Long sides that the detectors see, pixels; empty for their own.
     """
 
     data: Path
@@ -89,6 +91,7 @@ class DetectionPlan:
     sam_limit: int = 40
     captures: tuple[Path, ...] = ()
     photos: Path | None = None
+    input_sizes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +184,7 @@ def evaluate_detection(
         plan.segmenter,
         runtime=plan.runtime,
         confidence=plan.confidence,
+        input_sizes=plan.input_sizes,
     )
     measured = {picture.file for picture in spread(held_out.pictures, plan.sam_limit)}
     frames: list[Frame] = []
@@ -211,6 +215,7 @@ def evaluate_detection(
             plan.pose,
             runtime=plan.runtime,
             confidence=plan.confidence,
+            input_sizes=plan.input_sizes,
             report=report,
         )
     return DetectionResult(
@@ -234,6 +239,7 @@ def evaluate_real_photos(
     runtime: str = "auto",
     confidence: float = 0.30,
     split: str = "test",
+    input_sizes: tuple[int, ...] = (),
     report: Callable[[str, int, int], None] | None = None,
 ) -> PhotoResult:
     """Run the networks on the audited photos in a folder, at full and at half size.
@@ -250,6 +256,8 @@ def evaluate_real_photos(
         At which recall and precision are judged.
     split : str
         Of the audit: 'test', 'val' or 'train'.
+    input_sizes : tuple of int
+        Long sides that the detectors see, pixels; empty for their own.
     report : callable, optional
         Called with 'photos', how many were just finished and how many there are.
 
@@ -268,6 +276,7 @@ def evaluate_real_photos(
         runtime=runtime,
         confidence=confidence,
         floor=confidence,
+        input_sizes=input_sizes,
     )
     tell = None if report is None else (lambda count: report("photos", count, len(photos)))
     return evaluate_photos(photos, networks, missing, tell)

@@ -374,12 +374,11 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
     points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
     pieces = [Instance(box_of_mask(m), 0.8, detector_mask=m) for m in (left, right, left)]
     pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)] * with_pose
-    ours = shipped(pieces, pose, 0.3)
+    black = np.zeros((40, 120, 3), np.uint8)
+    ours = shipped(pieces, pose, 0.3, black)
     loaded = [cast(YoloDetector, Replay(*found)) for found in (pieces, pose)]
-    theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(
-        np.zeros((40, 120, 3), np.uint8)
-    )
-    assert len(ours) == len(theirs) == (1 if with_pose else 2)
+    theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(black)
+    assert len(ours) == len(theirs) == 1
     for a, b in zip(ours, theirs, strict=True):
         assert (a.confidence, a.box.tolist()) == (b.confidence, b.box.tolist())
         assert (a.keypoints is None) == (b.keypoints is None)
@@ -389,7 +388,8 @@ def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
     points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
     pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)]
     loaded = [cast(YoloDetector, Replay(*found)) for found in ([], pose)]
-    assert Detectors(*loaded).find(np.zeros((40, 120, 3), np.uint8)) == ()
-    assert shipped([], pose, 0.3) == ()
+    black = np.zeros((40, 120, 3), np.uint8)
+    assert Detectors(*loaded).find(black) == ()
+    assert shipped([], pose, 0.3, black) == ()
     # Without a detector the pose network stands in.
-    assert len(shipped(None, pose, 0.3)) == 1
+    assert len(shipped(None, pose, 0.3, black)) == 1

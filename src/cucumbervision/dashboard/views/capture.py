@@ -26,6 +26,8 @@ __all__ = ["page"]
 
 PREVIEW_PX = 960
 
+INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
+
 
 @page_elements.of_round
 def page(one: RoundView) -> None:
@@ -115,6 +117,16 @@ def _how() -> None:
             burst=st.slider("Frames fused to one capture", 1, 15, now.burst),
             confidence=st.slider(
                 "Least confidence of a detection", 0.05, 0.95, now.confidence, 0.05
+            ),
+            input_sizes=tuple(
+                st.multiselect(
+                    "What the networks see, pixels (long side)",
+                    sorted({*INPUT_SIZES_PX, *now.input_sizes}),
+                    now.input_sizes,
+                    placeholder="Their own size",
+                    max_selections=2,
+                    help="Larger sizes find smaller fruit and take longer; two are merged.",
+                )
             ),
             selector=st.segmented_control(
                 "Method chosen",
@@ -210,11 +222,14 @@ def _lengths(one: RoundView, taken: TakenStop) -> None:
     lines = []
     for seen in taken.result.seen:
         fruit = seen.fruit
+        least = "at least " if fruit.at_least else ""
         found = grade(GradingTraits.from_si(si_values(seen)), profile)
         lines.append(
             {
                 "Fruit": seen.number,
-                "Length": units.text(fruit.length.value_m) if fruit.length else "not measured",
+                "Length": f"{least}{units.text(fruit.length.value_m)}"
+                if fruit.length
+                else "not measured",
                 "Class": grade_name(found),
                 "Method": fruit.method or fruit.reason,
                 "Mask by": fruit.mask_source.words if fruit.mask_source else "no mask",

@@ -1,0 +1,171 @@
+r"""What the detector finds at several input sizes, and what each costs, side by side in one run.
+
+    python benchmarks/input_sizes.py --photos DIR --set SET --split val \
+        --size 640 --size 1280 --size 640,1280 [--limit 40] [--seg SEG.onnx]
+
+Recall and precision at the shipped confidence, on the audited photos of a split (at full size and
+at half of it) and on a labelled set with masks, by hidden share. Each picture is seen once at
+each size; merged sizes are made of the same finds. Processor milliseconds of all threads for a
+frame of 1280x720, with every runtime that is here in turns: on a busy machine the clock on the
+wall says little. Choose a size on val, never on test.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.files import read_color
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.perception.yolo import (
+    DEFAULT_CONFIDENCE,
+    YoloDetector,
+    one_of_each,
+    parse_input_sizes,
+)
+from cucumbervision_lab.detection.outcomes import (
+    HIDDEN_SHARE,
+    found_rows,
+    fruit_rows,
+    group_scores,
+    overall,
+)
+from cucumbervision_lab.detection.photos import audited_photos, half_size
+from cucumbervision_lab.detection.picture_result import MOST, shipped
+from cucumbervision_lab.detection.pictures import (
+    capture_of,
+    frame_of,
+    read_held_out,
+    seen_fruit,
+    spread,
+)
+from cucumbervision_lab.detection.run import chosen_networks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision_lab.detection.pictures import Frame
+
+RUNTIMES = ("onnxruntime", "openvino")
+FRAME_PX = (720, 1280)
+
+Sizes = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One picture: the test that it is of, its truth, colour and depth."""
+
+    test: str
+    truth: Frame
+    color: NDArray[np.uint8]
+    depth_m: NDArray[np.float32] | None = None
+
+
+def pictures(options: argparse.Namespace) -> Iterator[Shown]:
+    """Give the pictures, one at a time: photos, photos at half size, drawn frames."""
+    if options.photos is not None:
+        photos, _ = audited_photos(options.photos, options.split)
+        for photo in spread(tuple(photos), options.limit):
+            color = read_color(photo.path)
+            yield Shown("photos", photo.truth, color)
+            if options.half:
+                yield Shown("photos at half size", *half_size(photo.truth, color))
+    if options.set is not None:
+        held_out = read_held_out(options.set, options.split, options.limit)
+        for picture in held_out.pictures:
+            color = read_color(held_out.data.path(picture))
+            capture = capture_of(picture, held_out.data, color)
+            depth_m = None if capture is None else capture.depth_m
+            yield Shown("drawn", frame_of(picture, held_out.data, depth_m), color, depth_m)
+
+
+def detector(path: Path, runtime: str, sizes: Sizes) -> YoloDetector:
+    """Open the detector at one size."""
+    return YoloDetector(
+        path, runtime, DEFAULT_CONFIDENCE, full_precision=True, most=MOST, input_sizes=sizes
+    )
+
+
+def found_at(path: Path, asked: Sequence[Sizes], shown: Iterator[Shown]) -> dict[str, Any]:
+    """Give the frames by test and by what was asked."""
+    single = {size: detector(path, "auto", (size,)) for sizes in asked for size in sizes}
+    frames: dict[str, dict[Sizes, list[Frame]]] = {}
+    for one in shown:
+        seen = {size: network.detect(one.color) for size, network in single.items()}
+        for sizes in asked:
+            every = one_of_each([seen[size] for size in sizes])
+            kept = shipped(every, (), DEFAULT_CONFIDENCE, one.color, one.depth_m)
+            frame = replace(one.truth, kept=tuple(seen_fruit(fruit) for fruit in kept))
+            frames.setdefault(one.test, {}).setdefault(sizes, []).append(frame)
+    return frames
+
+
+def busy_ms(path: Path, sizes: Sizes, turns: int) -> dict[str, float]:
+    """Give the median processor time of one frame by runtime."""
+    color = np.random.default_rng(0).integers(0, 255, (*FRAME_PX, 3), np.uint8)
+    networks: dict[str, YoloDetector] = {}
+    for runtime in RUNTIMES:
+        try:
+            networks[runtime] = detector(path, runtime, sizes)
+        except CucumberVisionError as error:
+            print(f"left out: {error}")
+    times: dict[str, list[float]] = {runtime: [] for runtime in networks}
+    for turn in range(turns + 1):
+        for runtime, network in networks.items():
+            start = time.process_time()
+            network.detect(color)
+            # The first turn sets the runtime up.
+            if turn:
+                times[runtime].append(1e3 * (time.process_time() - start))
+    return {runtime: float(np.median(some)) for runtime, some in times.items()}
+
+
+def line(frames: Sequence[Frame]) -> str:
+    """Give recall, precision and recall by hidden share as text."""
+    fruit, found = fruit_rows(frames, DEFAULT_CONFIDENCE), found_rows(frames, DEFAULT_CONFIDENCE)
+    score = overall(fruit, found)
+    precision = score.precision.value if score.precision is not None else float("nan")
+    text = f"recall {score.recall.value:.3f} of {score.recall.count}, precision {precision:.3f}"
+    hidden = [one for one in group_scores(fruit, found) if one.factor == HIDDEN_SHARE]
+    shares = [f"{one.group} %: {one.recall.value:.2f} of {one.recall.count}" for one in hidden]
+    return text + ("; hidden " + ", ".join(shares) if shares else "")
+
+
+def main() -> None:
+    """Read the arguments, look at every picture, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--photos", type=Path, help="folder of the audited photos")
+    parser.add_argument("--set", type=Path, help="a labelled set")
+    parser.add_argument("--split", default="val")
+    parser.add_argument("--size", action="append", help="640, or 640,1280; repeatable")
+    parser.add_argument("--limit", type=int, help="pictures at most of each test, evenly spread")
+    parser.add_argument("--half", action="store_true", help="photos at half their size too")
+    parser.add_argument("--seg", type=Path, help="a detector; else the package's own")
+    parser.add_argument("--turns", type=int, default=5, help="of timing")
+    options = parser.parse_args()
+    path, _ = chosen_networks(options.seg, None)
+    if path is None:
+        raise SystemExit("this version comes without a detector: name one with --seg")
+    asked = [parse_input_sizes(text) for text in options.size or ("640", "960", "1280", "640,1280")]
+    frames = found_at(path, asked, pictures(options))
+    for test, by_sizes in frames.items():
+        count = len(next(iter(by_sizes.values())))
+        print(f"\n{test}: {count} pictures, split {options.split}")
+        for sizes, some in by_sizes.items():
+            print(f"{'+'.join(map(str, sizes)):>10} px  {line(some)}")
+    print("\nprocessor ms a frame of 1280x720, detector alone")
+    for sizes in asked:
+        costs = busy_ms(path, sizes, options.turns)
+        text = ", ".join(f"{runtime} {cost:.0f}" for runtime, cost in costs.items())
+        print(f"{'+'.join(map(str, sizes)):>10} px  {text}")
+
+
+if __name__ == "__main__":
+    main()

@@ -376,7 +376,11 @@ def _background(case: Case, rng: np.random.Generator) -> list[Leaf]:
     for _ in range(BACKGROUND_LEAVES):
         depth = case.distance_m + float(rng.uniform(0.12, BACKDROP_M - 0.05))
         at = np.array([*(rng.uniform(-1, 1, 2) * (half_view, 0.6 * half_view) * depth), depth])
-        leaves.append(_leaf(at, rng, rng.uniform(0.05, 0.11), rng.uniform(0.04, 0.08), lean=35.0))
+        length, width = float(rng.uniform(0.05, 0.11)), float(rng.uniform(0.04, 0.08))
+        turn = rotation(float(rng.uniform(0, 360)), *rng.uniform(-35.0, 35.0, 2))
+        frame = (turn @ np.diag([1.0, 1.0, -1.0])).T
+        bend = float(rng.uniform(-4, 4)), float(rng.uniform(-4, 4))
+        leaves.append(Leaf(at, frame, length, width, bend, float(rng.uniform(0, 0.2))))
     return leaves
 
 
@@ -403,12 +407,3 @@ def _occluders(case: Case, fruit: Tube, rng: np.random.Generator) -> list[Leaf]:
     wide = shrink * max(0.5 * share * seen, 0.004)
     high = shrink * float(rng.uniform(2.2, 4.0)) * fruit.radii_m.max()
     return [Leaf(at * shrink, frame, high, wide, (float(rng.uniform(-3, 3)), 0.0), 0.1)]
-
-
-def _leaf(
-    at: NDArray[np.float64], rng: np.random.Generator, length: float, width: float, lean: float
-) -> Leaf:
-    turn = rotation(float(rng.uniform(0, 360)), *rng.uniform(-lean, lean, 2))
-    frame = turn @ np.diag([1.0, 1.0, -1.0])
-    bend = (float(rng.uniform(-4, 4)), float(rng.uniform(-4, 4)))
-    return Leaf(at, frame.T, float(length), float(width), bend, float(rng.uniform(0, 0.2)))

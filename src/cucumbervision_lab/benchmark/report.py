@@ -130,13 +130,10 @@ def write_benchmark_report(
     sections += [suite_section(part, suite, masks, level) for suite, masks, part in parts]
     if experiments:
         sections.append(Section("Experiments", (), tuple(experiments.values())))
-    glance = glance_table(
-        (SUITE_WORDS[suite], MASK_WORDS[masks], part) for suite, masks, part in parts
-    )
     return page.write_report(
         out,
         "CucumberVision benchmark",
-        glance,
+        glance_table(parts),
         sections,
         notes=[("", NOTES["summary"])],
         provenance=provenance,
@@ -149,16 +146,16 @@ def write_benchmark_report(
     )
 
 
-def glance_table(parts: Iterable[tuple[str, str, pd.DataFrame]]) -> Table:
+def glance_table(parts: Iterable[tuple[Suite, Masks, pd.DataFrame]]) -> Table:
     """Sum parts up: M6 beside the oracle and the paper's M5.
 
     Parameters
     ----------
-    parts : iterable of (str, str, DataFrame)
-        Each part's name, its outlines in words, and its readings.
+    parts : iterable of (Suite, Masks, DataFrame)
+        As `parts_of` gives them.
     """
     rows: list[tuple[Cell, ...]] = []
-    for name, outlines, readings in parts:
+    for suite, masks, readings in parts:
         scored = {
             truth: against(readings, truth)
             for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
@@ -172,8 +169,8 @@ def glance_table(parts: Iterable[tuple[str, str, pd.DataFrame]]) -> Table:
         tube = score(read["length_m"], read["true_m"]) if len(read) else None
         rows.append(
             (
-                name,
-                outlines,
+                SUITE_WORDS[suite],
+                MASK_WORDS[masks],
                 readings["case"].nunique(),
                 readings["fruit"].nunique(),
                 tube.mape_percent if tube else None,

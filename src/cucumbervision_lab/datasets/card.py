@@ -48,6 +48,13 @@ def dataset_card(dataset: DataSet, title: str = "Data set") -> str:
     fruit = [label for p in pictures for label in p.labels if not label.ignore]
     ignored = sum(label.ignore for p in pictures for label in p.labels)
     scenes = len({p.scene for p in pictures if p.scene})
+    sizes = [
+        100 * float(np.hypot(*(x.box[2:] - x.box[:2])) / np.hypot(p.width, p.height))
+        for p in pictures
+        for x in p.labels
+        if not x.ignore
+    ]
+    distances = [float(x.extras["distance_m"]) for x in fruit if "distance_m" in x.extras]
     return "\n".join(
         [
             f"# {title}",
@@ -60,9 +67,9 @@ def dataset_card(dataset: DataSet, title: str = "Data set") -> str:
             *_counts("Licences", "licence", pictures, lambda p: p.licence or "not stated"),
             *_classes(dataset, fruit),
             *_truth(fruit),
-            *_sizes(pictures),
+            *_spread("Size", "box's diagonal, % of the picture's", sizes),
             *_hidden(fruit),
-            *_distances(fruit),
+            *_spread("Distance", "distance, m", distances),
         ]
     )
 
@@ -118,21 +125,6 @@ def _truth(fruit: Sequence[Label]) -> list[str]:
         ("cut off by the border", sum(x.cut_off for x in fruit)),
     ]
     return _table("What is known of a fruit", ("known", "fruit"), rows)
-
-
-def _sizes(pictures: Sequence[LabelledPicture]) -> list[str]:
-    shares = [
-        float(np.hypot(*(x.box[2:] - x.box[:2])) / np.hypot(p.width, p.height))
-        for p in pictures
-        for x in p.labels
-        if not x.ignore
-    ]
-    return _spread("Size", "box's diagonal, % of the picture's", [100 * s for s in shares])
-
-
-def _distances(fruit: Sequence[Label]) -> list[str]:
-    found = [float(x.extras["distance_m"]) for x in fruit if "distance_m" in x.extras]
-    return _spread("Distance", "distance, m", found)
 
 
 def _spread(head: str, what: str, values: Sequence[float]) -> list[str]:

@@ -117,11 +117,9 @@ class Drawn:
 def add_pseudo_masks(
     dataset: DataSet,
     segmenter: Segmenter,
-    *,
-    splits: Sequence[str] = ("train", "val", ""),
     progress: Callable[[int], None] | None = None,
 ) -> Drawn:
-    """Draw a mask for every fruit that has only a box.
+    """Draw a mask for every fruit that has only a box, but in 'test', which stays as labelled.
 
     Parameters
     ----------
@@ -129,8 +127,6 @@ def add_pseudo_masks(
         Fruit with masks and labels to ignore stay as they are.
     segmenter : Segmenter
         Prompted with box and centre.
-    splits : sequence of str
-        Whose pictures get masks; never 'test', which stays as people labelled it.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -140,22 +136,14 @@ def add_pseudo_masks(
 
     Raises
     ------
-    DataSetError
-        If 'test' is asked for.
     CaptureError
         If a picture cannot be read.
     """
-    if "test" in splits:
-        raise DataSetError(
-            "masks that a network drew are no truth to test on",
-            source=dataset.folder,
-            remedy="leave test out",
-        )
     pictures: list[LabelledPicture] = []
     refused: list[tuple[str, str]] = []
     drawn = 0
     for picture in ticked(dataset.pictures, progress):
-        if picture.split in splits:
+        if picture.split != "test":
             labels, faults = _draw(dataset, picture, segmenter)
             drawn += sum(label.pseudo for label in labels) - sum(x.pseudo for x in picture.labels)
             refused += [(picture.file, fault) for fault in faults]

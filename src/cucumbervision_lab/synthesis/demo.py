@@ -25,7 +25,7 @@ from cucumbervision_lab.synthesis.compose import Setting
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.lighting import Light
 from cucumbervision_lab.synthesis.placing import foliage
-from cucumbervision_lab.synthesis.raycast import Plane, Stem
+from cucumbervision_lab.synthesis.raycast import Plane, Stem, scaled_camera
 from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 from cucumbervision_lab.synthesis.skin import random_skin
@@ -238,15 +238,7 @@ def _shaded(
 ) -> NDArray[np.float32]:
     # Shaded at twice the size and averaged, which smooths every outline.
     rng = np.random.default_rng([demo.seed, 2])
-    fine = replace(
-        CAMERA,
-        width=2 * CAMERA.width,
-        height=2 * CAMERA.height,
-        fx_px=2 * CAMERA.fx_px,
-        fy_px=2 * CAMERA.fy_px,
-        cx_px=2 * CAMERA.cx_px + 0.5,
-        cy_px=2 * CAMERA.cy_px + 0.5,
-    )
+    fine = scaled_camera(CAMERA, 2.0)
     style = random_style(
         rng, scene, Assets(), demo.setting.value, leaf_roles=leaf_roles, stem_roles=stem_roles
     )

@@ -147,10 +147,13 @@ def draw_frame(
     linear = shade(staged.scene, view, camera, style, assets, painter)
     exposure = random_exposure(painter, options.width)
     color = expose(linear, exposure, painter, view.depth_m)
-    scale, depth = 1.0, None
+    scale = 1.0
+    depth: NDArray[np.float32] | None = None
     if options.depth:
         scale = 1.0 + float(sensor.normal(0, options.scale_sd))
-        depth = _read_depth(staged, camera, scale, color, sensor)
+        reader = replace(D4xx.like(camera), scale_error=scale - 1.0)
+        burst = sense(staged.scene, reader, sensor, BURST)
+        _, depth, _ = fuse_burst([color] * BURST, burst)
     real = [k for k, cucumber in enumerate(staged.cucumber) if cucumber]
     return Frame(
         color,
@@ -196,19 +199,6 @@ def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
     red, green, blue = np.clip(color + rng.normal(0, 8, 3), 0, 255).tolist()
     base = (red, green, blue)
     return replace(skin, base=base, tip=base, stripe=base, warts_per_cm2=0.0, neck=0.1, texture=-1)
-
-
-def _read_depth(
-    staged: Composition,
-    camera: Intrinsics,
-    scale: float,
-    color: NDArray[np.uint8],
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    reader = replace(D4xx.like(camera), scale_error=scale - 1.0)
-    burst = sense(staged.scene, reader, rng, BURST)
-    _, depth, _ = fuse_burst([color] * BURST, burst)
-    return depth
 
 
 def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision_lab.synthesis.bodies import rotation
-from cucumbervision_lab.synthesis.raycast import Leaf, Plane, Stem, cast_leaf, cast_tube
+from cucumbervision_lab.synthesis.raycast import (
+    Leaf,
+    Plane,
+    Stem,
+    cast_leaf,
+    cast_tube,
+    scaled_camera,
+)
 from cucumbervision_lab.synthesis.scene import Scene
 
 if TYPE_CHECKING:
@@ -32,7 +39,7 @@ __all__ = [
     "trellis",
 ]
 
-COARSE = 2  # the search for a leaf's size looks at every second pixel
+COARSE = 0.5  # the search for a leaf's size looks at every second pixel
 
 SEARCH_STEPS = 14
 
@@ -240,7 +247,7 @@ def occlude(
     if hidden_share <= 0:
         return scene
     tube = scene.fruit[index]
-    rough = _coarse(camera)
+    rough = scaled_camera(camera, COARSE)
     fruit = cast_tube(tube, rough)
     if fruit is None:
         return scene
@@ -293,19 +300,6 @@ def _hides(leaf: Leaf, fruit: Hit, camera: Intrinsics) -> float:
     before[blade.window] = blade.depth_m
     hidden = fruit.mask & (before[fruit.window] < fruit.depth_m)
     return float(hidden.sum() / fruit.mask.sum())
-
-
-def _coarse(camera: Intrinsics) -> Intrinsics:
-    # Pixel centres are whole numbers: the middle of two by two lies at 0.5.
-    return replace(
-        camera,
-        width=max(camera.width // COARSE, 1),
-        height=max(camera.height // COARSE, 1),
-        fx_px=camera.fx_px / COARSE,
-        fy_px=camera.fy_px / COARSE,
-        cx_px=(camera.cx_px - (COARSE - 1) / 2) / COARSE,
-        cy_px=(camera.cy_px - (COARSE - 1) / 2) / COARSE,
-    )
 
 
 STEEPEST_DEG = 55.0

@@ -29,6 +29,7 @@ __all__ = [
     "cast_stem",
     "cast_tube",
     "ray_grid",
+    "scaled_camera",
 ]
 
 COARSE_BALLS = 100
@@ -117,6 +118,28 @@ def ray_grid(camera: Intrinsics) -> RayGrid:
     columns = tuple(np.maximum.accumulate(r) for r in (x.min(axis=0), x.max(axis=0)))
     rows = tuple(np.maximum.accumulate(r) for r in (y.min(axis=1), y.max(axis=1)))
     return RayGrid(x, y, (columns[0], columns[1]), (rows[0], rows[1]))
+
+
+def scaled_camera(camera: Intrinsics, factor: float) -> Intrinsics:
+    """Return a camera that sees the same in pixels so many times smaller; 0.5 halves the picture.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> half = scaled_camera(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5), 0.5)
+    >>> half.size, half.fx_px, half.cx_px
+    ((320, 240), 300.0, 159.5)
+    """
+    # Pixel centres are whole numbers: the middle of two by two lies at 0.5.
+    return replace(
+        camera,
+        width=max(int(camera.width * factor), 1),
+        height=max(int(camera.height * factor), 1),
+        fx_px=camera.fx_px * factor,
+        fy_px=camera.fy_px * factor,
+        cx_px=camera.cx_px * factor + (factor - 1) / 2,
+        cy_px=camera.cy_px * factor + (factor - 1) / 2,
+    )
 
 
 def ball_bounds(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.files import write_png
-from cucumbervision.errors import DataSetError
 from cucumbervision.perception.sam import Segmenter
 from cucumbervision_lab.datasets.checks import check_dataset
 from cucumbervision_lab.datasets.derive import add_pseudo_masks
@@ -68,8 +67,3 @@ def test_a_mask_that_does_not_fit_is_to_be_ignored(make_set: MakeSet, segmenter:
     assert fault in {"mask-empty", "mask-small", "mask-off-box"}
     label = drawn.dataset.pictures[0].labels[0]
     assert (label.ignore, label.pseudo, label.mask_code) == (True, False, None)
-
-
-def test_test_is_refused(make_set: MakeSet, segmenter: Segmenter) -> None:
-    with pytest.raises(DataSetError, match="no truth to test on"):
-        add_pseudo_masks(make_set(), segmenter, splits=("train", "test"))

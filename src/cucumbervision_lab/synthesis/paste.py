@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from cucumbervision.capture.files import read_color
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import Label
 from cucumbervision_lab.synthesis.scene import reaches_border
@@ -68,43 +69,37 @@ def cutouts_of(dataset: DataSet, split: str = "train") -> tuple[Cutout, ...]:
     CaptureError
         If a picture cannot be read.
     """
-    from cucumbervision.capture.files import read_color
-
     found = []
     for picture in dataset.in_split(split):
-        whole = [x for x in picture.labels if _usable(x, picture.width, picture.height)]
-        if not whole:
-            continue
-        color = read_color(dataset.path(picture))
-        found += [_cut(color, label) for label in whole]
+        masks = [_whole_mask(label, picture.width, picture.height) for label in picture.labels]
+        if any(mask is not None for mask in masks):
+            color = read_color(dataset.path(picture))
+            pairs = zip(picture.labels, masks, strict=True)
+            found += [_cut(color, m, label.keypoints) for label, m in pairs if m is not None]
     return tuple(found)
 
 
-def _usable(label: Label, width: int, height: int) -> bool:
-    if label.ignore or label.cut_off or label.mask_code is None or (label.hidden_share or 0) > 0.05:
-        return False
+def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | None:
+    """Return a fruit's mask if all of it is in sight and nothing else is: a hand leaves hollows."""
     x1, y1, x2, y2 = label.box
     inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
-    return bool(inside and max(x2 - x1, y2 - y1) >= LEAST_SIDE_PX and _solidity(label) >= SOLID)
-
-
-def _solidity(label: Label) -> float:
-    """Give the share of its hull that a mask fills; one with a hand in it fills little."""
+    hidden = label.ignore or label.cut_off or (label.hidden_share or 0) > 0.05
+    if hidden or not inside or max(x2 - x1, y2 - y1) < LEAST_SIDE_PX:
+        return None
     mask = label.mask
     if mask is None:
-        return 0.0
+        return None
     hull = cv2.convexHull(np.argwhere(mask).astype(np.int32))
-    return float(np.count_nonzero(mask) / max(cv2.contourArea(hull), 1.0))
+    share = np.count_nonzero(mask) / max(cv2.contourArea(hull), 1.0)
+    return mask if share >= SOLID else None
 
 
-def _cut(color: NDArray[np.uint8], label: Label) -> Cutout:
-    mask = label.mask
-    if mask is None:
-        raise ValueError("a label without a mask cannot be cut out")
+def _cut(
+    color: NDArray[np.uint8], mask: NDArray[np.bool_], points: NDArray[np.float64] | None
+) -> Cutout:
     x1, y1, x2, y2 = box_of_mask(mask)
     left, top = max(int(x1) - MARGIN_PX, 0), max(int(y1) - MARGIN_PX, 0)
     part = np.s_[top : int(y2) + MARGIN_PX, left : int(x2) + MARGIN_PX]
-    points = label.keypoints
     if points is not None:
         points = points - np.array([left, top, 0.0])
     # The outermost pixels show what lay behind the fruit too.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,34 +14,25 @@ if TYPE_CHECKING:
 __all__ = ["synth"]
 
 
+def _folder(about: str) -> Any:
+    return typer.Option(help=about, exists=True, file_okay=False)
+
+
 def synth(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set; resumed if begun.")],
     frames: Annotated[int, typer.Option(min=1, help="How many pictures.")] = 1500,
     seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same set.")] = 1,
     size: Annotated[str, typer.Option(help="Width x height, pixels.", metavar="WxH")] = "1280x720",
     assets: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder with textures/, backgrounds/ and hdri/ to draw from.",
-            exists=True,
-            file_okay=False,
-        ),
+        Path | None, _folder("Folder with textures/, backgrounds/ and hdri/ to draw from.")
     ] = None,
     paste: Annotated[
         Path | None,
-        typer.Option(
-            help="A labelled set whose fruit are cut out and pasted into the training pictures.",
-            exists=True,
-            file_okay=False,
-        ),
+        _folder("A labelled set whose fruit are cut out and pasted into the training pictures."),
     ] = None,
     onto: Annotated[
         Path | None,
-        typer.Option(
-            help="A labelled set: its photos without fruit are pasted onto, nothing is drawn.",
-            exists=True,
-            file_okay=False,
-        ),
+        _folder("A labelled set: its photos without fruit are pasted onto, nothing is drawn."),
     ] = None,
     depth: Annotated[
         bool, typer.Option("--depth/--no-depth", help="Draw what a D435 reads, and exact depth.")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.agronomy.fruit import FruitState
+from cucumbervision.agronomy.forecast import FruitState
 from cucumbervision.agronomy.growth import Curve, Link
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision_lab.synthesis.bodies import random_fruit

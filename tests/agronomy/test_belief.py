@@ -30,7 +30,6 @@ def test_side_without_width_is_a_step() -> None:
     np.testing.assert_allclose(belief.below([0.2499, 0.25, 0.26]), [0.0, 0.5, 0.95], atol=1e-12)
     exact = LengthBelief.from_interval(0.25, 0.25, 0.25)
     assert exact.below([0.2499, 0.25, 0.2501]).tolist() == [0.0, 0.0, 1.0]
-    assert exact.probability(0.25, 0.35) == 1.0
 
 
 @pytest.mark.parametrize("interval", [(0.26, 0.24), (-0.1, 0.2), (0.1, float("nan"))])

@@ -2,13 +2,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
-
 from cucumbervision.agronomy.forecast import Forecast, FruitState, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.errors import ForecastError
 
 LONG = load_profile("long-cucumber")
 FRUIT = [
@@ -33,12 +30,6 @@ def test_list_is_in_walking_order_with_fruit_too_long_in_it() -> None:
         ("e", "too long"),
         ("a", "I"),
     ]
-    assert [p.fruit.fruit_id for p in pick_list(found(FRUIT), 0.8, back_and_forth=False)] == [
-        "c",
-        "b",
-        "a",
-        "e",
-    ]
 
 
 def test_threshold_decides_on_uncertain_fruit() -> None:
@@ -49,8 +40,3 @@ def test_threshold_decides_on_uncertain_fruit() -> None:
 def test_picked_fruit_are_not_listed_again() -> None:
     left = [replace(one, picked=one.fruit_id in {"b", "e"}) for one in FRUIT]
     assert [p.fruit.fruit_id for p in pick_list(found(left), 0.8)] == ["c", "a"]
-
-
-def test_threshold_that_is_no_probability_is_refused() -> None:
-    with pytest.raises(ForecastError, match="give a probability"):
-        pick_list(found(FRUIT), 0.0)

@@ -7,7 +7,6 @@ from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
 from cucumbervision.agronomy.picking import Rates, plan_work
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.errors import ForecastError
 
 LONG = load_profile("long-cucumber")
 STEADY = fit_growth([], GrowthPrior(0.03, Spreads(1e-9, 1e-9, 1e-9, 1e-9, 1e-9)))
@@ -29,10 +28,10 @@ def test_hours_and_crates_by_hand() -> None:
     assert [day.complete for day in plan] == [True] * 7 + [False]
 
 
-def test_crates_of_a_class_may_hold_another_number() -> None:
+def test_each_class_has_crates_of_its_own() -> None:
     profile = LONG.model_copy(update={"pick": ("I", "II")})
-    found = forecast(fruit_of("1", 30, 0.28) + fruit_of("2", 30, 0.22), STEADY, profile)
-    crates = plan_work(found, Rates(fruit_per_crate=12, fruit_per_crate_of={"II": 20}))[0].crates
+    found = forecast(fruit_of("1", 30, 0.28) + fruit_of("2", 20, 0.22), STEADY, profile)
+    crates = plan_work(found, Rates(fruit_per_crate=12))[0].crates
     assert (crates["I"].expected, crates["II"].expected) == (3, 2)
 
 
@@ -43,24 +42,3 @@ def test_interval_is_the_counts_interval() -> None:
     assert tomorrow.fruit.low == found.picks.low[1, 0]
     assert tomorrow.hours.high == pytest.approx(found.picks.high[1, 0] / 100)
     assert tomorrow.fruit.low < tomorrow.fruit.expected < tomorrow.fruit.high
-
-
-@pytest.mark.parametrize(
-    ("rates", "fault"),
-    [
-        ({"fruit_per_hour": 0.0}, "fruit_per_hour is 0"),
-        ({"fruit_per_hour": float("inf")}, "fruit_per_hour is inf"),
-        ({"minutes_per_row": -1.0}, "minutes_per_row is -1"),
-        ({"fruit_per_crate": 0}, "fruit_per_crate is 0"),
-        ({"fruit_per_crate_of": {"I": 1.5}}, "fruit_per_crate of I is 1.5"),
-    ],
-)
-def test_rates_that_cannot_be_are_refused(rates: dict[str, object], fault: str) -> None:
-    with pytest.raises(ForecastError, match=fault):
-        Rates(**rates)  # type: ignore[arg-type]
-
-
-def test_rate_of_an_unknown_class_is_refused() -> None:
-    found = forecast(fruit_of("1", 2, 0.28), STEADY, LONG)
-    with pytest.raises(ForecastError, match="no class is called 'III'; take of I, II"):
-        plan_work(found, Rates(fruit_per_crate_of={"III": 5}))

@@ -9,7 +9,7 @@ from cucumbervision.accuracy.own_truth import evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.hand_truth import (
+from cucumbervision.dashboard.views.accuracy import (
     hand_file,
     hand_lengths,
     measured_round,

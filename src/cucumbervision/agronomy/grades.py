@@ -52,8 +52,8 @@ class LengthBelief:
     Examples
     --------
     >>> belief = LengthBelief.from_interval(0.252, 0.246, 0.258)
-    >>> round(belief.probability(0.25, 0.35), 2)
-    0.71
+    >>> belief.below([0.25, 0.35]).round(2).tolist()
+    [0.29, 1.0]
     """
 
     median_m: float
@@ -107,11 +107,6 @@ class LengthBelief:
         z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
         return np.asarray(ndtr(z), np.float64)
 
-    def probability(self, low_m: float, high_m: float) -> float:
-        """Return the probability to be from `low_m`, inclusive, to `high_m`, exclusive."""
-        below = self.below([low_m, high_m])
-        return float(below[1] - below[0])
-
 
 OUT_OF_GRADE = "out of grade"
 
@@ -159,12 +154,8 @@ class GradingTraits:
 
     def length_m(self, kind: LengthDefinition) -> float | None:
         """Return one of the three lengths, metres."""
-        lengths = {
-            LengthDefinition.THREAD: self.thread_m,
-            LengthDefinition.CENTRELINE: self.centreline_m,
-            LengthDefinition.CHORD: self.chord_m,
-        }
-        return lengths[kind]
+        value: float | None = getattr(self, f"{kind}_m")
+        return value
 
     @classmethod
     def from_row(cls, row: Mapping[str, object]) -> GradingTraits:

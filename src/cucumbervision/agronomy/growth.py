@@ -32,7 +32,6 @@ __all__ = [
     "Growth",
     "GrowthPrior",
     "Link",
-    "Rate",
     "fit_growth",
     "measured_points",
 ]
@@ -212,15 +211,6 @@ class GrowthPrior:
         return cls(g.mean / 100, spreads, (LINEAR, *curves))
 
 
-@dataclass(frozen=True)
-class Rate:
-    """A growth rate: mean and interval, metres a day."""
-
-    mean_m: float
-    low_m: float
-    high_m: float
-
-
 @dataclass(frozen=True, eq=False)
 class Growth:
     """The posterior of growth.
@@ -254,33 +244,6 @@ class Growth:
     mean: NDArray[np.float64]
     root: NDArray[np.float64]
 
-    def house(self, level: float = 0.8) -> Rate:
-        """Return the growth of the house."""
-        return self._rate(np.eye(1, self.basis.size)[0], level)
-
-    def row(self, name: str, level: float = 0.8) -> Rate:
-        """Return the growth of a row; of one without links what is to be expected of any row."""
-        weights = np.eye(1, self.basis.size)[0]
-        if name in self.basis.rows:
-            weights[1 + self.basis.rows.index(name)] = 1.0
-            return self._rate(weights, level)
-        return self._rate(weights, level, np.array([s.row for s in self.spreads]))
-
-    def _rate(
-        self,
-        weights: NDArray[np.float64],
-        level: float,
-        extra_sd: NDArray[np.float64] | None = None,
-    ) -> Rate:
-        z = np.random.default_rng(0).standard_normal((len(self.spreads), 500))
-        own = np.linalg.norm(np.einsum("p,hpq->hq", weights, self.root), axis=1)
-        sd = own if extra_sd is None else np.hypot(own, extra_sd)
-        draws = self.mean @ weights
-        low, high = np.quantile(
-            draws[:, None] + sd[:, None] * z, [0.5 - level / 2, 0.5 + level / 2]
-        )
-        return Rate(float(draws.mean()), float(low), float(high))
-
 
 def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Growth:
     """Learn growth from links.
@@ -307,7 +270,8 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     --------
     >>> prior = GrowthPrior(0.03, Spreads(0.006, 0.002, 0.005, 0.003, 0.003))
     >>> links = [Link(str(k), "1", 0, 0.2, 0.003, 3, 0.32, 0.003) for k in range(200)]
-    >>> round(100 * fit_growth(links, prior).house().mean_m, 1)  # 4.0 cm a day were seen
+    >>> growth = fit_growth(links, prior)
+    >>> round(100 * float(growth.mean[:, 0].mean()), 1)  # of the house: 4.0 cm a day were seen
     3.8
     """
     rows = tuple(sorted({link.row for link in links}))
@@ -320,18 +284,19 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     rows_of = [own[0].row for own in fruit.values()]
     series = [measured_points(own) for own in fruit.values()]
     problems = [_Problem.of(curve, series, rows_of, basis, prior) for curve in prior.curves]
-    best = problems[0].fit()
+    best = problems[0]
+    mode, root = best.fit()
     # A curve that helps does so with the first one's spreads too.
-    scores = [problem.log_posterior(best.mode) for problem in problems]
+    scores = [problem.log_posterior(mode) for problem in problems]
     if max(scores) > scores[0] + PLAINLY_BETTER:
-        best = problems[int(np.argmax(scores))].fit()
-    draws = best.draws(np.random.default_rng(seed))
-    found = [_coefficients(best.problem.histories, prior, spreads) for spreads in draws]
-    means, roots = [f[0] for f in found], [f[1] for f in found]
-    curve, pace_m = best.problem.curve, best.problem.pace_m
-    return Growth(
-        prior, basis, tuple(links), curve, pace_m, draws, np.array(means), np.array(roots)
-    )
+        best = problems[int(np.argmax(scores))]
+        mode, root = best.fit()
+    logs = mode + np.random.default_rng(seed).standard_normal((HYPER_DRAWS, 5)) @ root.T
+    figures = np.array(astuple(prior.spreads)) * np.exp(logs)
+    draws = tuple(Spreads(*line) for line in figures.tolist())
+    found = [_coefficients(best.histories, prior, spreads) for spreads in draws]
+    means, roots = np.array([f[0] for f in found]), np.array([f[1] for f in found])
+    return Growth(prior, basis, tuple(links), best.curve, best.pace_m, draws, means, roots)
 
 
 def measured_points(links: Sequence[Link]) -> list[tuple[float, float, float]]:
@@ -375,24 +340,11 @@ class _Problem:
         # The likelihood of lengths, not of unslowed ones: the slope between them belongs to it.
         return found - self.log_slope - prior_term
 
-    def fit(self) -> _Fit:
+    def fit(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the mode, and a root of the covariance, of the spreads' logarithms."""
         if not len(self.histories.row):
-            return _Fit(self, np.zeros(5), np.diag(SPREAD_LOG_SD))
-        return _Fit(self, *_laplace(lambda logs: -self.log_posterior(logs)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """The spreads' posterior: mode, and root of the covariance, of their logarithms."""
-
-    problem: _Problem
-    mode: NDArray[np.float64]
-    root: NDArray[np.float64]
-
-    def draws(self, rng: np.random.Generator) -> tuple[Spreads, ...]:
-        logs = self.mode + rng.standard_normal((HYPER_DRAWS, 5)) @ self.root.T
-        figures = np.array(astuple(self.problem.prior.spreads)) * np.exp(logs)
-        return tuple(Spreads(*line) for line in figures.tolist())
+            return np.zeros(5), np.diag(SPREAD_LOG_SD)
+        return _laplace(lambda logs: -self.log_posterior(logs))
 
 
 def _coefficients(

@@ -13,7 +13,7 @@ a Kalman filter (Kalman 1960) gives its innovations, which are linear in beta, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Basis", "FilteredStates", "Histories", "Spreads", "kalman_filter", "measured_histories"]
 
+Array: TypeAlias = "NDArray[Any]"
 Point = tuple[float, float, float]  # day, length in metres, its variance
 
 
@@ -126,28 +127,22 @@ def measured_histories(
     flat = np.array([point for s in series for point in s], np.float64).reshape(-1, 3)
     first = np.cumsum(counts) - counts
     steps = []
+
+    def add(fruit: Array, start: Array, end: Array, length_m: Array, variance_m2: Array) -> None:
+        overlap = basis.overlap(start, end)
+        steps.append(_Step(fruit, end - start, overlap, length_m, variance_m2))
+
     for k in range(int(counts.max(initial=0))):
         fruit = np.flatnonzero(counts > k)
         at = first[fruit] + k
         before = flat[at - 1 if k else at, 0]
-        steps.append(_step(fruit, before, flat[at, 0], flat[at, 1], flat[at, 2], basis))
+        add(fruit, before, *flat[at].T)
     if until is not None:
         last = flat[first + counts - 1, 0]
         late = np.flatnonzero(last < until)
         none, end = np.full(len(late), np.nan), np.full(len(late), until)
-        steps.append(_step(late, last[late], end, none, none, basis))
+        add(late, last[late], end, none, none)
     return Histories(basis, np.array([known[r] for r in rows], np.intp), tuple(steps))
-
-
-def _step(
-    fruit: NDArray[np.intp],
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    length_m: NDArray[np.float64],
-    variance_m2: NDArray[np.float64],
-    basis: Basis,
-) -> _Step:
-    return _Step(fruit, end - start, basis.overlap(start, end), length_m, variance_m2)
 
 
 def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:

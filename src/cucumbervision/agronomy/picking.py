@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.fruit import natural_key
+from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.agronomy.profiles import TOO_LONG
-from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.agronomy.forecast import Forecast
-    from cucumbervision.agronomy.fruit import FruitState
+    from cucumbervision.agronomy.forecast import Forecast, FruitState
 
 __all__ = ["DayWork", "Pick", "Rates", "Span", "pick_list", "plan_work"]
 
@@ -41,10 +35,11 @@ class Pick:
     ready: float
 
 
-def pick_list(
-    forecast: Forecast, threshold: float = 0.5, *, back_and_forth: bool = True
-) -> tuple[Pick, ...]:
+def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
     """Return today's ready fruit by row and position.
+
+    Every second row is walked from its far end, so that no way is walked twice. A row's sides are
+    walked together, as fruit of both hang along one path.
 
     Parameters
     ----------
@@ -52,14 +47,6 @@ def pick_list(
         Whose day 0 is today; fruit marked picked are not in it.
     threshold : float
         Fruit at least this probable to be ready, or to be too long, are listed.
-    back_and_forth : bool
-        Walk every second row from its far end, so that no way is walked twice. A row's sides are
-        walked together, as fruit of both hang along one path.
-
-    Raises
-    ------
-    ForecastError
-        If the threshold is no probability.
 
     Examples
     --------
@@ -73,30 +60,21 @@ def pick_list(
     >>> [(pick.fruit.row, pick.fruit.position_m, pick.name) for pick in pick_list(found)]
     [('1', 3.0, 'I'), ('2', 9.0, 'I'), ('2', 4.0, 'I')]
     """
-    if not 0 < threshold <= 1:
-        raise ForecastError(
-            f"the threshold is {threshold}", remedy="give a probability above 0, at most 1"
-        )
     too_long = forecast.classes.index(TOO_LONG)
-    listed = []
-    for one, ready, chances in zip(
-        forecast.fruit, forecast.ready, forecast.probability[:, 0], strict=True
-    ):
-        if max(ready, chances[too_long]) >= threshold:
-            listed.append(Pick(one, forecast.classes[int(chances.argmax())], float(ready)))
+    chances = forecast.probability[:, 0]
+    listed = [
+        Pick(one, forecast.classes[int(own.argmax())], float(ready))
+        for one, ready, own in zip(forecast.fruit, forecast.ready, chances, strict=True)
+        if max(ready, own[too_long]) >= threshold
+    ]
     rows = sorted({pick.fruit.row for pick in listed}, key=natural_key)
-    ways = {row: -1 if back_and_forth and k % 2 else 1 for k, row in enumerate(rows)}
-    return tuple(
-        sorted(
-            listed,
-            key=lambda pick: (
-                natural_key(pick.fruit.row),
-                ways[pick.fruit.row] * pick.fruit.position_m,
-                pick.fruit.side,
-                pick.fruit.fruit_id,
-            ),
-        )
-    )
+
+    def along_the_walk(pick: Pick) -> tuple[int, float, str, str]:
+        at = rows.index(pick.fruit.row)
+        position = -pick.fruit.position_m if at % 2 else pick.fruit.position_m
+        return at, position, pick.fruit.side, pick.fruit.fruit_id
+
+    return tuple(sorted(listed, key=along_the_walk))
 
 
 @dataclass(frozen=True)
@@ -111,34 +89,11 @@ class Rates:
         Walking and turning for each row that has fruit to pick.
     fruit_per_crate : int
         Fruit in a crate.
-    fruit_per_crate_of : dict of str to int
-        The same for classes that are packed otherwise.
-
-    Raises
-    ------
-    ForecastError
-        If a rate is not positive and finite.
     """
 
     fruit_per_hour: float = 350.0
     minutes_per_row: float = 2.0
     fruit_per_crate: int = 12
-    fruit_per_crate_of: Mapping[str, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        crates = {"fruit_per_crate": self.fruit_per_crate}
-        crates |= {f"fruit_per_crate of {k}": n for k, n in self.fruit_per_crate_of.items()}
-        if not (np.isfinite(self.fruit_per_hour) and self.fruit_per_hour > 0):
-            raise ForecastError(
-                f"fruit_per_hour is {self.fruit_per_hour}", remedy="give a number above 0"
-            )
-        if not (np.isfinite(self.minutes_per_row) and self.minutes_per_row >= 0):
-            raise ForecastError(
-                f"minutes_per_row is {self.minutes_per_row}", remedy="give 0 or more minutes"
-            )
-        for name, number in crates.items():
-            if number != int(number) or number < 1:
-                raise ForecastError(f"{name} is {number}", remedy="give a whole number from 1 on")
 
 
 @dataclass(frozen=True)
@@ -183,11 +138,6 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     rates : Rates, optional
         The user's own.
 
-    Raises
-    ------
-    ForecastError
-        If the rates name a class that the profile has not.
-
     Notes
     -----
     The ends of the intervals are those of the counts, class by class; where several classes are
@@ -206,10 +156,6 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     (70.0, 0.25, 6.0)
     """
     rates = rates or Rates()
-    if unknown := set(rates.fruit_per_crate_of) - set(forecast.classes):
-        raise ForecastError(
-            f"no class is called {min(unknown)!r}", remedy=f"take of {', '.join(forecast.classes)}"
-        )
     chosen = [forecast.classes.index(name) for name in forecast.pick]
     plans = []
     for day in forecast.days.tolist():
@@ -220,15 +166,9 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
         fruit = [float(number.sum()) for number in counts]
         hours = [number / rates.fruit_per_hour + walking for number in fruit]
         crates = {
-            name: Span(
-                *_crates(counts, k, rates.fruit_per_crate_of.get(name, rates.fruit_per_crate))
-            )
+            name: Span(*(float(np.ceil(n[k] / rates.fruit_per_crate - 1e-9)) for n in counts))
             for k, name in enumerate(forecast.pick)
         }
         complete = bool(forecast.complete[day, chosen].all())
         plans.append(DayWork(day, Span(*fruit), Span(*hours), crates, complete))
     return tuple(plans)
-
-
-def _crates(counts: list[NDArray[np.float64]], k: int, holds: int) -> list[float]:
-    return [float(np.ceil(number[k] / holds - 1e-9)) for number in counts]

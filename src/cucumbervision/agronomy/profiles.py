@@ -40,7 +40,13 @@ TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
 
 Positive = Annotated[float, Field(gt=0)]
 
-ModelT = TypeVar("ModelT", bound=BaseModel)
+RangeT = TypeVar("RangeT", "LengthLimits", "LengthClass")
+
+
+def _min_before_max(entry: RangeT) -> RangeT:
+    if entry.min_cm >= entry.max_cm:
+        raise ValueError(f"min_cm {entry.min_cm:g} must be less than max_cm {entry.max_cm:g}")
+    return entry
 
 
 class _Strict(BaseModel):
@@ -52,10 +58,7 @@ class LengthLimits(_Strict):
 
     min_cm: Positive
     max_cm: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        return _min_before_max(self, self.min_cm, self.max_cm)
+    _ordered = model_validator(mode="after")(_min_before_max)
 
 
 class LengthClass(_Strict):
@@ -64,10 +67,7 @@ class LengthClass(_Strict):
     name: Annotated[str, Field(min_length=1)]
     min_cm: Positive
     max_cm: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        return _min_before_max(self, self.min_cm, self.max_cm)
+    _ordered = model_validator(mode="after")(_min_before_max)
 
 
 class ShapeBand(_Strict):
@@ -227,12 +227,6 @@ class CropProfile(_Strict):
         """Index into `outcomes` of the bins between `edges_m`, the outer two included."""
         by_length = sorted(range(len(self.classes)), key=lambda k: self.classes[k].min_cm)
         return (len(self.classes), *by_length, len(self.classes) + 1)
-
-
-def _min_before_max(entry: ModelT, lowest: float, highest: float) -> ModelT:
-    if lowest >= highest:
-        raise ValueError(f"min_cm {lowest:g} must be less than max_cm {highest:g}")
-    return entry
 
 
 def _check_order(key: str, limits: list[float | None]) -> None:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import ALONG, UP, pairs_within
-from cucumbervision.rounds.similarity import log_density
+from cucumbervision.rounds.row_views import ALONG, UP, log_density, pairs_within
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

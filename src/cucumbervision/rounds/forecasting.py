@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.agronomy.forecast import DetectionRates, forecast
-from cucumbervision.agronomy.fruit import FruitState
+from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecast
 from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, grade
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.measurement.intervals import SCALE_SD

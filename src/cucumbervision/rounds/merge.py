@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import ALONG, DEPTH, RowStops, RowViews, pairs_within
-from cucumbervision.rounds.similarity import Crowd, position_ratio, shape_ratio
+from cucumbervision.rounds.row_views import (
+    ALONG,
+    DEPTH,
+    Crowd,
+    RowStops,
+    RowViews,
+    pairs_within,
+    position_ratio,
+    shape_ratio,
+)
 from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_stops, vote_pairs
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.fruit import natural_key
+from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.day_linking import LinkSettings, link_days
 from cucumbervision.rounds.from_store import (

@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.rounds.row_views import ALONG
-from cucumbervision.rounds.similarity import log_density, position_ratio, shape_ratio
+from cucumbervision.rounds.row_views import ALONG, log_density, position_ratio, shape_ratio
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision.rounds.row_views import RowStops, RowViews
-    from cucumbervision.rounds.similarity import Crowd
+    from cucumbervision.rounds.row_views import Crowd, RowStops, RowViews
 
 __all__ = ["FittedStops", "fit_stops", "prior_stops", "vote_pairs"]
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.agronomy.picking import pick_list, plan_work
-from cucumbervision.dashboard import charts, page_elements, resources
-from cucumbervision.dashboard.charts import class_name, day_name
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard import round_tables as charts
+from cucumbervision.dashboard.round_tables import class_name, day_name
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast

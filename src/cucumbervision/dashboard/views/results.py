@@ -1,12 +1,17 @@
-"""Results: the statistics of a round, its fruit in a table, and each fruit by itself."""
+"""Results: the statistics of a round, its fruit in a table, its files, and each fruit by itself."""
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision.dashboard import charts, page_elements, resources
+from cucumbervision.capture.source import safe_name
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard import round_tables as charts
 from cucumbervision.dashboard.round_tables import (
     RoundLists,
     grade_name,
@@ -14,8 +19,10 @@ from cucumbervision.dashboard.round_tables import (
     method_lines,
     statistics,
 )
-from cucumbervision.dashboard.views import export
 from cucumbervision.dashboard.views import fruit as fruit_page
+from cucumbervision.dashboard.views import results as export
+from cucumbervision.exports.build import round_tables
+from cucumbervision.exports.writers import ExportFormat, write_exports
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -23,11 +30,74 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
+    from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = ["page"]
+__all__ = ["page", "show"]
+
+FORMATS = {
+    ExportFormat.XLSX: "Excel",
+    ExportFormat.CSV: "CSV",
+    ExportFormat.HTML: "Page to print",
+    ExportFormat.PARQUET: "Parquet",
+    ExportFormat.JSON: "JSON",
+}
+
+
+def show(one: RoundView) -> None:
+    """Draw the choice of formats, and the download once it is made."""
+    chosen = st.pills(
+        "Formats",
+        list(FORMATS),
+        format_func=FORMATS.__getitem__,
+        selection_mode="multi",
+        default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
+    )
+    make, load = st.columns(2)
+    make.button(
+        "Make the files",
+        icon=":material/archive:",
+        width="stretch",
+        disabled=not chosen,
+        on_click=_make,
+        args=(one, tuple(chosen)),
+    )
+    job = page_elements.finished_job(f"export_{one.key}")
+    if job is not None and job.error:
+        st.error(job.error, icon=":material/error:")
+    elif job is not None:
+        path: Path = job.result
+        load.download_button(
+            "Download",
+            data=path.read_bytes,
+            file_name=f"{safe_name(one.record.name or 'round')}.zip",
+            mime="application/zip",
+            icon=":material/download:",
+            type="primary",
+            width="stretch",
+        )
+
+
+@st.cache_resource(show_spinner=False)
+def _folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="cucumbervision-exports-"))
+
+
+def _make(one: RoundView, formats: tuple[ExportFormat, ...]) -> None:
+    store, rates, folder = resources.store(), resources.settings().rates, _folder()
+    name, profile = resources.profile_of(one)
+
+    def work(_: Job) -> Path:
+        tables = round_tables(store, one.key, profile, profile_name=name, rates=rates)
+        with tempfile.TemporaryDirectory(dir=folder) as made:
+            write_exports(tables, Path(made), formats)
+            return Path(shutil.make_archive(str(folder / one.key), "zip", made))
+
+    page_elements.start_job(f"export_{one.key}", "Writing the files", work)
+
 
 LINES = 20
+
 VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ rejected"}
 
 

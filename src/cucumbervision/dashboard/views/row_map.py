@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.dashboard import charts, page_elements, resources
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard import round_tables as charts
 from cucumbervision.dashboard.round_tables import map_lines
 
 if TYPE_CHECKING:

@@ -83,7 +83,7 @@ def test_drawn_captures_become_each_fruit_once(store: Store, folder: Path) -> No
     for line, (along, _, _, length, _) in zip(table, FRUIT, strict=True):
         assert line.view.along_m == pytest.approx(along, abs=0.03)
         assert line.view.record.centreline_m == pytest.approx(length, rel=0.05)
-        assert line.seen >= 3
+        assert line.view.views >= 3
 
     # The same captures again are neither measured nor saved.
     again = add_captures(store, MORNING, [folder], OPTIONS)

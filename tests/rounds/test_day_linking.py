@@ -49,15 +49,8 @@ def row_of(along: list[float], lengths: list[float]) -> RowFruit:
     n = len(along)
     place = np.stack([along, np.zeros(n), np.zeros(n)], axis=1)
     few = np.full(n, 0.02)
-    return RowFruit(
-        np.arange(n),
-        place,
-        np.full((n, 3), 0.01),
-        np.array(lengths),
-        few,
-        np.zeros(n, bool),
-        np.full(n, 0.04),
-    )
+    sd = np.full((n, 3), 0.01)
+    return RowFruit(np.arange(n), place, sd, np.array(lengths), few, np.zeros(n, bool))
 
 
 def test_a_fruit_that_shrank_is_no_link() -> None:

@@ -59,7 +59,7 @@ def test_a_round_is_merged_and_counted(store: Store, row: Walk) -> None:
     table = fruit_table(read_round(store, MORNING))
     assert report.fruit == len(table)
     assert report.views == len(row.views)
-    assert abs(report.expected - row.in_view) < 4
+    assert abs(report.count.expected - row.in_view) < 4
     assert report.stop_sd_m is not None
     assert report.stop_sd_m < 0.02
     at = [line.view.along_m for line in table if line.view.along_m is not None]
@@ -76,10 +76,12 @@ def test_merging_again_changes_nothing(store: Store, row: Walk) -> None:
 
 def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
     del row
-    many = next(line.view for line in fruit_table(read_round(store, MORNING)) if line.seen > 2)
+    many = next(
+        line.view for line in fruit_table(read_round(store, MORNING)) if line.view.views > 2
+    )
     store.unmerge(many.key, by="kim")
     rest = [line for line in fruit_table(read_round(store, MORNING)) if line.view.key != many.key]
-    single = [line.view for line in rest if line.seen == 1]
+    single = [line.view for line in rest if line.view.views == 1]
     one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
     store.merge(one.key, other.key, by="kim")
     merge_round(store, MORNING)
@@ -109,7 +111,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     [report] = row_reports(content)
     said = forecast_for(store, NEXT.key, LONG, days=2)
     # All fruit there are, invented ones taken off and unseen ones added.
-    assert said.house.expected[0].sum() == pytest.approx(report.expected, rel=0.02)
+    assert said.house.expected[0].sum() == pytest.approx(report.count.expected, rel=0.02)
 
 
 def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store) -> None:
@@ -214,6 +216,6 @@ def test_stops_without_position_stand_alone(store: Store, save_walk: Save) -> No
 
 def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> None:
     del row
-    sizes = [line.seen for line in fruit_table(read_round(store, MORNING))]
+    sizes = [line.view.views for line in fruit_table(read_round(store, MORNING))]
     links = store.links(MORNING, LinkKind.SAME)
     assert len(links) == sum(size * (size - 1) // 2 for size in sizes)

@@ -19,7 +19,7 @@ from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit
-from cucumbervision.rounds.poses import pose_matrix, sign_of_side
+from cucumbervision.rounds.poses import stored_pose
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import new_key
 from cucumbervision.store.results import fruit_record
@@ -199,7 +199,7 @@ class SharedMeasurer:
         """Measure a fruit of a stored capture, with its offset along the row."""
         fruit = self.with_options(options).measure_instance(capture, instance)
         record = fruit_record(SeenFruit(capture, number, fruit))
-        return placed_fruit(record, pose_matrix(stop.position_m or 0.0, sign_of_side(stop.side)))
+        return placed_fruit(record, stored_pose(stop.pose, stop.side))
 
     def _sam(self) -> Segmenter:
         with self._lock:

@@ -232,8 +232,9 @@ _ROWS = _columns(
     "stops||whole|stops with a position",
     "detections||whole|fruit seen, each as often as it was seen|views",
     "fruit||whole|fruit that these are merged into",
-    "expected_fruit||number 2|fruit there are: invented ones taken off, unseen ones added|expected",
-    "expected_fruit_sd||number 2|standard deviation of that|expected_sd",
+    "expected_fruit||number 2|fruit there are: invented ones taken off, unseen ones added|"
+    "count.expected",
+    "expected_fruit_sd||number 2|standard deviation of that|count.sd",
     "unplaced||whole|detections without a position or depth",
 )
 

@@ -16,8 +16,7 @@ from cucumbervision.pipeline.run import read_captures
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
-    middle_offset,
-    middle_sd,
+    offset_of,
     pose_matrix,
     sign_of_side,
 )
@@ -37,9 +36,12 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord, StopRecord
     from cucumbervision.store.repository import Store
 
-__all__ = ["Added", "Place", "add_captures", "measured_stop", "placed_fruit", "placed_stop"]
+__all__ = ["Added", "Place", "add_captures", "measured_stop", "placed_fruit"]
 
 Report: TypeAlias = Callable[["Added"], None]
+
+
+_TURNED = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True)
@@ -162,11 +164,7 @@ def _content(capture: Capture) -> str:
 
 
 def measured_stop(
-    capture: Capture,
-    number: int,
-    place: Place,
-    measurer: Measurer,
-    images: ImageStore | None,
+    capture: Capture, number: int, place: Place, measurer: Measurer, images: ImageStore | None
 ) -> tuple[CaptureResult, StopRecord]:
     """Measure a capture as a stop of a round.
 
@@ -201,7 +199,11 @@ def measured_stop(
     spot, sd_m, pose = _spot(capture, number, place)
     result = measurer.attempt(replace(capture, stop=spot))
     stop = records_from_result("", [result], measurer, key="", position_sd_m=sd_m, images=images)
-    return result, placed_stop(stop, pose)
+    captures = tuple(
+        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
+        for one in stop.captures
+    )
+    return result, replace(stop, captures=captures, pose=tuple(pose.round(9).ravel().tolist()))
 
 
 def _spot(
@@ -224,12 +226,7 @@ def _spot(
     if line is not None:
         row, side, position = line.row or row, line.side or side, line.position_m
         sd = line.position_sd_m
-        turned = {
-            "height_m": line.height_m or 0.0,
-            "yaw_deg": line.yaw_deg,
-            "pitch_deg": line.pitch_deg,
-            "roll_deg": line.roll_deg,
-        }
+        turned = {name: getattr(line, name) or 0.0 for name in _TURNED}
     sign = sign_of_side(side) if place.sign is None else place.sign
     pose = pose_matrix(position or 0.0, sign, **turned)
     return Stop(row, side, position, step), None if position is None else sd, pose
@@ -245,31 +242,8 @@ def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> Detection
     >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
     -0.1
     """
-    middle = (fruit.centre_x_m, fruit.centre_y_m, fruit.centre_z_m)
-    if None in middle:
+    found = offset_of(fruit, pose)
+    if found is None:
         return fruit
-    offset = middle_offset(np.array(middle, float), pose)
-    sd = middle_sd(
-        offset,
-        tube=fruit.diameter_max_m is not None,
-        partial=fruit.partial,
-        length_m=fruit.length_m,
-    )
-    return replace(fruit, offset_m=round(float(offset[0]), 5), offset_sd_m=round(float(sd[0]), 5))
-
-
-def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:
-    """Return a stop with the camera's pose, its fruit with their offsets along the row.
-
-    Parameters
-    ----------
-    stop : StopRecord
-        With one capture or more.
-    pose : ndarray of float64, shape (4, 4)
-        As `poses.pose_matrix` gives it.
-    """
-    captures = tuple(
-        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
-        for one in stop.captures
-    )
-    return replace(stop, captures=captures, pose=tuple(np.round(pose, 9).ravel().tolist()))
+    offset_m, sd_m = (round(float(values[0]), 5) for values in found)
+    return replace(fruit, offset_m=offset_m, offset_sd_m=sd_m)

@@ -15,49 +15,21 @@ import numpy as np
 from cucumbervision.rounds.row_views import ALONG, UP, log_density, pairs_within
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cucumbervision.rounds.row_fruit import RowFruit
+    from cucumbervision.rounds.row_views import Bools, Floats, Ints
 
-__all__ = ["DayLinks", "LinkSettings", "link_days"]
+__all__ = ["SURE", "DayLinks", "link_days"]
 
+STAY = 0.7  # share of fruit that are still there and seen
+SWING_M = (0.04, 0.04, 0.05)  # how far a fruit hangs off its plant's shift: along, up, into the row
+MOST_ALONG_M, MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
+STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
+CHANGE_M = 0.05  # how far neighbouring stretches usually differ
+SURE = 0.8  # probability from which a link counts for growth
 FREEDOM = 4.0
 PASSES = 6
 BELIEF_STEPS = 40
 PRIOR_LINKS = 20.0  # links that the belief about swinging is worth
-
-
-@dataclass(frozen=True)
-class LinkSettings:
-    """What is known of plants between two rounds before any is linked.
-
-    Parameters
-    ----------
-    growth_m, growth_sd_m : float
-        Metres a day, and how far fruit differ.
-    stay : float
-        Share of fruit that are still there and seen.
-    swing_m : tuple of float
-        How far a fruit hangs off its plant's shift: along, up, into the row; metres.
-    most_along_m, most_up_m : float
-        Farthest shift that is looked for.
-    stretch_m : float
-        Length of row whose plants are taken to be moved alike.
-    change_m : float
-        How far neighbouring stretches usually differ.
-    least : float
-        Probability from which a pair is a link.
-    """
-
-    growth_m: float = 0.03
-    growth_sd_m: float = 0.01
-    stay: float = 0.7
-    swing_m: tuple[float, float, float] = (0.04, 0.04, 0.05)
-    most_along_m: float = 1.2
-    most_up_m: float = 0.8
-    stretch_m: float = 3.0
-    change_m: float = 0.05
-    least: float = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,22 +44,23 @@ class DayLinks:
         How likely each is right.
     sure : ndarray of bool, shape (K,)
         Which of them reach the threshold, and so count for growth.
-    knots_m : ndarray of float64, shape (S,)
-        Middles of the stretches, along the earlier round's row.
     shift_m, shift_sd_m : ndarray of float64, shape (S, 3)
         How far each stretch was moved, metres.
     """
 
-    pairs: NDArray[np.int64]
-    probability: NDArray[np.float64]
-    sure: NDArray[np.bool_]
-    knots_m: NDArray[np.float64]
-    shift_m: NDArray[np.float64]
-    shift_sd_m: NDArray[np.float64]
+    pairs: Ints
+    probability: Floats
+    sure: Bools
+    shift_m: Floats
+    shift_sd_m: Floats
 
 
 def link_days(
-    earlier: RowFruit, later: RowFruit, days: float, settings: LinkSettings | None = None
+    earlier: RowFruit,
+    later: RowFruit,
+    days: float,
+    growth_m: float = 0.03,
+    growth_sd_m: float = 0.01,
 ) -> DayLinks:
     """Link the fruit of one row between two rounds.
 
@@ -97,8 +70,8 @@ def link_days(
         The fruit of both, as `best.row_fruit` gives them.
     days : float
         Between the rounds.
-    settings : LinkSettings, optional
-        What is believed of the plants.
+    growth_m, growth_sd_m : float
+        What fruit grow by a day, and how far they differ in it, metres.
 
     Raises
     ------
@@ -112,7 +85,7 @@ def link_days(
     >>> def fruit(place, length):
     ...     few = np.full(4, 0.02)
     ...     return RowFruit(np.arange(4), place, np.full((4, 3), 0.01), length, few,
-    ...         np.zeros(4, bool), np.full(4, 0.04))
+    ...         np.zeros(4, bool))
     >>> before = fruit(place, np.array([0.10, 0.22, 0.15, 0.28]))
     >>> after = fruit(place + [0.3, -0.25, 0.0], np.array([0.13, 0.25, 0.18, 0.31]))
     >>> links = link_days(before, after, 1.0)
@@ -121,39 +94,37 @@ def link_days(
     """
     if not days > 0:
         raise ValueError(f"the later round is {days} days after the earlier one")
-    s = settings or LinkSettings()
     a, b = _tops(earlier), _tops(later)
-    knots = _knots(a[:, ALONG], s.stretch_m)
-    i, j = _near(a[:, ALONG], b[:, ALONG], s.most_along_m + 4 * s.swing_m[0])
-    size = _size_ratio(earlier, later, i, j, days, s)
+    knots = _knots(a[:, ALONG])
+    i, j = _near(a[:, ALONG], b[:, ALONG], MOST_ALONG_M + 4 * SWING_M[0])
+    grown, grown_sd = growth_m * days, growth_sd_m * days
+    size = _size_ratio(earlier, later, i, j, grown, grown_sd)
     noise = earlier.place_sd_m[i] ** 2 + later.place_sd_m[j] ** 2
     noise = noise + _hidden_variance(earlier, later, i, j)
-    swing = np.square(s.swing_m)
+    swing = np.square(SWING_M)
     other = _other_density(b)
-    shift = _vote(knots, a, b, (i, j), size, noise + swing, other, s)
-    field, spread = shift, np.full_like(shift, s.swing_m[0])
+    shift = _vote(knots, a, b, (i, j), size, noise + swing, other)
+    field, spread = shift, np.full_like(shift, SWING_M[0])
     for _ in range(PASSES):
         moved = _at(knots, field, a[i, ALONG])
         gap = b[j] - a[i] - moved
         variance = noise + swing + _at(knots, spread, a[i, ALONG]) ** 2
-        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(s.stay) - other
+        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(STAY) - other
         pairs = _assign(i, j, ratio, len(a), len(b))
-        field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift, s)
-        swing = _swing(gap[pairs], variance[pairs] - swing, s)
+        field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift)
+        swing = _swing(gap[pairs], variance[pairs] - swing)
     chance = _chances(i, j, ratio, len(a), len(b))[pairs]
     kept = chance > 0.5
     found = np.column_stack([i[pairs], j[pairs]])[kept]
-    return DayLinks(found, chance[kept], chance[kept] >= s.least, knots, field, spread)
+    return DayLinks(found, chance[kept], chance[kept] >= SURE, field, spread)
 
 
-def _swing(
-    gap: NDArray[np.float64], other: NDArray[np.float64], s: LinkSettings
-) -> NDArray[np.float64]:
+def _swing(gap: Floats, other: Floats) -> Floats:
     """Return the variance of fruit about their plants' shift: the prior's and the links' own.
 
     By the median, so that a fifth of wrong links does little.
     """
-    prior = np.square(s.swing_m)
+    prior = np.square(SWING_M)
     if not len(gap):
         return prior
     seen = (1.4826 * np.median(np.abs(gap), axis=0)) ** 2 - np.median(other, axis=0)
@@ -161,22 +132,20 @@ def _swing(
     return np.asarray((PRIOR_LINKS * prior + len(gap) * seen) / (PRIOR_LINKS + len(gap)))
 
 
-def _tops(fruit: RowFruit) -> NDArray[np.float64]:
+def _tops(fruit: RowFruit) -> Floats:
     """Return the upper ends of fruit, shape (F, 3): they stay while a growing middle sinks."""
     top = fruit.place_m.copy()
     top[:, UP] += np.nan_to_num(fruit.length_m, nan=0.15) / 2
     return top
 
 
-def _knots(along: NDArray[np.float64], stretch_m: float) -> NDArray[np.float64]:
+def _knots(along: Floats) -> Floats:
     low, high = float(along.min(initial=0.0)), float(along.max(initial=0.0))
-    count = max(int(np.ceil((high - low) / stretch_m)), 1)
+    count = max(int(np.ceil((high - low) / STRETCH_M)), 1)
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
-def _near(
-    a: NDArray[np.float64], b: NDArray[np.float64], gate_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _near(a: Floats, b: Floats, gate_m: float) -> tuple[Ints, Ints]:
     i, j = pairs_within(np.concatenate([a, b]), gate_m)
     low, high = np.minimum(i, j), np.maximum(i, j)
     between = (low < len(a)) & (high >= len(a))
@@ -184,65 +153,55 @@ def _near(
 
 
 def _size_ratio(
-    earlier: RowFruit,
-    later: RowFruit,
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    days: float,
-    s: LinkSettings,
-) -> NDArray[np.float64]:
+    earlier: RowFruit, later: RowFruit, i: Ints, j: Ints, grown_m: float, grown_sd_m: float
+) -> Floats:
     """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
     first, second = earlier.length_m[i], later.length_m[j]
     known = np.isfinite(first + second) & ~earlier.partial[i] & ~later.partial[j]
     error = np.hypot(first * earlier.length_sd[i], second * later.length_sd[j])
-    sd = np.sqrt(error**2 + (s.growth_sd_m * days) ** 2 + 0.003**2)
+    sd = np.sqrt(error**2 + grown_sd_m**2 + 0.003**2)
     whole = later.length_m[np.isfinite(later.length_m)]
     width = max(float(np.sqrt(12) * whole.std()), 0.1) if len(whole) else 0.3
-    grown = log_density(second - first - s.growth_m * days, sd**2) + np.log(width)
+    grown = log_density(second - first - grown_m, sd**2) + np.log(width)
     return np.asarray(np.where(known, np.maximum(grown, -6.0), 0.0), np.float64)
 
 
-def _hidden_variance(
-    earlier: RowFruit, later: RowFruit, i: NDArray[np.intp], j: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _hidden_variance(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> Floats:
     """Return the variance that hidden parts add to upper ends, shape (K, 3)."""
     lost = 0.06**2 * (earlier.partial[i].astype(float) + later.partial[j])
     return np.stack([0 * lost, lost, 0 * lost], axis=1)
 
 
-def _other_density(b: NDArray[np.float64]) -> float:
+def _other_density(b: Floats) -> float:
     """Return the log density of fruit in the row, per cubic metre."""
     width = np.maximum(np.sqrt(12) * b.std(axis=0), [0.5, 0.2, 0.1])
     return float(np.log(max(len(b), 1) / width.prod()))
 
 
-def _at(
-    knots: NDArray[np.float64], values: NDArray[np.float64], along: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _at(knots: Floats, values: Floats, along: Floats) -> Floats:
     return np.stack([np.interp(along, knots, values[:, c]) for c in range(3)], axis=1)
 
 
 def _vote(
-    knots: NDArray[np.float64],
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
-    size: NDArray[np.float64],
-    noise: NDArray[np.float64],
+    knots: Floats,
+    a: Floats,
+    b: Floats,
+    pairs: tuple[Ints, Ints],
+    size: Floats,
+    noise: Floats,
     other: float,
-    s: LinkSettings,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Find each stretch's shift on a grid; stretches that see little follow the whole row."""
     from scipy.ndimage import gaussian_filter
 
     i, j = pairs
     step = 0.02
     gap = (b[j] - a[i])[:, :2]
-    half = np.array([s.most_along_m, s.most_up_m])
+    half = np.array([MOST_ALONG_M, MOST_UP_M])
     bins = [np.arange(-h, h + step, step) for h in half]
     core = np.sqrt(np.median(noise[:, :2], axis=0)) / step if len(i) else np.ones(2)
     # How much a pair adds at its own shift, beyond what other fruit do by chance.
-    height = size + log_density(0.0, noise).sum(axis=1) + np.log(s.stay) - other
+    height = size + log_density(0.0, noise).sum(axis=1) + np.log(STAY) - other
     weight = np.log1p(np.exp(np.minimum(height, 20.0)))
     stretch = np.abs(a[i, ALONG, None] - knots).argmin(axis=1)
     grids = []
@@ -262,14 +221,12 @@ def _vote(
     return found
 
 
-def _peak(grid: NDArray[np.float64], middles: list[NDArray[np.float64]]) -> tuple[float, float]:
+def _peak(grid: Floats, middles: list[Floats]) -> tuple[float, float]:
     at = np.unravel_index(int(grid.argmax()), grid.shape)
     return float(middles[0][at[0]]), float(middles[1][at[1]])
 
 
-def _assign(
-    i: NDArray[np.intp], j: NDArray[np.intp], ratio: NDArray[np.float64], rows: int, columns: int
-) -> NDArray[np.intp]:
+def _assign(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Ints:
     """Return which pairs are assigned, one to one; a pair below even odds is none.
 
     Fruit that no likely pair joins are assigned apart from each other, group by group.
@@ -295,19 +252,13 @@ def _assign(
         gain = np.where(index >= 0, ratio[index], 0.0)
         chosen = index[linear_sum_assignment(gain, maximize=True)]
         kept.append(chosen[chosen >= 0])
-    none: NDArray[np.intp] = np.zeros(0, np.intp)
+    none: Ints = np.zeros(0, np.intp)
     return np.concatenate([none, *kept])
 
 
 def _fit(
-    knots: NDArray[np.float64],
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
-    noise: NDArray[np.float64],
-    voted: NDArray[np.float64],
-    s: LinkSettings,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    knots: Floats, a: Floats, b: Floats, pairs: tuple[Ints, Ints], noise: Floats, voted: Floats
+) -> tuple[Floats, Floats]:
     """Estimate the shifts of all stretches from the links, neighbours alike but for some jumps."""
     i, j = pairs
     count = len(knots)
@@ -319,8 +270,8 @@ def _fit(
         for _ in range(4):
             misfit = (target - basis @ field[:, c]) ** 2 / noise[:, c]
             trust = (FREEDOM + 1) / (FREEDOM + misfit) / noise[:, c]
-            jump = (steps @ field[:, c]) ** 2 / s.change_m**2
-            stiff = 2.0 / (1.0 + jump) / s.change_m**2
+            jump = (steps @ field[:, c]) ** 2 / CHANGE_M**2
+            stiff = 2.0 / (1.0 + jump) / CHANGE_M**2
             information = (basis.T * trust) @ basis + (steps.T * stiff) @ steps
             information += np.eye(count) / 0.5**2
             pull = basis.T @ (trust * target) + voted[:, c] / 0.5**2
@@ -329,9 +280,7 @@ def _fit(
     return field, spread
 
 
-def _chances(
-    i: NDArray[np.intp], j: NDArray[np.intp], ratio: NDArray[np.float64], rows: int, columns: int
-) -> NDArray[np.float64]:
+def _chances(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Floats:
     """Return how likely each pair is, of all one-to-one assignments and none.
 
     Marginals by belief propagation, as in Williams & Lau (2014), "Approximate evaluation of

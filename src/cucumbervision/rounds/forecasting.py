@@ -8,7 +8,7 @@ from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecas
 from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, grade
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.measurement.intervals import SCALE_SD
-from cucumbervision.rounds.day_linking import LinkSettings
+from cucumbervision.rounds.day_linking import SURE
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.row_fruit import found_share
 from cucumbervision.rounds.service import DAY_S, find_round, fruit_table, row_reports
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.service import RoundFruit, RowReport
     from cucumbervision.store.records import ArtifactRecord, DetectionRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView
 
 __all__ = [
     "detection_rates",
@@ -177,9 +176,8 @@ def _believed_length(record: DetectionRecord) -> tuple[float, float]:
 def growth_links(store: Store, round_key: str) -> list[Link]:
     """Return what is known of growth up to a round: its fruit followed back through earlier ones.
 
-    Links count that are sure enough (`LinkSettings.least`), and all that were made by hand.
+    Links count that are sure enough (`day_linking.SURE`), and all that were made by hand.
     """
-    least = LinkSettings().least
     days = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
     views = {round_key: {view.key: view for view in store.detections(round_key)}}
     # A fruit has one name in all rounds: the key of the view that stands in the last one.
@@ -189,7 +187,7 @@ def growth_links(store: Store, round_key: str) -> list[Link]:
     for later in queue:
         for link in store.links(later, LinkKind.GROWTH):
             known = link.second in views[later] and link.second in names
-            if not known or not (link.by_hand or (link.score or 0.0) >= least):
+            if not known or not (link.by_hand or (link.score or 0.0) >= SURE):
                 continue
             for key, day in days.items():
                 if day < days[later] and key not in views:
@@ -202,24 +200,12 @@ def growth_links(store: Store, round_key: str) -> list[Link]:
             for one in views[home].values():
                 if one.group == before.group:
                     names.setdefault(one.key, name)
-            made = _link(
-                name,
-                views[home].get(before.group, before),
-                days[home],
-                views[later].get(after.group, after),
-                days[later],
-            )
-            if made is not None:
-                found.append(made)
+            first = views[home].get(before.group, before).record
+            last = views[later].get(after.group, after)
+            measured = first.length_m is not None and last.record.length_m is not None
+            if measured and days[home] < days[later]:
+                ends = *_believed_length(first), days[later], *_believed_length(last.record)
+                found.append(Link(name, last.row or "", days[home], *ends))
             if home not in queue:
                 queue.append(home)
     return found
-
-
-def _link(
-    name: str, before: DetectionView, day0: float, after: DetectionView, day1: float
-) -> Link | None:
-    if before.record.length_m is None or after.record.length_m is None or day1 <= day0:
-        return None
-    first, second = _believed_length(before.record), _believed_length(after.record)
-    return Link(name, after.row or "", day0, *first, day1, *second)

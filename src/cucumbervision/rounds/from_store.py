@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
-from cucumbervision.rounds.poses import (
-    MIDDLE_SD_M,
-    middle_offset,
-    middle_sd,
-    pose_matrix,
-    sign_of_side,
-)
-from cucumbervision.rounds.row_views import ALONG, UP, RowStops, RowViews
-from cucumbervision.rounds.stop_alignment import FittedStops
+from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
+from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
+from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.views import LinkKind, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.rounds.row_views import Ints
     from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView, LinkRecord, StopView
+    from cucumbervision.store.views import CameraAt, DetectionView, LinkRecord, StopView
 
 __all__ = [
     "RoundContent",
@@ -62,7 +55,7 @@ class StoredRow:
         Keys of both, in order.
     sides : tuple of str
         Names of the sides: 0, and 1 where there is one.
-    unplaced : tuple of str
+    unplaced : int
         Detections that cannot be merged: no position, or no depth.
     """
 
@@ -72,7 +65,7 @@ class StoredRow:
     stop_keys: tuple[str, ...]
     fruit_keys: tuple[str, ...]
     sides: tuple[str, ...]
-    unplaced: tuple[str, ...]
+    unplaced: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +80,14 @@ class RoundContent:
         Its stops.
     views : tuple of DetectionView
         Its detections, in groups.
-    frames : mapping
+    cameras : mapping
         Poses and cameras by the stops' keys.
     """
 
     key: str
     stops: tuple[StopView, ...]
     views: tuple[DetectionView, ...]
-    frames: Mapping[str, _Frame]
+    cameras: Mapping[str, CameraAt]
 
 
 def read_round(store: Store, round_key: str) -> RoundContent:
@@ -106,7 +99,7 @@ def read_round(store: Store, round_key: str) -> RoundContent:
         If it is not there.
     """
     stops, views = store.stops(round_key), store.detections(round_key)
-    return RoundContent(round_key, tuple(stops), tuple(views), _frames(store, round_key))
+    return RoundContent(round_key, tuple(stops), tuple(views), store.cameras(round_key))
 
 
 def load_rows(content: RoundContent) -> list[StoredRow]:
@@ -117,38 +110,14 @@ def load_rows(content: RoundContent) -> list[StoredRow]:
     RoundError
         If a row has more than two sides.
     """
-    by_row: dict[str, list[StopView]] = {}
-    for stop in content.stops:
-        by_row.setdefault(stop.row or "", []).append(stop)
     known = {stop.key for stop in content.stops}  # a stop may be saved while we read
-    fruit: dict[str, list[DetectionView]] = {}
-    for view in content.views:
-        if view.verdict is not Verdict.REJECTED and view.stop_key in known:
-            fruit.setdefault(view.row or "", []).append(view)
-    return [
-        _row(name, stops, fruit.get(name, []), content.frames)
-        for name, stops in sorted(by_row.items())
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """A stop's pose, and its captures' numbers and fields of view."""
-
-    pose: NDArray[np.float64] | None
-    captures: Mapping[str, int]
-    reach: tuple[float, float]
-
-
-def _frames(store: Store, round_key: str) -> dict[str, _Frame]:
-    return {
-        key: _Frame(
-            np.array(at.pose, float).reshape(4, 4) if len(at.pose) == 16 else None,
-            at.captures,
-            _reach(at.camera),
-        )
-        for key, at in store.cameras(round_key).items()
-    }
+    kept = [v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in known]
+    found = []
+    for name in sorted({stop.row or "" for stop in content.stops}):
+        stops = [stop for stop in content.stops if (stop.row or "") == name]
+        views = [view for view in kept if (view.row or "") == name]
+        found.append(_row(name, stops, views, content.cameras))
+    return found
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
@@ -163,7 +132,7 @@ def _row(
     name: str,
     stops: Sequence[StopView],
     fruit: Sequence[DetectionView],
-    frames: Mapping[str, _Frame],
+    cameras: Mapping[str, CameraAt],
 ) -> StoredRow:
     sides = tuple(sorted({stop.side or "" for stop in stops}))
     if len(sides) > 2:
@@ -173,69 +142,40 @@ def _row(
         )
     placed = [stop for stop in stops if stop.position_m is not None]
     index = {stop.key: k for k, stop in enumerate(placed)}
-    known = [view for view in fruit if view.stop_key in index and _has_place(view.record)]
-    return StoredRow(
-        name,
-        _stops(placed, sides, frames),
-        _views(known, index, sides, frames),
-        tuple(index),
-        tuple(view.key for view in known),
-        sides,
-        tuple(sorted({view.key for view in fruit} - {view.key for view in known})),
-    )
-
-
-def _has_place(record: DetectionRecord) -> bool:
-    return None not in (record.centre_x_m, record.centre_y_m, record.centre_z_m)
-
-
-def _stops(
-    stops: Sequence[StopView], sides: Sequence[str], frames: Mapping[str, _Frame]
-) -> RowStops:
-    poses = [frames[stop.key].pose for stop in stops]
-    heights = [0.0 if pose is None else float(pose[UP, 3]) for pose in poses]
-    at_m = np.zeros((len(stops), 3))
-    sd_m = np.full((len(stops), 3), CAMERA_SD_M)
-    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in stops]
-    at_m[:, UP] = heights
-    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in stops]
-    side = np.array([sides.index(stop.side or "") for stop in stops], np.int64)
-    reach = np.array([frames[stop.key].reach for stop in stops]).reshape(-1, 2)
-    return RowStops(at_m, sd_m, side, reach)
-
-
-def _views(
-    fruit: Sequence[DetectionView],
-    index: Mapping[str, int],
-    sides: Sequence[str],
-    frames: Mapping[str, _Frame],
-) -> RowViews:
-    count = len(fruit)
-    offset, sd, sizes = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 4))
-    partial = np.zeros(count, bool)
-    for k, view in enumerate(fruit):
-        record, frame = view.record, frames[view.stop_key]
-        pose = frame.pose if frame.pose is not None else pose_matrix(0.0, sign_of_side(view.side))
-        middle = np.array([record.centre_x_m, record.centre_y_m, record.centre_z_m], float)
-        offset[k] = middle_offset(middle, pose)
-        partial[k] = record.partial
-        tube = record.diameter_max_m is not None
-        sd[k] = middle_sd(offset[k], tube=tube, partial=bool(partial[k]), length_m=record.length_m)
-        offset[k, 2] *= -1.0 if sides.index(view.side or "") else 1.0
-        sizes[k] = *_length(record), record.diameter_max_m or np.nan, DIAMETER_SD
-    return RowViews(
-        np.array([index[view.stop_key] for view in fruit], np.int64),
-        np.array([frames[v.stop_key].captures[v.capture] for v in fruit], np.int64),
+    poses = {stop.key: stored_pose(cameras[stop.key].pose, stop.side) for stop in stops}
+    known, places = [], []
+    for view in fruit:
+        place = offset_of(view.record, poses[view.stop_key])
+        if view.stop_key in index and place is not None:
+            known.append(view)
+            places.append(place)
+    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), CAMERA_SD_M)
+    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
+    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in placed]
+    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
+    side = np.array([sides.index(stop.side or "") for stop in placed], np.int64)
+    reach = np.array([_reach(cameras[stop.key].camera) for stop in placed]).reshape(-1, 2)
+    at_stop = np.array([index[view.stop_key] for view in known], np.int64)
+    offset, offset_sd = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
+    records = [view.record for view in known]
+    length = np.array([_length(record) for record in records], np.float64).reshape(-1, 2)
+    views = RowViews(
+        at_stop,
+        np.array([cameras[v.stop_key].captures[v.capture] for v in known], np.int64),
         offset,
-        sd,
-        sizes[:, 0],
-        sizes[:, 1],
-        sizes[:, 2],
-        sizes[:, 3],
-        partial,
-        np.array([view.record.score for view in fruit], float),
-        np.array([view.record.view_score for view in fruit], float),
+        offset_sd,
+        length[:, 0],
+        length[:, 1],
+        np.array([record.diameter_max_m or np.nan for record in records], np.float64),
+        np.full(len(known), DIAMETER_SD),
+        np.array([record.partial for record in records], bool),
+        np.array([record.score for record in records], np.float64),
+        np.array([record.view_score for record in records], np.float64),
     )
+    keys = tuple(view.key for view in known)
+    stops_of_row = RowStops(at_m, sd_m, side, reach)
+    return StoredRow(name, stops_of_row, views, tuple(index), keys, sides, len(fruit) - len(known))
 
 
 def _length(record: DetectionRecord) -> tuple[float, float]:
@@ -257,7 +197,7 @@ def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
     """Return the pairs of a row's views that were decided by hand."""
     index = {key: k for k, key in enumerate(row.fruit_keys)}
 
-    def pairs(kind: LinkKind) -> NDArray[np.int64]:
+    def pairs(kind: LinkKind) -> Ints:
         chosen = [
             (index[one.first], index[one.second])
             for one in links
@@ -279,9 +219,6 @@ def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
         stop = stops[key]
         if stop.fitted_m is not None:
             at_m[k, ALONG], sd_m[k, ALONG] = stop.fitted_m, stop.fitted_sd_m or sd_m[k, ALONG]
-    covariance = np.zeros((3, len(at_m), len(at_m)))
-    at = np.arange(len(at_m))
-    covariance[:, at, at] = sd_m.T**2
-    numbers = cluster.astype(np.int64)
-    pairs = np.column_stack(cluster_pairs(numbers))
-    return Merged(numbers, FittedStops(at_m, covariance), pairs, np.ones(len(pairs)))
+    fitted = prior_stops(replace(row.stops, at_m=at_m, sd_m=sd_m))
+    pairs = np.column_stack(cluster_pairs(cluster))
+    return Merged(cluster, fitted, pairs, np.ones(len(pairs)))

@@ -20,9 +20,7 @@ from cucumbervision.rounds.row_views import (
 from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_stops, vote_pairs
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from cucumbervision.rounds.row_views import RowViews
+    from cucumbervision.rounds.row_views import Floats, Ints, RowViews
 
 __all__ = [
     "ByHand",
@@ -40,13 +38,7 @@ UNLIKE = -8.0  # what a pair counts that is not among the likely ones
 HELD = 40.0  # what a pair counts that was merged by hand
 
 
-def sweep(
-    views: RowViews,
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    ratio: NDArray[np.float64],
-    cluster: NDArray[np.intp],
-) -> NDArray[np.intp]:
+def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
     """Assign the views of each capture in turn to the fruit that the other captures show.
 
     One to one, by the least sum of costs (`scipy.optimize.linear_sum_assignment`; Crouse 2016).
@@ -97,20 +89,14 @@ def sweep(
     return cluster
 
 
-def _members(views: RowViews) -> list[NDArray[np.intp]]:
+def _members(views: RowViews) -> list[Ints]:
     order = np.argsort(views.capture, kind="stable")
     ordered = views.capture[order]
     cuts = np.flatnonzero(np.diff(ordered)) + 1
     return [np.sort(part) for part in np.split(order, cuts) if len(part)]
 
 
-def _assign(
-    own: NDArray[np.intp],
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
-    ratio: NDArray[np.float64],
-    sizes: NDArray[np.intp],
-) -> NDArray[np.intp]:
+def _assign(own: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> Ints:
     """Return for each of a capture's views the column of its fruit, or -1."""
     from scipy.optimize import linear_sum_assignment
 
@@ -128,13 +114,7 @@ def _assign(
     return np.where(at < columns, at, -1).astype(np.intp)
 
 
-def join_clusters(
-    views: RowViews,
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    ratio: NDArray[np.float64],
-    cluster: NDArray[np.intp],
-) -> NDArray[np.intp]:
+def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
     """Join fruit whose views are alike on average and never of one capture, the most alike first.
 
     A view at a time cannot do that: of four views, two and two may have found each other.
@@ -163,7 +143,7 @@ def join_clusters(
     return cluster
 
 
-def cluster_pairs(cluster: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
     """Return all pairs of views of one fruit, each once.
 
     Examples
@@ -179,12 +159,12 @@ def cluster_pairs(cluster: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[
         same = np.flatnonzero(ordered[:-step] == ordered[step:])
         first.append(order[same])
         second.append(order[same + step])
-    none: NDArray[np.intp] = np.zeros(0, np.intp)
+    none: Ints = np.zeros(0, np.intp)
     i, j = np.concatenate([none, *first]), np.concatenate([none, *second])
     return np.minimum(i, j), np.maximum(i, j)
 
 
-NO_PAIRS: NDArray[np.int64] = np.zeros((0, 2), np.int64)
+NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
 
 NEVER = -1e3
 
@@ -225,8 +205,8 @@ class ByHand:
         One fruit, and two.
     """
 
-    same: NDArray[np.int64] = field(default_factory=lambda: NO_PAIRS)
-    apart: NDArray[np.int64] = field(default_factory=lambda: NO_PAIRS)
+    same: Ints = field(default_factory=lambda: NO_PAIRS)
+    apart: Ints = field(default_factory=lambda: NO_PAIRS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,14 +230,14 @@ class Merged:
         count the other way.
     """
 
-    cluster: NDArray[np.int64]
+    cluster: Ints
     stops: FittedStops
-    pairs: NDArray[np.int64]
-    probability: NDArray[np.float64]
+    pairs: Ints
+    probability: Floats
     across_m: float | None = None
     mirrored: tuple[int, ...] = ()
 
-    def place_m(self, views: RowViews) -> NDArray[np.float64]:
+    def place_m(self, views: RowViews) -> Floats:
         """Return each view's place in the row's frame, shape (N, 3), metres."""
         return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
 
@@ -312,7 +292,7 @@ def merge_row(
         across = _vote_across(fitted, stops, views, crowd, settings)
         stops = _set_across(stops, across)
         fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
-    cluster: NDArray[np.intp] = np.arange(len(views))
+    cluster: Ints = np.arange(len(views))
     for _ in range(settings.passes):
         i, j, ratio = _rated(fitted, stops, views, crowd, settings, by_hand)
         cluster = sweep(views, i, j, ratio, cluster)
@@ -353,7 +333,7 @@ def views_per_m(stops: RowStops, views: RowViews) -> float:
     return len(views) / max(float(shown.sum()), 1e-6 * len(captures))
 
 
-def _candidates(fitted: FittedStops, views: RowViews) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _candidates(fitted: FittedStops, views: RowViews) -> tuple[Ints, Ints]:
     """Return pairs of views of different captures that may be one fruit, by their place alone."""
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
@@ -369,7 +349,7 @@ def _rated(
     crowd: Crowd,
     settings: MergeSettings,
     by_hand: ByHand,
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
     i, j = _candidates(fitted, views)
     known = np.vstack([by_hand.same, by_hand.apart])
@@ -391,11 +371,7 @@ def _rated(
 
 
 def _vote_across(
-    fitted: FittedStops,
-    stops: RowStops,
-    views: RowViews,
-    crowd: Crowd,
-    settings: MergeSettings,
+    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd, settings: MergeSettings
 ) -> tuple[float, float]:
     """Find how far apart the cameras of the two aisles are: by pairs alike in all but depth."""
     i, j = _candidates(fitted, views)
@@ -441,7 +417,7 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
     return tuple(found)
 
 
-def _numbered(cluster: NDArray[np.intp], along: NDArray[np.float64]) -> NDArray[np.int64]:
+def _numbered(cluster: Ints, along: Floats) -> Ints:
     """Return clusters numbers along the row, from 0."""
     names, at = np.unique(cluster, return_inverse=True)
     middle = np.bincount(at, along) / np.bincount(at)
@@ -450,13 +426,7 @@ def _numbered(cluster: NDArray[np.intp], along: NDArray[np.float64]) -> NDArray[
     return rank[at]
 
 
-def _chance(
-    pairs: NDArray[np.int64],
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    ratio: NDArray[np.float64],
-    size: int,
-) -> NDArray[np.float64]:
+def _chance(pairs: Ints, i: Ints, j: Ints, ratio: Floats, size: int) -> Floats:
     """Return the probability that each pair is one fruit; 0.5 where a pair was not rated."""
     codes = i * size + j
     order = np.argsort(codes)

@@ -13,18 +13,21 @@ from pydantic import BaseModel, ConfigDict, Field
 from cucumbervision.errors import RoundError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from cucumbervision.store.records import DetectionRecord
+
 __all__ = [
     "MIDDLE_SD_M",
     "PoseLine",
-    "middle_offset",
-    "middle_sd",
+    "offset_of",
     "pose_matrix",
     "read_poses",
     "sign_of_side",
+    "stored_pose",
 ]
 
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
@@ -176,18 +179,20 @@ def pose_matrix(
     >>> pose_matrix(2.0, yaw_deg=10.0)[:3] @ [0, 0, 0.7, 1]
     array([2.12155372, 0. , 0.68936543])
     """
-    yaw, pitch, roll = np.deg2rad([yaw_deg, pitch_deg, roll_deg])
-    about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-    about_x = np.array(
-        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
-    )
-    about_z = np.array(
-        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]]
-    )
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_euler("YXZ", [yaw_deg, pitch_deg, roll_deg], degrees=True)
     matrix = np.eye(4)
-    matrix[:3, :3] = np.diag([float(sign), -1.0, 1.0]) @ about_y @ about_x @ about_z
+    matrix[:3, :3] = np.diag([float(sign), -1.0, 1.0]) @ turned.as_matrix()
     matrix[:3, 3] = position_m, height_m, 0.0
     return matrix
+
+
+def stored_pose(numbers: Sequence[float], side: str | None) -> NDArray[np.float64]:
+    """Return a stop's pose from its 16 stored numbers; without them, one level at position 0."""
+    if len(numbers) == 16:
+        return np.reshape(np.array(numbers, np.float64), (4, 4))
+    return pose_matrix(0.0, sign_of_side(side))
 
 
 AXIS_SD_M = 0.005  # of a fitted tube's middle
@@ -201,51 +206,41 @@ PART_SHARE = 0.15  # of the length: how far the middle of a part is from the fru
 TURN_SD = 0.02  # radians: how far a camera is turned off its pose
 
 
-def middle_offset(middle_m: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def offset_of(
+    fruit: DetectionRecord, pose: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return how far a fruit is from its camera along the row, upwards and into the row.
 
+    Where part of it is hidden, its middle is unsure along the fruit, which hangs.
+
     Parameters
     ----------
-    middle_m : ndarray of float64, shape (3,)
-        Camera coordinates: right, down, away; metres.
+    fruit : DetectionRecord
+        With its middle in camera coordinates: right, down, away.
     pose : ndarray of float64, shape (4, 4)
-        As `poses.pose_matrix` gives it.
+        As `pose_matrix` gives it.
+
+    Returns
+    -------
+    tuple of ndarray of float64, each of shape (3,), or None
+        The offset and its standard deviations, metres; None where the middle is not known.
 
     Examples
     --------
-    >>> from cucumbervision.rounds.poses import pose_matrix
-    >>> middle_offset(np.array([0.1, 0.2, 0.7]), pose_matrix(3.0, -1)).tolist()
-    [-0.1, -0.2, 0.7]
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> middle = {"centre_x_m": 0.2, "centre_y_m": 0.1, "centre_z_m": 0.7}
+    >>> cut = DetectionRecord(1, diameter_max_m=0.04, hidden_share=0.5, length_m=0.3, **middle)
+    >>> [found.round(3).tolist() for found in offset_of(cut, pose_matrix(3.0, -1))]
+    [[-0.2, -0.1, 0.7], [0.005, 0.045, 0.006]]
     """
-    return np.asarray(pose[:3, :3] @ middle_m, np.float64)
-
-
-def middle_sd(
-    offset_m: NDArray[np.float64], *, tube: bool, partial: bool, length_m: float | None
-) -> NDArray[np.float64]:
-    """Return the standard deviations of a fruit's offset, metres, shape (3,).
-
-    Parameters
-    ----------
-    offset_m : ndarray of float64, shape (3,)
-        As `middle_offset` gives it.
-    tube : bool
-        Whether it is the middle of a fitted tube's axis.
-    partial : bool
-        Whether part of the fruit is hidden: then the middle is unsure along the fruit, which
-        hangs.
-    length_m : float, optional
-        The length that is seen.
-
-    Examples
-    --------
-    >>> sd = middle_sd(np.array([0.2, 0.0, 0.7]), tube=True, partial=True, length_m=0.3)
-    >>> sd.round(3).tolist()
-    [0.005, 0.045, 0.006]
-    """
+    middle = (fruit.centre_x_m, fruit.centre_y_m, fruit.centre_z_m)
+    if None in middle:
+        return None
+    offset = np.asarray(pose[:3, :3] @ np.array(middle, np.float64))
+    tube = fruit.diameter_max_m is not None
     across = AXIS_SD_M if tube else SURFACE_SD_M
-    up = np.hypot(across, PART_SHARE * (length_m or 0.2)) if partial else across
+    up = np.hypot(across, PART_SHARE * (fruit.length_m or 0.2)) if fruit.partial else across
     # Turning moves all fruit of a capture along alike, which their stop takes up; what is left
     # is the difference in depth between its left and its right.
-    depth = np.hypot(across if tube else SURFACE_DEPTH_SD_M, TURN_SD * abs(float(offset_m[0])))
-    return np.array([across, up, depth])
+    depth = np.hypot(across if tube else SURFACE_DEPTH_SD_M, TURN_SD * abs(float(offset[0])))
+    return offset, np.array([across, up, depth])

@@ -18,10 +18,8 @@ from cucumbervision.rounds.row_views import DEPTH
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cucumbervision.rounds.merge import Merged
-    from cucumbervision.rounds.row_views import RowStops, RowViews
+    from cucumbervision.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
 __all__ = [
     "CountEstimate",
@@ -52,24 +50,21 @@ class RowFruit:
         Length of the best view, NaN where none has one, and its relative standard deviation.
     partial : ndarray of bool, shape (F,)
         Whether that is a lower bound.
-    diameter_m : ndarray of float64, shape (F,)
-        Largest diameter likewise.
     """
 
-    best: NDArray[np.int64]
-    place_m: NDArray[np.float64]
-    place_sd_m: NDArray[np.float64]
-    length_m: NDArray[np.float64]
-    length_sd: NDArray[np.float64]
-    partial: NDArray[np.bool_]
-    diameter_m: NDArray[np.float64]
+    best: Ints
+    place_m: Floats
+    place_sd_m: Floats
+    length_m: Floats
+    length_sd: Floats
+    partial: Bools
 
     def __len__(self) -> int:
         """Return the number of fruit."""
         return len(self.best)
 
 
-def best_views(merged: Merged, views: RowViews) -> NDArray[np.int64]:
+def best_views(merged: Merged, views: RowViews) -> Ints:
     """Return for each fruit the view that stands, shape (F,).
 
     One with a length before one without, one that shows the whole fruit before a lower bound,
@@ -106,12 +101,11 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
         views.length_m[best],
         views.length_sd[best],
         views.partial[best],
-        views.diameter_m[best],
     )
 
 
 def combined_length(
-    length_m: NDArray[np.float64], length_sd: NDArray[np.float64], partial: NDArray[np.bool_]
+    length_m: Floats, length_sd: Floats, partial: Bools
 ) -> tuple[float, float] | None:
     """Return the length that all whole views of a fruit give together, and its standard deviation.
 
@@ -174,15 +168,15 @@ class CountEstimate:
 
     expected: float
     sd: float
-    seen: NDArray[np.int64]
-    shown: NDArray[np.int64]
-    real: NDArray[np.float64]
+    seen: Ints
+    shown: Ints
+    real: Floats
     seen_again: float
 
     @classmethod
     def of_nothing(cls) -> CountEstimate:
         """Return the count of a row without detections."""
-        none: NDArray[np.int64] = np.zeros(0, np.int64)
+        none: Ints = np.zeros(0, np.int64)
         return cls(0.0, 0.0, none, none, np.zeros(0), SEEN)
 
     def expected_variance(self) -> float:
@@ -253,7 +247,7 @@ def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
     return found, found * float(sd), 1.0 - real / seen
 
 
-def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> NDArray[np.int64]:
+def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> Ints:
     """Return how many captures could show each fruit, shape (F,).
 
     Only captures of sides that did see it count: leaves may hide it from the other aisle.
@@ -276,12 +270,7 @@ def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> NDArray[np.
     return shown
 
 
-def estimate_count(
-    seen: NDArray[np.int64],
-    shown: NDArray[np.int64],
-    score: NDArray[np.float64],
-    sure_scores: NDArray[np.float64],
-) -> CountEstimate:
+def estimate_count(seen: Ints, shown: Ints, score: Floats, sure_scores: Floats) -> CountEstimate:
     """Estimate how many fruit there are from how often each was seen.
 
     Parameters
@@ -325,7 +314,7 @@ def estimate_count(
     return CountEstimate(float((real + unseen).sum()), float(sd), seen, shown, real, q)
 
 
-def _share_learnt(real: NDArray[np.float64]) -> float:
+def _share_learnt(real: Floats) -> float:
     """Return by how much variance grows since the share of invented ones is learnt from them too.
 
     By the missing information m of a mixture's share: 1 / (1 - m) (Louis 1982).
@@ -337,7 +326,7 @@ def _share_learnt(real: NDArray[np.float64]) -> float:
     return 1.0 / max(1.0 - missing, 0.25)
 
 
-def _score_ratio(score: NDArray[np.float64], sure: NDArray[np.float64]) -> NDArray[np.float64]:
+def _score_ratio(score: Floats, sure: Floats) -> Floats:
     """Return the likelihood ratio of a confidence: its density among sure fruit, over the range.
 
     The density is a Beta distribution's, fitted by moments.

@@ -9,12 +9,16 @@ join.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+Floats: TypeAlias = "NDArray[np.float64]"
+Ints: TypeAlias = "NDArray[np.integer]"
+Bools: TypeAlias = "NDArray[np.bool_]"
 
 __all__ = [
     "ALONG",
@@ -50,10 +54,10 @@ class RowStops:
         Tangents of half the field of view, along and up.
     """
 
-    at_m: NDArray[np.float64]
-    sd_m: NDArray[np.float64]
-    side: NDArray[np.int64]
-    reach: NDArray[np.float64]
+    at_m: Floats
+    sd_m: Floats
+    side: Ints
+    reach: Floats
 
     def __len__(self) -> int:
         """Return the number of stops."""
@@ -82,26 +86,24 @@ class RowViews:
         How well the view shows the fruit, 0 to 1.
     """
 
-    stop: NDArray[np.int64]
-    capture: NDArray[np.int64]
-    offset_m: NDArray[np.float64]
-    offset_sd_m: NDArray[np.float64]
-    length_m: NDArray[np.float64]
-    length_sd: NDArray[np.float64]
-    diameter_m: NDArray[np.float64]
-    diameter_sd: NDArray[np.float64]
-    partial: NDArray[np.bool_]
-    score: NDArray[np.float64]
-    view_score: NDArray[np.float64]
+    stop: Ints
+    capture: Ints
+    offset_m: Floats
+    offset_sd_m: Floats
+    length_m: Floats
+    length_sd: Floats
+    diameter_m: Floats
+    diameter_sd: Floats
+    partial: Bools
+    score: Floats
+    view_score: Floats
 
     def __len__(self) -> int:
         """Return the number of detections."""
         return len(self.stop)
 
 
-def pairs_within(
-    values: NDArray[np.float64], gate: float | NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     """Return all pairs i, j of values that lie no farther apart than a gate, each once.
 
     Parameters
@@ -175,7 +177,7 @@ class Crowd:
     def of(cls, views: RowViews, per_m: float) -> Crowd:
         """Take the widths from the views themselves: that of a uniform band of equal spread."""
 
-        def width(values: NDArray[np.float64], least: float) -> float:
+        def width(values: Floats, least: float) -> float:
             known = values[np.isfinite(values)]
             return max(float(np.sqrt(12) * known.std()), least) if len(known) else least
 
@@ -188,7 +190,7 @@ class Crowd:
         )
 
 
-def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
+def log_density(gap: ArrayLike, variance: ArrayLike) -> Floats:
     """Return the log density of a gap under a normal distribution with heavy tails.
 
     Parameters
@@ -209,12 +211,8 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
 
 
 def size_ratio(
-    first: NDArray[np.float64],
-    second: NDArray[np.float64],
-    sd: NDArray[np.float64],
-    partial: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    width: float,
-) -> NDArray[np.float64]:
+    first: Floats, second: Floats, sd: Floats, partial: tuple[Bools, Bools], width: float
+) -> Floats:
     """Return the log likelihood ratio of two sizes: of one fruit, against those of any other two.
 
     Parameters
@@ -254,9 +252,7 @@ def size_ratio(
     return np.asarray(np.where(known & ~both, ratio, 0.0), np.float64)
 
 
-def shape_ratio(
-    views: RowViews, i: NDArray[np.intp], j: NDArray[np.intp], crowd: Crowd
-) -> NDArray[np.float64]:
+def shape_ratio(views: RowViews, i: Ints, j: Ints, crowd: Crowd) -> Floats:
     """Return the log likelihood ratio of length and diameter of views i and j, shape (K,)."""
     whole = np.zeros(len(i), bool)
     length_sd = np.hypot(views.length_sd[i], views.length_sd[j])
@@ -269,9 +265,7 @@ def shape_ratio(
     return length + diameter
 
 
-def position_ratio(
-    gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd
-) -> NDArray[np.float64]:
+def position_ratio(gap_m: Floats, variance_m2: Floats, crowd: Crowd) -> Floats:
     """Return the log likelihood ratio of positions: of one fruit, against the crowd.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.day_linking import LinkSettings, link_days
+from cucumbervision.rounds.day_linking import link_days
 from cucumbervision.rounds.from_store import (
     RoundContent,
     by_hand_of,
@@ -26,6 +27,7 @@ from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftReco
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import StoredRow
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
@@ -84,16 +86,6 @@ class RowReport:
         """How many fruit were found."""
         return len(self.count.seen)
 
-    @property
-    def expected(self) -> float:
-        """How many fruit there are, invented ones taken off and unseen ones added."""
-        return self.count.expected
-
-    @property
-    def expected_sd(self) -> float:
-        """Standard deviation of `expected`."""
-        return self.count.sd
-
 
 @dataclass(frozen=True)
 class RowLinks:
@@ -132,15 +124,12 @@ class RoundFruit:
         The view that stands, with its measurement.
     combined_m, combined_sd_m : float, optional
         Length that all whole views give together.
-    seen : int
-        How many views it has.
     """
 
     number: int
     view: DetectionView
     combined_m: float | None
     combined_sd_m: float | None
-    seen: int
 
 
 def find_round(store: Store, name: str = "") -> RoundView:
@@ -209,17 +198,16 @@ def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[Link
 
 
 def _report(row: StoredRow, merged: Merged, *, done: bool = True) -> RowReport:
-    some = len(row.views) > 0
     return RowReport(
         row.name,
         len(row.stops),
         len(row.views),
-        count_fruit(merged, row.stops, row.views) if some else CountEstimate.of_nothing(),
+        count_fruit(merged, row.stops, row.views),
         done,
         float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
         merged.across_m,
         tuple(row.sides[side] for side in merged.mirrored),
-        len(row.unplaced),
+        row.unplaced,
     )
 
 
@@ -233,7 +221,7 @@ def row_reports(content: RoundContent) -> list[RowReport]:
 
 
 def link_rounds(
-    store: Store, earlier: str, later: str, settings: LinkSettings | None = None
+    store: Store, earlier: str, later: str, profile: CropProfile | None = None
 ) -> list[RowLinks]:
     """Link the fruit of two merged rounds and save links and shifts.
 
@@ -243,8 +231,8 @@ def link_rounds(
         Where the rounds are.
     earlier, later : str
         Their keys.
-    settings : LinkSettings, optional
-        What is believed of the plants.
+    profile : CropProfile, optional
+        Whose growth is expected; 3 cm a day, give or take 1, without.
 
     Raises
     ------
@@ -255,6 +243,10 @@ def link_rounds(
     days = (begun[later] - begun[earlier]) / DAY_S
     if not days > 0:
         raise RoundError("the later round began no later", remedy="name the earlier one first")
+    growth: tuple[float, ...] = ()
+    if profile is not None:
+        of = profile.growth
+        growth = of.mean / 100, math.hypot(of.house_sd, of.row_sd, of.fruit_sd) / 100
     contents = read_round(store, earlier), read_round(store, later)
     first = {row.name: row for row in load_rows(contents[0]) if len(row.views)}
     links, shifts, found = [], [], []
@@ -266,7 +258,7 @@ def link_rounds(
             row_fruit(stored_merging(content, one), one.views)
             for content, one in zip(contents, (before, row), strict=True)
         ]
-        linked = link_days(fruit[0], fruit[1], days, settings)
+        linked = link_days(fruit[0], fruit[1], days, *growth)
         for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
             one = before.fruit_keys[fruit[0].best[a]], row.fruit_keys[fruit[1].best[b]]
             links.append(LinkRecord(LinkKind.GROWTH, *one, chance))
@@ -287,7 +279,7 @@ def fruit_table(content: RoundContent) -> list[RoundFruit]:
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
     none: tuple[float | None, float | None] = (None, None)
     return [
-        RoundFruit(number, view, *combined.get(view.key, none), view.views)
+        RoundFruit(number, view, *combined.get(view.key, none))
         for number, view in enumerate(best, 1)
     ]
 

@@ -16,9 +16,7 @@ import numpy as np
 from cucumbervision.rounds.row_views import ALONG, log_density, position_ratio, shape_ratio
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from cucumbervision.rounds.row_views import Crowd, RowStops, RowViews
+    from cucumbervision.rounds.row_views import Bools, Crowd, Floats, Ints, RowStops, RowViews
 
 __all__ = ["FittedStops", "fit_stops", "prior_stops", "vote_pairs"]
 
@@ -41,15 +39,15 @@ class FittedStops:
         Of each coordinate.
     """
 
-    at_m: NDArray[np.float64]
-    covariance_m2: NDArray[np.float64]
+    at_m: Floats
+    covariance_m2: Floats
 
     @property
-    def sd_m(self) -> NDArray[np.float64]:
+    def sd_m(self) -> Floats:
         """Standard deviations, shape (S, 3), metres."""
         return np.asarray(np.sqrt(np.einsum("css->sc", self.covariance_m2)), np.float64)
 
-    def gap_variance(self, s: NDArray[np.int64], t: NDArray[np.int64]) -> NDArray[np.float64]:
+    def gap_variance(self, s: Ints, t: Ints) -> Floats:
         """Return the variance of how far stops s and t lie apart, shape (K, 3)."""
         own = np.einsum("css->sc", self.covariance_m2)
         between = np.moveaxis(self.covariance_m2[:, s, t], 0, -1)
@@ -64,13 +62,7 @@ def prior_stops(stops: RowStops) -> FittedStops:
     return FittedStops(stops.at_m, covariance)
 
 
-def fit_stops(
-    stops: RowStops,
-    views: RowViews,
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    weight: NDArray[np.float64],
-) -> FittedStops:
+def fit_stops(stops: RowStops, views: RowViews, i: Ints, j: Ints, weight: Floats) -> FittedStops:
     """Estimate all stops of a row together.
 
     Parameters
@@ -123,12 +115,12 @@ def fit_stops(
 
 
 def _fit_one(
-    prior: tuple[NDArray[np.float64], NDArray[np.float64]],
-    ends: tuple[NDArray[np.intp], NDArray[np.intp]],
-    between: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    weight: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    prior: tuple[Floats, Floats],
+    ends: tuple[Ints, Ints],
+    between: Floats,
+    variance: Floats,
+    weight: Floats,
+) -> tuple[Floats, Floats]:
     """Solve one coordinate: x_t - x_s = between, with x about the prior; stops in order."""
     from scipy.linalg import solveh_banded
 
@@ -150,12 +142,8 @@ def _fit_one(
 
 
 def vote_pairs(
-    stops: RowStops,
-    views: RowViews,
-    i: NDArray[np.intp],
-    j: NDArray[np.intp],
-    crowd: Crowd,
-) -> tuple[NDArray[np.intp], NDArray[np.intp], float]:
+    stops: RowStops, views: RowViews, i: Ints, j: Ints, crowd: Crowd
+) -> tuple[Ints, Ints, float]:
     """Find the first pairs: for each two stops, try shifts along the row and take the likeliest.
 
     Parameters
@@ -203,7 +191,7 @@ def vote_pairs(
     return i[kept], j[kept], float(score.max(axis=1).sum())
 
 
-def _starts(*keys: NDArray[np.integer]) -> NDArray[np.intp]:
+def _starts(*keys: Ints) -> Ints:
     """Return where runs of equal keys start."""
     changed = np.zeros(len(keys[0]), bool)
     changed[0] = True
@@ -212,14 +200,12 @@ def _starts(*keys: NDArray[np.integer]) -> NDArray[np.intp]:
     return np.flatnonzero(changed)
 
 
-def _mutual(
-    group: NDArray[np.intp], i: NDArray[np.intp], j: NDArray[np.intp], ratio: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _mutual(group: Ints, i: Ints, j: Ints, ratio: Floats) -> Bools:
     """Return which pairs are the best of both their views within a group, and likelier than not."""
     kept = ratio > 0
     for view in (i, j):
         key = group * (max(int(i.max()), int(j.max())) + 1) + view
-        best: NDArray[np.float64] = np.full(int(key.max()) + 1, -np.inf)
+        best: Floats = np.full(int(key.max()) + 1, -np.inf)
         np.maximum.at(best, key, ratio)
         kept &= ratio >= best[key]
     return kept

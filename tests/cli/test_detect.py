@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.cli.detect_console import summary_table
+from cucumbervision.cli.console import summary_table
 from cucumbervision.pipeline.detect import DetectedPicture, DetectResult
 
 

@@ -18,9 +18,10 @@ from typer.testing import CliRunner
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
-from cucumbervision.exports.writers import ExportFormat, render_sheet, write_exports
+from cucumbervision.exports.writers import render_sheet, write_exports
 from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,

@@ -17,7 +17,6 @@ from cucumbervision._version import __version__
 from cucumbervision.cli import (
     calibrate,
     dashboard,
-    demo,
     detect,
     evaluate,
     export,
@@ -42,7 +41,7 @@ app = typer.Typer(
 )
 app.command("measure", epilog=EXIT_CODES)(measure.measure)
 app.command("detect", epilog=EXIT_CODES)(detect.detect)
-app.command("demo", epilog=EXIT_CODES)(demo.demo)
+app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
 _GROUPS = {

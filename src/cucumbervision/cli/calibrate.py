@@ -64,9 +64,9 @@ def calibrate(
 
 
 def _show(site: SiteCalibration, out: Path) -> None:
-    from cucumbervision.cli.figures import figures_console, print_table
+    from cucumbervision.cli.console import print_table, screen
 
-    console = figures_console()
+    console = screen(150)
     if site.depth_scale is not None:
         scale = site.depth_scale
         console.print(

@@ -1,15 +1,26 @@
-"""What options may hold, and exit codes. Apart from where they are defined: imports are slow."""
+"""Options that several commands share, and exit codes. Nothing slow is imported for them."""
 
 from __future__ import annotations
 
-from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import typer
 
 __all__ = [
     "EXIT_CODES",
-    "INPUT_SIZE",
+    "AsJson",
+    "Confidence",
+    "Images",
+    "InputSize",
+    "Prompt",
     "PromptChoice",
+    "Quiet",
+    "RoundName",
+    "Runtime",
     "RuntimeChoice",
     "SegmenterChoice",
+    "StoreName",
 ]
 
 EXIT_CODES = (
@@ -19,35 +30,34 @@ EXIT_CODES = (
 )
 """What commands that work through many captures exit with; shown by their --help."""
 
+SegmenterChoice: TypeAlias = Literal["mobile-sam", "sam-vit-b", "none"]
+PromptChoice: TypeAlias = Literal["box+point", "box", "point"]
+RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 
-INPUT_SIZE = (
-    "Long side of what the networks see, pixels: a multiple of 32, or several joined by commas, "
-    "whose finds are merged. Without it each network's own."
-)
-"""Help of `--input-size`."""
-
-
-class SegmenterChoice(StrEnum):
-    """Values of `--segmenter`."""
-
-    mobile_sam = "mobile-sam"
-    sam_vit_b = "sam-vit-b"
-    none = "none"
-
-
-class PromptChoice(StrEnum):
-    """Values of `--prompt`."""
-
-    both = "box+point"
-    box = "box"
-    point = "point"
-
-
-class RuntimeChoice(StrEnum):
-    """Values of `--runtime`."""
-
-    auto = "auto"
-    onnxruntime = "onnxruntime"
-    openvino = "openvino"
-    cuda = "cuda"
-    tensorrt = "tensorrt"
+Prompt = Annotated[PromptChoice, typer.Option(help="What SAM is shown.")]
+Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
+Confidence = Annotated[
+    float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
+]
+InputSize = Annotated[
+    str,
+    typer.Option(
+        help="Long side of what the networks see, pixels: a multiple of 32, or several joined by "
+        "commas, whose finds are merged. Without it each network's own.",
+        metavar="PX[,PX]",
+    ),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")]
+StoreName = Annotated[
+    str,
+    typer.Option(
+        "--store", envvar="CUCUMBERVISION_STORE", help="SQLite file, or postgresql://… address."
+    ),
+]
+Images = Annotated[
+    Path | None, typer.Option(help="Folder of the pictures; needed with PostgreSQL.")
+]
+RoundName = Annotated[
+    str, typer.Option("--round", "-r", help="Name, key or start of a key; the newest without.")
+]

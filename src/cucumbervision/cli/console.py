@@ -1,12 +1,14 @@
-"""What a run looks like on screen: a progress bar, a table, and the failures."""
+"""What commands look like on screen: a progress bar, tables of results, and the failures."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
+from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -22,23 +24,64 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.intake.recordings import open_guarded
 from cucumbervision.measurement.result import LOWER_BOUND
 from cucumbervision.perception.instances import MaskSource
+from cucumbervision.pipeline.detect import detect_inputs
 from cucumbervision.pipeline.run import count_captures, measure_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from cucumbervision.accuracy import page
+    from cucumbervision.pipeline.detect import DetectOptions, DetectResult
     from cucumbervision.pipeline.measurer import Failure
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.run import RunResult
 
-__all__ = ["progress_bar", "results_table", "run_and_show", "show_failures"]
+__all__ = [
+    "columns_table",
+    "detect_and_show",
+    "measure_and_show",
+    "print_table",
+    "progress_bar",
+    "screen",
+    "show_failures",
+    "summary_table",
+]
 
 MOST_ROWS = 40
+WIDTH = 120
 SIMULATED = "simulated captures are among them: drawn, not taken"
 
 
-def run_and_show(
+def screen(width: int = WIDTH) -> Console:
+    """Return the console for results.
+
+    A file or a pipe has no width of its own; 80 columns would cut the tables.
+    """
+    return Console(highlight=False, width=None if Console().is_terminal else width)
+
+
+def columns_table(title: str | None, left: Sequence[str], *right: str) -> Table:
+    """Return an empty table with columns that stand left, then some that stand right."""
+    table = Table(*left, title=title, title_justify="left")
+    for head in right:
+        table.add_column(head, justify="right")
+    return table
+
+
+def print_table(console: Console, figures: page.Table) -> None:
+    """Print a report's table, and its comment below."""
+    table = Table(title=figures.title, title_justify="left")
+    for column, numeric in zip(figures.columns, figures.numeric, strict=True):
+        table.add_column(column.head, justify="right" if numeric else "left")
+    for row in figures.text_rows():
+        table.add_row(*row)
+    console.print(table)
+    if figures.comment:
+        console.print(figures.comment, soft_wrap=True, markup=False, style="dim")
+
+
+def measure_and_show(
     inputs: Sequence[Path],
     out: Path,
     options: MeasureOptions,
@@ -59,12 +102,32 @@ def run_and_show(
     if as_json:
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
     elif not quiet:
-        # A file or a pipe has no width of its own; 80 columns would cut the table.
-        width = None if Console().is_terminal else 120
-        console = Console(highlight=False, width=width)
-        console.print(results_table(result))
-        console.print(f"{closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
+        console = screen()
+        console.print(_results_table(result))
+        console.print(f"{_closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
     show_failures(result.failures, result.out)
+    return result.exit_code
+
+
+def detect_and_show(
+    inputs: Sequence[str], out: Path, options: DetectOptions, *, quiet: bool
+) -> int:
+    """Detect fruit in pictures, show progress and a summary, and return the exit code.
+
+    Progress and failures go to the standard error, the summary to the standard output.
+    """
+    errors = Console(stderr=True, quiet=quiet, highlight=False)
+    with progress_bar(errors) as bar:
+        task = bar.add_task("detecting", total=None)
+        result = detect_inputs(
+            inputs, out, options, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    if not quiet:
+        console = Console(highlight=False)
+        console.print(summary_table(result))
+        written = "results.json, images.json" + (" and overlays/" if options.overlays else "")
+        console.print(f"{written} are in {out}/", soft_wrap=True, markup=False)
+    show_failures(result.failures, out)
     return result.exit_code
 
 
@@ -87,7 +150,7 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def results_table(result: RunResult) -> Table:
+def _results_table(result: RunResult) -> Table:
     """Lay out the rows as a table; the methods that ran get a column each."""
     ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in result.rows)]
     table = Table(title="Measured fruit, lengths in cm", title_justify="left")
@@ -140,7 +203,7 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}"
 
 
-def closing_line(result: RunResult) -> str:
+def _closing_line(result: RunResult) -> str:
     """Return how much was measured, by whose masks, and whether drawn captures are among it."""
     measured = sum(row["length_cm"] is not None for row in result.rows)
     line = f"{measured} of {len(result.rows)} fruit measured in {result.captures} captures"
@@ -161,3 +224,22 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
     console.print(f"{len(failures)} failed{also}:", markup=False, soft_wrap=True)
     for failure in failures:
         console.print(f"  {failure.message}", soft_wrap=True, markup=False)
+
+
+def summary_table(result: DetectResult) -> Table:
+    """Lay out how many pictures, how many fruit, how sure, how quick, and by which networks."""
+    scores = [score for one in result.pictures for score in one.scores]
+    seconds = [one.seconds for one in result.pictures]
+    empty = sum(not one.scores for one in result.pictures)
+    table = Table(show_header=False)
+    without = f", {empty} without fruit" if empty else ""
+    table.add_row("pictures", f"{len(result.pictures)}{without}")
+    table.add_row("fruit", str(len(scores)))
+    table.add_row("mean score", f"{fmean(scores):.2f}" if scores else "")
+    # The first picture also waits for SAM to load.
+    table.add_row("seconds a picture", f"{median(seconds):.2f} (median)" if seconds else "")
+    if result.skipped:
+        table.add_row("no pictures, skipped", str(result.skipped))
+    networks = ", ".join(f"{m['name']} on {m['runtime']}" for m in result.models)
+    table.add_row("networks", escape(networks))
+    return table

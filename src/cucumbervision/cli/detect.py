@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import INPUT_SIZE, PromptChoice, RuntimeChoice, SegmenterChoice
+from cucumbervision.cli.choices import (
+    Confidence,
+    InputSize,
+    Prompt,
+    Quiet,
+    Runtime,
+    SegmenterChoice,
+)
 
 __all__ = ["detect"]
 
@@ -31,18 +38,14 @@ def detect(
     ] = None,
     segmenter: Annotated[
         SegmenterChoice, typer.Option(help="Who draws the masks; none keeps the detector's.")
-    ] = SegmenterChoice.mobile_sam,
-    prompt: Annotated[PromptChoice, typer.Option(help="What SAM is shown.")] = PromptChoice.both,
-    confidence: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
-    ] = 0.30,
+    ] = "mobile-sam",
+    prompt: Prompt = "box+point",
+    confidence: Confidence = 0.30,
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write annotated pictures.")
     ] = True,
-    input_size: Annotated[str, typer.Option(help=INPUT_SIZE, metavar="PX[,PX]")] = "",
-    runtime: Annotated[
-        RuntimeChoice, typer.Option(help="What runs the networks.")
-    ] = RuntimeChoice.auto,
+    input_size: InputSize = "",
+    runtime: Runtime = "auto",
     fast: Annotated[
         bool,
         typer.Option(
@@ -51,22 +54,22 @@ def detect(
             "outlines may differ a little from machine to machine.",
         ),
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
-    from cucumbervision.cli.detect_console import run_and_show
+    from cucumbervision.cli.console import detect_and_show
     from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision.pipeline.detect import DetectOptions
 
     options = DetectOptions(
         model=model,
         pose=pose,
-        segmenter=segmenter.value,
-        prompt=prompt.value,
+        segmenter=segmenter,
+        prompt=prompt,
         confidence=confidence,
         input_sizes=parse_input_sizes(input_size),
-        runtime=runtime.value,
+        runtime=runtime,
         full_precision=not fast,
         overlays=overlays,
     )
-    raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet))
+    raise typer.Exit(detect_and_show(inputs, out, options, quiet=quiet))

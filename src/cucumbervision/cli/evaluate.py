@@ -40,11 +40,11 @@ def lengths(
     from cucumbervision.accuracy.measured import read_measured
     from cucumbervision.accuracy.own_truth import evaluate_lengths, scores_table, write_own_report
     from cucumbervision.accuracy.truth import read_truth
-    from cucumbervision.cli.figures import figures_console, print_table
+    from cucumbervision.cli.console import print_table, screen
 
     measured, table = read_measured(measurements), read_truth(truth)
     found = evaluate_lengths(measured, table)
-    console = figures_console()
+    console = screen(150)
     print_table(console, scores_table(found.scores))
     for note in found.notes:
         console.print(note, soft_wrap=True, markup=False)

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cucumbervision.cli.choices import Images, StoreName
+from cucumbervision.cli.round import chosen_profile, opened_round
+from cucumbervision.exports import ExportFormat
+
 __all__ = ["export"]
-
-
-class FormatChoice(StrEnum):
-    """Values of `--format`."""
-
-    csv = "csv"
-    xlsx = "xlsx"
-    parquet = "parquet"
-    json = "json"
-    html = "html"
 
 
 def export(
@@ -27,17 +20,10 @@ def export(
         str,
         typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; the newest without."),
     ] = "",
-    store: Annotated[
-        str,
-        typer.Option(
-            "--store", envvar="CUCUMBERVISION_STORE", help="SQLite file, or postgresql://… address."
-        ),
-    ] = "house.db",
-    images: Annotated[
-        Path | None, typer.Option(help="Folder of the pictures; needed with PostgreSQL.")
-    ] = None,
+    store: StoreName = "house.db",
+    images: Images = None,
     formats: Annotated[
-        list[FormatChoice] | None,
+        list[ExportFormat] | None,
         typer.Option("--format", "-f", help="Repeat for several; csv, xlsx, json without."),
     ] = None,
     profile: Annotated[
@@ -49,26 +35,20 @@ def export(
     ] = True,
 ) -> None:
     """Write a round: summary, fruit, stops, forecast, pick list; with the hashes it rests on."""
-    from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.exports.build import round_tables
-    from cucumbervision.exports.writers import ExportFormat, write_exports
-    from cucumbervision.rounds.service import find_round
-    from cucumbervision.store.repository import open_store
+    from cucumbervision.exports.writers import write_exports
 
-    usual = [FormatChoice.csv, FormatChoice.xlsx, FormatChoice.json]
-    wanted = [ExportFormat(one.value) for one in formats or usual]
-    with open_store(store, images=images, create=False) as opened:
-        view = find_round(opened, round_)
-        name = profile or view.record.profile
+    usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
+    with opened_round(store, round_, images, create=False) as (opened, one):
         tables = round_tables(
             opened,
-            view.key,
-            load_profile(name) if name else None,
-            profile_name=name,
+            one.key,
+            chosen_profile(profile, one),
+            profile_name=profile or one.record.profile,
             days=days,
             pictures=pictures,
         )
-        for path in write_exports(tables, out, wanted):
+        for path in write_exports(tables, out, formats or usual):
             typer.echo(path)
     if tables.note:
         typer.echo(f"no forecast: {tables.note}", err=True)

@@ -1,4 +1,4 @@
-"""`cucumbervision measure`: RGB-D captures in, lengths out."""
+"""`cucumbervision measure` and `demo`: RGB-D captures in, lengths out."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from typing import Annotated
 import typer
 
 from cucumbervision.cli.choices import (
-    INPUT_SIZE,
-    PromptChoice,
-    RuntimeChoice,
+    AsJson,
+    Confidence,
+    InputSize,
+    Prompt,
+    Quiet,
+    Runtime,
     SegmenterChoice,
 )
 from cucumbervision.measurement.result import LengthDefinition, Selector
 
-__all__ = ["measure"]
+__all__ = ["demo", "measure"]
 
 
 def measure(
@@ -46,10 +49,8 @@ def measure(
         SegmenterChoice | None,
         typer.Option(help="Who draws the masks; given, it also redraws a data set's own."),
     ] = None,
-    prompt: Annotated[PromptChoice, typer.Option(help="What SAM is shown.")] = PromptChoice.both,
-    confidence: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
-    ] = 0.30,
+    prompt: Prompt = "box+point",
+    confidence: Confidence = 0.30,
     intrinsics: Annotated[
         Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")
     ] = None,
@@ -65,10 +66,8 @@ def measure(
     calibration: Annotated[
         Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
     ] = None,
-    input_size: Annotated[str, typer.Option(help=INPUT_SIZE, metavar="PX[,PX]")] = "",
-    runtime: Annotated[
-        RuntimeChoice, typer.Option(help="What runs the networks.")
-    ] = RuntimeChoice.auto,
+    input_size: InputSize = "",
+    runtime: Runtime = "auto",
     fast: Annotated[
         bool,
         typer.Option(
@@ -83,30 +82,52 @@ def measure(
             "--guard", help="Play recordings from untrusted senders in a separate, limited process."
         ),
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the rows as JSON instead of a table.")
-    ] = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
     from cucumbervision.capture.source import ReadOptions
-    from cucumbervision.cli.console import run_and_show
+    from cucumbervision.cli.console import measure_and_show
     from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions, parse_methods
 
     options = MeasureOptions(
         instances=instances,
         pose=pose,
-        segmenter=None if segmenter is None else segmenter.value,
-        prompt=prompt.value,
+        segmenter=segmenter,
+        prompt=prompt,
         methods=parse_methods(methods),
         selector=selector,
         length=length,
         confidence=confidence,
         input_sizes=parse_input_sizes(input_size),
-        runtime=runtime.value,
+        runtime=runtime,
         full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
     )
-    raise typer.Exit(run_and_show(inputs, out, options, quiet=quiet, as_json=as_json, guard=guard))
+    code = measure_and_show(inputs, out, options, quiet=quiet, as_json=as_json, guard=guard)
+    raise typer.Exit(code)
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for tables and pictures.")
+    ] = Path("cucumbervision-demo"),
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the bundled simulated captures: found by the package's own networks, if it has any.
+
+    Masks by MobileSAM, lengths by M1 to M6.
+    """
+    from cucumbervision.capture.source import bundled_captures
+    from cucumbervision.cli.console import measure_and_show
+    from cucumbervision.perception.registry import load_registry
+    from cucumbervision.pipeline.finders import demo_options
+
+    options, line = demo_options(load_registry())
+    if not (quiet or as_json):
+        typer.echo(line)
+    code = measure_and_show([bundled_captures()], out, options, quiet=quiet, as_json=as_json)
+    raise typer.Exit(code)

@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import EXIT_CODES, RuntimeChoice
+from cucumbervision.cli.choices import (
+    EXIT_CODES,
+    Images,
+    RoundName,
+    RuntimeChoice,
+    StoreName,
+)
 from cucumbervision.measurement.result import LengthDefinition
 
-__all__ = ["app"]
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.rounds.adding import Place
+    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import RoundView
+
+__all__ = ["app", "chosen_profile", "opened_round"]
 
 app = typer.Typer(
     name="round",
@@ -18,18 +36,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-StoreArg = Annotated[
-    str,
-    typer.Option(
-        "--store", envvar="CUCUMBERVISION_STORE", help="SQLite file, or postgresql://… address."
-    ),
-]
-Images = Annotated[
-    Path | None, typer.Option(help="Folder of the pictures; needed with PostgreSQL.")
-]
-RoundName = Annotated[
-    str, typer.Option("--round", "-r", help="Name, key or start of a key; the newest without.")
-]
 Fruit = Annotated[list[str], typer.Argument(help="Numbers or keys that `round show` prints.")]
 By = Annotated[str, typer.Option("--by", help="Who says so; goes into the log.")]
 Profile = Annotated[
@@ -37,10 +43,30 @@ Profile = Annotated[
 ]
 
 
+@contextmanager
+def opened_round(
+    where: str, name: str, images: Path | None = None, *, create: bool = True
+) -> Iterator[tuple[Store, RoundView]]:
+    """Open a store and find a round in it; close the store at the end."""
+    from cucumbervision.rounds.service import find_round
+    from cucumbervision.store.repository import open_store
+
+    with open_store(where, images=images, create=create) as store:
+        yield store, find_round(store, name)
+
+
+def chosen_profile(given: str | None, one: RoundView) -> CropProfile | None:
+    """Return the crop profile that is named, or else the round's own; None without either."""
+    from cucumbervision.agronomy.profiles import load_profile
+
+    name = given or one.record.profile
+    return load_profile(name) if name else None
+
+
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="What to call the round.")] = "",
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     house: Annotated[str, typer.Option(help="The greenhouse.")] = "",
     profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
     note: Annotated[str, typer.Option(help="Whatever should be remembered.")] = "",
@@ -61,7 +87,7 @@ def new(
 @app.command(epilog=EXIT_CODES)
 def add(
     captures: Annotated[list[Path], typer.Argument(help="Whatever `measure` reads.")],
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     row: Annotated[str | None, typer.Option(help="Row of the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row, such as left.")] = None,
@@ -88,11 +114,10 @@ def add(
     confidence: Annotated[float, typer.Option(min=0.0, max=1.0, help="As in `measure`.")] = 0.30,
     input_size: Annotated[str, typer.Option(help="As in `measure`.", metavar="PX[,PX]")] = "",
     calibration: Annotated[Path | None, typer.Option(help="Site's calibration.")] = None,
-    runtime: Annotated[RuntimeChoice, typer.Option(help="As in `measure`.")] = RuntimeChoice.auto,
+    runtime: Annotated[RuntimeChoice, typer.Option(help="As in `measure`.")] = "auto",
     images: Images = None,
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
-    from cucumbervision.cli.round_console import add_and_show
     from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
@@ -108,88 +133,204 @@ def add(
         length=length,
         confidence=confidence,
         input_sizes=parse_input_sizes(input_size),
-        runtime=runtime.value,
+        runtime=runtime,
         calibration=calibration,
     )
-    raise typer.Exit(add_and_show(store, images, round_, captures, options, place))
+    with opened_round(store, round_, images) as (opened, one):
+        raise typer.Exit(_add(opened, one.key, captures, options, place))
+
+
+def _add(
+    store: Store, key: str, inputs: Sequence[Path], options: MeasureOptions, place: Place
+) -> int:
+    """Add captures, show progress and what became of them, and return the exit code."""
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, show_failures
+    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision.pipeline.run import count_captures
+    from cucumbervision.rounds.adding import add_captures
+
+    with progress_bar(Console(stderr=True, highlight=False)) as bar:
+        task = bar.add_task("measuring", total=count_captures(inputs, options.reading))
+        done = add_captures(store, key, inputs, options, place, lambda _: bar.advance(task))
+    new = [one for one in done if one.new]
+    failures = [one.failure for one in done if one.failure]
+    there = len(done) - len(new) - len(failures)
+    fruit = sum(one.fruit for one in new)
+    screen().print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
+    show_failures(failures)
+    return exit_code(len(done) - len(failures), failures)
 
 
 @app.command("merge")
 def merge(
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     across: Annotated[
         float | None, typer.Option(help="Between the cameras of two aisles, metres, if known.")
     ] = None,
 ) -> None:
     """Find which fruit were seen from several stops; what was decided by hand stands."""
-    from cucumbervision.cli.round_console import merge_and_show
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.rounds.merge import MergeSettings
+    from cucumbervision.rounds.service import merge_round
 
-    merge_and_show(store, round_, across)
+    known = {} if across is None else {"across_m": across, "across_sd_m": 0.05}
+    with opened_round(store, round_) as (opened, one):
+        rows = merge_round(opened, one.key, MergeSettings(**known))
+    right = ("stops", "views", "fruit", "expected", "stops known to")
+    table = columns_table("Merged rows", ("row",), *right)
+    for row in rows:
+        expected = f"{row.count.expected:.0f} ± {row.count.sd:.0f}"
+        known_to = "" if row.stop_sd_m is None else f"{100 * row.stop_sd_m:.1f} cm"
+        counts = (row.stops, row.views, row.fruit)
+        table.add_row(row.row, *(str(count) for count in counts), expected, known_to)
+    console = screen()
+    console.print(table)
+    for row in rows:
+        if row.unplaced:
+            console.print(
+                f"row {row.row}: {row.unplaced} fruit without position or depth stand alone"
+            )
+        for side in row.mirrored:
+            console.print(
+                f"row {row.row}, side {side}: positions seem to get higher the other way; "
+                "add its captures to a new round with --higher-to"
+            )
 
 
 @app.command()
 def link(
     earlier: Annotated[str, typer.Argument(help="The earlier round: name or key.")],
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
 ) -> None:
     """Find the fruit of an earlier round again, though they grew and were moved."""
-    from cucumbervision.cli.round_console import link_and_show
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.rounds.service import find_round, link_rounds
 
-    link_and_show(store, earlier, round_)
+    with opened_round(store, earlier) as (opened, before):
+        later = find_round(opened, round_)
+        rows = link_rounds(opened, before.key, later.key, chosen_profile(None, later))
+    right = ("earlier", "later", "linked", "sure", "moved along")
+    table = columns_table("Fruit found again", ("row",), *right)
+    for row in rows:
+        moved = f"{100 * row.shift_m:.0f} ± {100 * row.shift_sd_m:.0f} cm"
+        counts = (row.earlier, row.later, row.links, row.sure)
+        table.add_row(row.row, *(str(count) for count in counts), moved)
+    screen().print(table)
 
 
 @app.command()
 def show(
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     profile: Profile = None,
     limit: Annotated[int, typer.Option(min=0, help="Most lines; 0 for all.")] = 60,
 ) -> None:
     """Show a round's fruit by row and position."""
-    from cucumbervision.cli.round_console import show_round
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.rounds.from_store import read_round
+    from cucumbervision.rounds.service import fruit_table
 
-    show_round(store, round_, profile, limit)
+    with opened_round(store, round_) as (opened, one):
+        lines = fruit_table(read_round(opened, one.key))
+    crop = chosen_profile(profile, one)
+    title = f"{one.record.name or one.key}: {len(lines)} fruit, lengths in cm"
+    right = ("at, m", "length", "90 % interval", "all views", "seen")
+    table = columns_table(title, ("no.", "row", "side"), *right)
+    for head in ("class", "remarks", "key"):
+        table.add_column(head, overflow="fold")
+    shown = lines[:limit] if limit else lines
+    for line in shown:
+        table.add_row(*_cells(line, crop))
+    if len(shown) < len(lines):
+        table.caption = f"and {len(lines) - len(shown)} more; --limit 0 shows all"
+    screen().print(table)
+
+
+def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
+    from cucumbervision.rounds.forecasting import grade_of
+
+    view, record = line.view, line.view.record
+    low, high = record.interval_low_m, record.interval_high_m
+    remarks = [
+        "" if record.length_m is not None else f"not measured: {record.reason}",
+        "" if view.picked_s is None else "picked",
+        record.flags,
+    ]
+    all_views = ""
+    if line.combined_m is not None and line.combined_sd_m is not None and view.views > 1:
+        all_views = f"{100 * line.combined_m:.1f} ± {100 * line.combined_sd_m:.1f}"
+    return [
+        str(line.number),
+        view.row or "",
+        view.side or "",
+        "" if view.along_m is None else f"{view.along_m:.2f}",
+        "" if record.length_m is None else f"{100 * record.length_m:.1f}",
+        "" if low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
+        all_views,
+        str(view.views),
+        "" if profile is None else grade_of(record, profile).name,
+        " ".join(filter(None, remarks)),
+        view.key[:8],
+    ]
 
 
 @app.command("list")
-def list_(store: StoreArg = "house.db") -> None:
+def list_(store: StoreName = "house.db") -> None:
     """List the rounds, the newest first."""
-    from cucumbervision.cli.round_console import show_rounds
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.store.repository import open_store
 
-    show_rounds(store)
+    with open_store(store) as opened:
+        rounds = opened.rounds()
+    left = ("key", "name", "house", "began", "profile")
+    table = columns_table(None, left, "stops", "views")
+    for one in rounds:
+        record = one.record
+        began = datetime.fromtimestamp(record.started_s).astimezone().strftime("%Y-%m-%d %H:%M")
+        counts = str(one.stops), str(one.fruit)
+        table.add_row(one.key[:8], record.name, record.house, began, record.profile, *counts)
+    screen().print(table)
+
+
+def _by_hand(
+    where: str, fruit: Sequence[tuple[str, str]], action: Callable[[Store, list[str]], int]
+) -> None:
+    """Do something by hand to fruit that are named by their rounds and numbers or keys."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision.rounds.service import find_fruit, find_round
+    from cucumbervision.store.repository import open_store
+
+    with open_store(where) as store:
+        keys = [find_fruit(store, find_round(store, name).key, one).key for name, one in fruit]
+        screen().print(f"logged as action {action(store, keys)}")
 
 
 @app.command("merge-by-hand")
 def merge_by_hand(
     first: Annotated[str, typer.Argument(help="A fruit's number or key.")],
     second: Annotated[str, typer.Argument(help="The other's.")],
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     by: By = "",
 ) -> None:
     """Record that two fruit of the table are one; every later merging keeps to it."""
-    from cucumbervision.cli.round_console import by_hand
-
-    by_hand(
-        store,
-        [(round_, first), (round_, second)],
-        lambda opened, keys: opened.merge(*keys, by=by),
-    )
+    pair = [(round_, first), (round_, second)]
+    _by_hand(store, pair, lambda opened, keys: opened.merge(*keys, by=by))
 
 
 @app.command()
 def unmerge(
     fruit: Annotated[str, typer.Argument(help="A view's key, or a fruit's number for its best.")],
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     by: By = "",
 ) -> None:
     """Record that a view is another fruit than all that it is merged with."""
-    from cucumbervision.cli.round_console import by_hand
-
-    by_hand(store, [(round_, fruit)], lambda opened, keys: opened.unmerge(*keys, by=by))
+    _by_hand(store, [(round_, fruit)], lambda opened, keys: opened.unmerge(*keys, by=by))
 
 
 @app.command("link-by-hand")
@@ -197,37 +338,33 @@ def link_by_hand(
     earlier: Annotated[str, typer.Argument(help="The earlier round: name or key.")],
     then: Annotated[str, typer.Argument(help="The fruit's number or key in that round.")],
     now: Annotated[str, typer.Argument(help="Its number or key in the later round.")],
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     by: By = "",
     apart: Annotated[bool, typer.Option("--apart", help="They are two fruit.")] = False,
 ) -> None:
     """Record that a fruit is this one of an earlier round; every later linking keeps to it."""
-    from cucumbervision.cli.round_console import by_hand
 
-    by_hand(
-        store,
-        [(earlier, then), (round_, now)],
-        lambda opened, keys: (opened.unlink_growth if apart else opened.link_growth)(*keys, by=by),
-    )
+    def act(opened: Store, keys: list[str]) -> int:
+        return (opened.unlink_growth if apart else opened.link_growth)(*keys, by=by)
+
+    _by_hand(store, [(earlier, then), (round_, now)], act)
 
 
 @app.command()
 def pick(
     fruit: Fruit,
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     by: By = "",
     undo: Annotated[bool, typer.Option("--undo", help="They were not picked.")] = False,
 ) -> None:
     """Mark fruit as picked: they leave forecast and pick list."""
-    from cucumbervision.cli.round_console import by_hand
 
-    by_hand(
-        store,
-        [(round_, one) for one in fruit],
-        lambda opened, keys: (opened.unpick if undo else opened.pick)(keys, by=by),
-    )
+    def act(opened: Store, keys: list[str]) -> int:
+        return (opened.unpick if undo else opened.pick)(keys, by=by)
+
+    _by_hand(store, [(round_, one) for one in fruit], act)
 
 
 @app.command()
@@ -235,19 +372,20 @@ def undo(
     action: Annotated[
         int | None, typer.Argument(help="Its number; the round's newest without.")
     ] = None,
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     round_: RoundName = "",
     by: By = "",
 ) -> None:
     """Take back what was done by hand, unless a later action stands on it."""
-    from cucumbervision.cli.round_console import undo_action
+    from cucumbervision.cli.console import screen
 
-    undo_action(store, round_, action, by)
+    with opened_round(store, round_) as (opened, one):
+        screen().print(f"logged as action {opened.undo(one.key, number=action, by=by)}")
 
 
 @app.command()
 def check(
-    store: StoreArg = "house.db",
+    store: StoreName = "house.db",
     contents: Annotated[
         bool, typer.Option(help="Read every picture and hold it against its hash.")
     ] = True,
@@ -257,16 +395,55 @@ def check(
     images: Images = None,
 ) -> None:
     """Check a store: its file, and that every picture is there and whole. Exits 1 if not."""
-    from cucumbervision.cli.round_console import check_and_show
+    from cucumbervision.cli.console import screen
+    from cucumbervision.store.images import check_store
+    from cucumbervision.store.repository import open_store
 
-    raise typer.Exit(check_and_show(store, images, contents=contents, remove=remove))
+    with open_store(store, images=images, create=False) as opened:
+        found = check_store(opened, contents=contents, remove=remove)
+    console = screen()
+    console.print(f"{found.pictures} pictures, {len(found.orphans)} files that no stop names")
+    lines = [
+        *(f"removed: {path}" for path in found.removed),
+        *(f"missing: {path}" for path in found.missing),
+        *(f"damaged: {path}" for path in found.damaged),
+        *found.faults,
+    ]
+    for line in lines:
+        console.print(line, soft_wrap=True, markup=False)
+    console.print("sound" if found.sound else "copy what is missing or damaged from a backup")
+    raise typer.Exit(0 if found.sound else 1)
 
 
 @app.command("pick-list")
 def pick_list(
-    store: StoreArg = "house.db", round_: RoundName = "", profile: Profile = None
+    store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None
 ) -> None:
     """Print today's ready fruit in walking order."""
-    from cucumbervision.cli.round_console import show_picks
+    from cucumbervision.agronomy import picking
+    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.rounds.forecasting import forecast_for
+    from cucumbervision.rounds.from_store import read_round
+    from cucumbervision.rounds.service import fruit_table
 
-    show_picks(store, round_, profile)
+    with opened_round(store, round_) as (opened, one):
+        crop = load_profile(profile or one.record.profile or "long-cucumber")
+        content = read_round(opened, one.key)
+        picks = picking.pick_list(forecast_for(opened, one.key, crop, 0, content))
+    numbers = {line.view.key: str(line.number) for line in fruit_table(content)}
+    right = ("at, m", "length, cm", "ready")
+    table = columns_table(f"{len(picks)} to pick", ("no.", "row", "side"), *right)
+    table.add_column("class")
+    for pick in picks:
+        fruit = pick.fruit
+        table.add_row(
+            numbers.get(fruit.fruit_id, ""),
+            fruit.row,
+            fruit.side,
+            f"{fruit.position_m:.2f}",
+            f"{100 * fruit.length_m:.1f}",
+            f"{100 * pick.ready:.0f} %",
+            pick.name,
+        )
+    screen().print(table)

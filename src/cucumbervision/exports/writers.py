@@ -6,11 +6,11 @@ import json
 import re
 import shutil
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.exports import ExportFormat
 from cucumbervision.pipeline.tables import HEAD_COLOR, CsvSink, cell_value, write_json
 
 if TYPE_CHECKING:
@@ -32,16 +32,6 @@ __all__ = [
     "write_exports",
     "write_sheet",
 ]
-
-
-class ExportFormat(StrEnum):
-    """What a round can be written as."""
-
-    CSV = "csv"
-    XLSX = "xlsx"
-    PARQUET = "parquet"
-    JSON = "json"
-    HTML = "html"
 
 
 def write_exports(

@@ -178,8 +178,8 @@ def pseudo(
     model: Annotated[str, typer.Option(help="mobile-sam or sam-vit-b.")] = "mobile-sam",
     prompt: Annotated[
         PromptChoice, typer.Option(help="What SAM is told of a fruit.")
-    ] = PromptChoice.both,
-    runtime: Annotated[RuntimeChoice, typer.Option(help="What runs it.")] = RuntimeChoice.auto,
+    ] = "box+point",
+    runtime: Annotated[RuntimeChoice, typer.Option(help="What runs it.")] = "auto",
     copy: Copy = False,
 ) -> None:
     """Draw masks by SAM where there are only boxes, marked as pseudo-labels; never in test."""
@@ -189,7 +189,7 @@ def pseudo(
     from cucumbervision_lab.datasets.derive import add_pseudo_masks
 
     dataset = _open(folder, names)
-    segmenter = Segmenter(model, runtime.value, prompt.value)
+    segmenter = Segmenter(model, runtime, prompt)
     with ticking("drawing", len(dataset.pictures)) as tick:
         drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
     written = write_coco(drawn.dataset, out or dataset.folder, link=not copy)

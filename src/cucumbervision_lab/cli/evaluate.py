@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import INPUT_SIZE, RuntimeChoice, SegmenterChoice
+from cucumbervision.cli.choices import InputSize, Runtime, SegmenterChoice
 
 __all__ = ["evaluate_models", "evaluate_photos"]
 
@@ -15,11 +15,9 @@ Seg = Annotated[
     Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
 ]
 Pose = Annotated[Path | None, typer.Option(help="YOLO pose .onnx; else the package's own.")]
-Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
 Confidence = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="At which recall and precision are judged.")
 ]
-InputSize = Annotated[str, typer.Option(help=INPUT_SIZE, metavar="PX[,PX]")]
 
 
 def evaluate_models(
@@ -32,8 +30,8 @@ def evaluate_models(
     pose: Pose = None,
     segmenter: Annotated[
         SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
-    ] = SegmenterChoice.mobile_sam,
-    runtime: Runtime = RuntimeChoice.auto,
+    ] = "mobile-sam",
+    runtime: Runtime = "auto",
     confidence: Confidence = 0.30,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
@@ -63,8 +61,8 @@ def evaluate_models(
         data,
         seg,
         pose,
-        None if segmenter is SegmenterChoice.none else segmenter.value,
-        runtime.value,
+        None if segmenter == "none" else segmenter,
+        runtime,
         confidence,
         split,
         limit,
@@ -87,7 +85,7 @@ def evaluate_photos(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the figures.")],
     seg: Seg = None,
     pose: Pose = None,
-    runtime: Runtime = RuntimeChoice.auto,
+    runtime: Runtime = "auto",
     confidence: Confidence = 0.30,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
@@ -103,7 +101,7 @@ def evaluate_photos(
             folder,
             seg,
             pose,
-            runtime=runtime.value,
+            runtime=runtime,
             confidence=confidence,
             split=split,
             input_sizes=parse_input_sizes(input_size),

@@ -16,8 +16,7 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from cucumbervision.cli.console import progress_bar
-from cucumbervision.cli.figures import figures_console, print_table
+from cucumbervision.cli.console import print_table, progress_bar, screen
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -77,14 +76,9 @@ def part_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield report
 
 
-def screen(width: int = 120) -> Console:
-    """Return the standard output, as wide as `width` where it is no terminal and has no width."""
-    return Console(highlight=False, width=None if Console().is_terminal else width)
-
-
 def show_tables(tables: Iterable[Table]) -> None:
     """Print a report's tables."""
-    console = figures_console()
+    console = screen(150)
     for table in tables:
         print_table(console, table)
 

@@ -21,8 +21,9 @@ from cucumbervision.dashboard.round_tables import (
 )
 from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.dashboard.views import results as export
+from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
-from cucumbervision.exports.writers import ExportFormat, write_exports
+from cucumbervision.exports.writers import write_exports
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:

@@ -176,9 +176,11 @@ def merge(
     from cucumbervision.rounds.merge import MergeSettings
     from cucumbervision.rounds.service import merge_round
 
-    known = {} if across is None else {"across_m": across, "across_sd_m": 0.05}
+    settings = MergeSettings()
+    if across is not None:
+        settings = MergeSettings(across_m=across, across_sd_m=0.05)
     with opened_round(store, round_) as (opened, one):
-        rows = merge_round(opened, one.key, MergeSettings(**known))
+        rows = merge_round(opened, one.key, settings)
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:

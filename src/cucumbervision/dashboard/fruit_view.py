@@ -347,21 +347,22 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
         [*colors.tolist(), *(near_colors // 2 + 90).tolist()],
         strict=True,
     )
-    lines: list[dict[str, Any]] = []
-    tube = next((m for m in record.methods if m.diameter_m), None)
-    if tube is not None:
-        axis = np.array(tube.path_m, np.float64)
-        rings = _tube_rings(axis, np.array(tube.diameter_m, np.float64))
-        lines = [{"path": scene_mm(ring), "color": RING_COLOR, "width": 0.5} for ring in rings]
-        lines.append({"path": scene_mm(axis), "color": AXIS_COLOR, "width": 1.5})
+    lines: list[dict[str, Any]] = [
+        {"path": scene_mm(path), "color": color, "width": width}
+        for path, color, width in _tube_lines(record)
+    ]
     reach_mm = np.abs(np.array(scene_mm(points))).max(axis=0)
     below = -float(reach_mm[1]) - 15
     bar = [[-25.0, below, 0.0], [25.0, below, 0.0]]
     lines.append({"path": bar, "color": AXIS_COLOR, "width": 2.0})
+    return _scene([{"at": at, "color": color} for at, color in dots], lines, float(reach_mm.max()))
+
+
+def _scene(dots: list[dict[str, Any]], lines: list[dict[str, Any]], reach_mm: float) -> pydeck.Deck:
     layers = [
         pydeck.Layer(
             "PointCloudLayer",
-            [{"at": at, "color": color} for at, color in dots],
+            dots,
             get_position="at",
             get_color="color",
             size_units="'common'",
@@ -384,10 +385,22 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
         target=[0, 0, 0],
         rotation_x=15,
         rotation_orbit=-30,
-        zoom=math.log2(CLOUD_HEIGHT_PX / (2.5 * float(reach_mm.max()))),
+        zoom=math.log2(CLOUD_HEIGHT_PX / (2.5 * reach_mm)),
     )
     # No provider of maps: nothing is asked of another machine.
     return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)
+
+
+def _tube_lines(
+    record: DetectionRecord,
+) -> list[tuple[NDArray[np.float64], tuple[int, int, int], float]]:
+    """Return rings and axis of the fitted tube, each with its colour and width."""
+    tube = next((one for one in record.methods if one.diameter_m), None)
+    if tube is None:
+        return []
+    axis = np.array(tube.path_m, np.float64)
+    rings = _tube_rings(axis, np.array(tube.diameter_m, np.float64))
+    return [*((ring, RING_COLOR, 0.5) for ring in rings), (axis, AXIS_COLOR, 1.5)]
 
 
 def _tube_rings(

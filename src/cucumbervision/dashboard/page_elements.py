@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import RoundView
 
 __all__ = [
+    "button",
     "choose_page",
     "finished_job",
     "halves",
@@ -36,6 +37,14 @@ def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
     with st.container(key="halves"):
         left, right = st.columns([3, 2], gap="medium")
     return left, right
+
+
+def button(
+    place: Any, label: str, icon: str, act: Callable[..., object], *args: Any, **options: Any
+) -> None:
+    """Draw a button as wide as its place; pressing it calls `act` before the page is drawn anew."""
+    icon = f":material/{icon}:"
+    place.button(label, icon=icon, width="stretch", on_click=act, args=args, **options)
 
 
 def table(lines: list[dict[str, Any]]) -> None:

@@ -14,7 +14,7 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = ["Settings", "Units", "read_settings", "settings_file", "write_settings"]
+__all__ = ["Settings", "Units", "read_settings", "replace_text", "settings_file", "write_settings"]
 
 UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 
@@ -188,7 +188,12 @@ def write_settings(settings: Settings, path: Path) -> None:
     ...     read_settings(Path(folder) / "a.json").unit
     'in'
     """
+    replace_text(path, settings.model_dump_json(indent=2) + "\n")
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write a text file in place of an older one, in one step."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(settings.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    temporary.write_text(text, encoding="utf-8")
     temporary.replace(path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.settings import replace_text
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -176,10 +176,7 @@ def write_hand_lengths(
         cells = ["" if x is None else f"{100 * x:.2f}" for x in (first, second)]
         table.writerow([capture_name(view), view.record.number, view.group, *cells, str(kind)])
         written += 1
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text.getvalue(), encoding="utf-8")
-    temporary.replace(path)
+    replace_text(path, text.getvalue())
     return written
 
 
@@ -195,11 +192,11 @@ def hand_lengths(
         for line in csv.DictReader(stream):
             key = keys.get((line["capture"], line["fruit"]))
             if key is not None:
-                found[key] = (_metres(line["length_1_cm"]), _metres(line["length_2_cm"]))
+                found[key] = (_cell_m(line["length_1_cm"]), _cell_m(line["length_2_cm"]))
     return found
 
 
-def _metres(cell: str) -> float | None:
+def _cell_m(cell: str) -> float | None:
     return float(cell) / 100 if cell else None
 
 
@@ -263,7 +260,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     )
     if st.button("Save these lengths", type="primary", icon=":material/save:"):
         for view, line in zip(shown, edited, strict=True):
-            known[view.key] = _metres_accuracy(line["First"]), _metres_accuracy(line["Second"])
+            known[view.key] = _typed_m(line["First"]), _typed_m(line["Second"])
         write_hand_lengths(path, fruit, known, kind or LengthDefinition.THREAD)
         st.rerun()
 
@@ -280,7 +277,7 @@ def _line(view: DetectionView, known: tuple[float | None, float | None]) -> dict
     }
 
 
-def _metres_accuracy(value: float | None) -> float | None:
+def _typed_m(value: float | None) -> float | None:
     return None if value is None else resources.settings().units.metres(float(value))
 
 

@@ -36,16 +36,8 @@ def page(one: RoundView) -> None:
     with right:
         kind = _source()
         _place()
-        st.button(
-            "Capture",
-            icon=":material/photo_camera:",
-            type="primary",
-            width="stretch",
-            key="take",
-            shortcut="Enter",
-            on_click=_take,
-            args=(one, kind),
-        )
+        take = {"type": "primary", "key": "take", "shortcut": "Enter"}
+        page_elements.button(st, "Capture", "photo_camera", _take, one, kind, **take)
         taken = _result(one)
         _how()
     with left:

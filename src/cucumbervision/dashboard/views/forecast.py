@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.picking import pick_list, plan_work
+from cucumbervision.agronomy.picking import Span, pick_list, plan_work
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard import round_tables as charts
-from cucumbervision.dashboard.round_tables import class_name, day_name
+from cucumbervision.dashboard.round_tables import class_name, day_name, forecast_chart
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
-    from cucumbervision.agronomy.picking import Span
     from cucumbervision.store.views import RoundView
 
 __all__ = ["page"]
@@ -40,17 +38,15 @@ def page(one: RoundView) -> None:
 
 def _days(found: Forecast) -> None:
     st.markdown("**Fruit in each class if nothing is picked**, with 80 % intervals")
-    st.altair_chart(charts.forecast_chart(found))
+    st.altair_chart(forecast_chart(found))
     house = found.house
     lines = []
     for day in found.days.tolist():
         line = {"Day": day_name(day)}
         for k in range(len(found.classes)):
             least = "" if found.complete[day, k] else "at least "
-            expected, low, high = (
-                float(values[day, k]) for values in (house.expected, house.low, house.high)
-            )
-            line[class_name(found, k)] = f"{least}{_interval(expected, low, high)}"
+            count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
+            line[class_name(found, k)] = f"{least}{_interval(count)}"
         lines.append(line)
     page_elements.table(lines)
     st.caption(
@@ -87,12 +83,7 @@ def _picks(found: Forecast) -> None:
 
     with st.container(key="noprint"):
         mark, hint = st.columns([1, 2], vertical_alignment="center")
-        mark.button(
-            "Mark all as picked",
-            icon=":material/shopping_basket:",
-            width="stretch",
-            on_click=mark_picked,
-        )
+        page_elements.button(mark, "Mark all as picked", "shopping_basket", mark_picked)
         hint.caption("Print with the browser: Ctrl+P, or Share and Print on a tablet.")
 
 
@@ -111,9 +102,9 @@ def _work(found: Forecast) -> None:
     lines = [
         {
             "Day": day_name(day.day),
-            "Fruit": _estimate(day.fruit),
-            "Hours": _estimate(day.hours, digits=1),
-            **{f"Crates {name}": _estimate(crates) for name, crates in day.crates.items()},
+            "Fruit": _interval(day.fruit),
+            "Hours": _interval(day.hours, digits=1),
+            **{f"Crates {name}": _interval(n) for name, n in day.crates.items()},
         }
         for day in plan_work(found, resources.settings().rates)
     ]
@@ -121,9 +112,5 @@ def _work(found: Forecast) -> None:
     st.caption("If every ready fruit is picked every day; hours for one person.")
 
 
-def _estimate(of: Span, digits: int = 0) -> str:
-    return _interval(of.expected, of.low, of.high, digits)
-
-
-def _interval(expected: float, low: float, high: float, digits: int = 0) -> str:
-    return f"{expected:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+def _interval(of: Span, digits: int = 0) -> str:
+    return f"{of.expected:.{digits}f} ({of.low:.{digits}f} to {of.high:.{digits}f})"

@@ -18,6 +18,7 @@ from cucumbervision.dashboard.fruit_view import (
     scale_bar,
 )
 from cucumbervision.dashboard.measuring import stored_capture
+from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
@@ -57,31 +58,19 @@ def _head(lists: RoundLists, key: str) -> None:
         st.session_state.pop("ruler", None)
 
     back, before, after = st.columns([2, 1, 1])
-    back.button(
-        "All fruit", icon=":material/arrow_back:", width="stretch", on_click=go, args=(None,)
-    )
-    for column, label, to, icon, shortcut in (
-        (before, "Previous", at - 1, ":material/chevron_left:", "Left"),
-        (after, "Next", at + 1, ":material/chevron_right:", "Right"),
+    button(back, "All fruit", "arrow_back", go, None)
+    for column, label, to, side in (
+        (before, "Previous", at - 1, "left"),
+        (after, "Next", at + 1, "right"),
     ):
         there = 0 <= to < len(keys)
-        column.button(
-            label,
-            icon=icon,
-            width="stretch",
-            disabled=not there,
-            on_click=go,
-            args=(keys[to] if there else key,),
-            shortcut=shortcut,
-        )
+        target, how = keys[to] if there else key, {"disabled": not there}
+        button(column, label, f"chevron_{side}", go, target, shortcut=side.capitalize(), **how)
 
 
 def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
-    record, units, found = (
-        detail.view.record,
-        resources.settings().units,
-        lists.grades[detail.view.key],
-    )
+    record, units = detail.view.record, resources.settings().units
+    found = lists.grades[detail.view.key]
     between = None
     if record.interval_low_m and record.interval_high_m:
         low, high = units.text(record.interval_low_m), units.text(record.interval_high_m)
@@ -122,25 +111,16 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
 
     accept, reject = st.columns(2)
     for place, verdict, name, icon in (
-        (accept, Verdict.ACCEPTED, "Accept", ":material/check:"),
-        (reject, Verdict.REJECTED, "Reject", ":material/close:"),
+        (accept, Verdict.ACCEPTED, "Accept", "check"),
+        (reject, Verdict.REJECTED, "Reject", "close"),
     ):
-        place.button(
-            f"{name}ed" if now is verdict else name,
-            icon=icon,
-            width="stretch",
-            type="primary" if now is verdict else "secondary",
-            on_click=judge,
-            args=(None if now is verdict else verdict,),
-        )
+        if now is verdict:
+            button(place, f"{name}ed", icon, judge, None, type="primary")
+        else:
+            button(place, name, icon, judge, verdict)
     picked, undo = st.columns(2)
-    picked.button(
-        "Not picked" if is_picked else "Picked",
-        icon=":material/shopping_basket:",
-        width="stretch",
-        on_click=pick,
-    )
-    undo.button("Undo", icon=":material/undo:", width="stretch", on_click=_undo, args=(one,))
+    button(picked, "Not picked" if is_picked else "Picked", "shopping_basket", pick)
+    button(undo, "Undo", "undo", _undo, one)
     if fault := st.session_state.pop("undo_fault", None):
         st.info(fault)
 

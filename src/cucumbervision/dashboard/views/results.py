@@ -11,16 +11,10 @@ import streamlit as st
 
 from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard import round_tables as charts
-from cucumbervision.dashboard.round_tables import (
-    RoundLists,
-    grade_name,
-    length_lines,
-    method_lines,
-    statistics,
-)
+from cucumbervision.dashboard import round_tables as tables
+from cucumbervision.dashboard.page_elements import button
+from cucumbervision.dashboard.round_tables import RoundLists, grade_name
 from cucumbervision.dashboard.views import fruit as fruit_page
-from cucumbervision.dashboard.views import results as export
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
@@ -34,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = ["page", "show"]
+__all__ = ["page"]
 
 FORMATS = {
     ExportFormat.XLSX: "Excel",
@@ -45,7 +39,7 @@ FORMATS = {
 }
 
 
-def show(one: RoundView) -> None:
+def _files(one: RoundView) -> None:
     """Draw the choice of formats, and the download once it is made."""
     chosen = st.pills(
         "Formats",
@@ -55,14 +49,8 @@ def show(one: RoundView) -> None:
         default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
     )
     make, load = st.columns(2)
-    make.button(
-        "Make the files",
-        icon=":material/archive:",
-        width="stretch",
-        disabled=not chosen,
-        on_click=_make,
-        args=(one, tuple(chosen)),
-    )
+    formats = tuple(chosen)
+    button(make, "Make the files", "archive", _make, one, formats, disabled=not formats)
     job = page_elements.finished_job(f"export_{one.key}")
     if job is not None and job.error:
         st.error(job.error, icon=":material/error:")
@@ -121,7 +109,7 @@ def page(one: RoundView) -> None:
     _table(lists, fruit)
     _merge(one)
     with st.expander("Files of this round", icon=":material/download:"):
-        export.show(one)
+        _files(one)
 
 
 def _empty(one: RoundView) -> None:
@@ -134,7 +122,7 @@ def _empty(one: RoundView) -> None:
 
 
 def _statistics(lists: RoundLists) -> None:
-    found, units = statistics(lists), resources.settings().units
+    found, units = tables.statistics(lists), resources.settings().units
     shown = {
         "Fruit": (found["fruit"], f"detected {found['detections']} times"),
         "Measured": (found["measured"], None),
@@ -182,12 +170,12 @@ def _filtered(lists: RoundLists) -> list[DetectionView]:
 def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
     lengths, methods = st.columns(2)
-    if lines := length_lines(fruit, lists.grades, units):
+    if lines := tables.length_lines(fruit, lists.grades, units):
         lengths.markdown("**Lengths**: line at the mean, band of one standard deviation")
-        lengths.altair_chart(charts.histogram(lines, units))
-    if lines := method_lines(lists, {view.key for view in fruit}, units):
+        lengths.altair_chart(tables.histogram(lines, units))
+    if lines := tables.method_lines(lists, {view.key for view in fruit}, units):
         methods.markdown("**Lengths by method**: box from quartile to quartile, lines to the ends")
-        methods.altair_chart(charts.method_chart(lines, units))
+        methods.altair_chart(tables.method_chart(lines, units))
 
 
 def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
@@ -217,13 +205,7 @@ def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
 
 def _merge(one: RoundView) -> None:
     merge, hint = st.columns([2, 3], vertical_alignment="center")
-    merge.button(
-        "Merge views of the same fruit",
-        icon=":material/join:",
-        width="stretch",
-        on_click=resources.merge,
-        args=(one.key,),
-    )
+    button(merge, "Merge views of the same fruit", "join", resources.merge, one.key)
     hint.caption("Fruit that neighbouring stops both show then count once; your changes are kept.")
     job = next(iter(resources.worker().unfinished()), None)
     if job is not resources.prepare():  # which the frame of all pages shows

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard import round_tables as charts
-from cucumbervision.dashboard.round_tables import map_lines
+from cucumbervision.dashboard.round_tables import map_chart, map_lines
 
 if TYPE_CHECKING:
     from cucumbervision.store.views import RoundView
@@ -42,7 +41,7 @@ def page(one: RoundView) -> None:
     for row in [row for row in rows if row in chosen]:
         st.markdown(f"**{row}**")
         here = [line for line in shown if line["row"] == row]
-        st.altair_chart(charts.map_chart(here, shown, units, by_length=colored == "Length"))
+        st.altair_chart(map_chart(here, shown, units, by_length=colored == "Length"))
     st.caption(
         "One mark a fruit, a cross where it was picked; point at a mark or tap it for details. "
         "Heights are relative to the camera."

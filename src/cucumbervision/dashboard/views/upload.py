@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
@@ -17,19 +17,8 @@ if TYPE_CHECKING:
 __all__ = ["page"]
 
 ENDINGS = [
-    "zip",
-    "bag",
-    "db3",
-    "png",
-    "jpg",
-    "jpeg",
-    "tif",
-    "tiff",
-    "npy",
-    "npz",
-    "json",
-    "csv",
-    "raw",
+    *("zip", "bag", "db3", "json", "csv", "raw"),
+    *("png", "jpg", "jpeg", "tif", "tiff", "npy", "npz"),
 ]
 
 
@@ -42,15 +31,10 @@ def page(one: RoundView) -> None:
     )
     files = st.file_uploader("Files", type=ENDINGS, accept_multiple_files=True, key="uploads")
     spacing_m = st.number_input("Distance from one capture to the next [m]", 0.0, 5.0, 0.4, 0.1)
-    st.button(
-        "Measure these files",
-        icon=":material/play_arrow:",
-        type="primary",
-        width="stretch",
-        disabled=not files,
-        on_click=_measure,
-        args=(one.key, [(file.name, file.getvalue()) for file in files], float(spacing_m)),
-    )
+    given = [(file.name, file.getvalue()) for file in files]
+    what = one.key, given, float(spacing_m)
+    how: dict[str, Any] = {"type": "primary", "disabled": not files}
+    page_elements.button(st, "Measure these files", "play_arrow", _measure, *what, **how)
     job = page_elements.finished_job("upload_job")
     if job is None:
         return

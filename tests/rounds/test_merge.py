@@ -15,12 +15,12 @@ GIVEN = SimulatedRow(per_m=10)
 HARDER = SimulatedRow(per_m=14, operator_sd_m=0.06, missed=0.10)
 
 
-def pair_codes(cluster: NDArray[np.int64]) -> set[int]:
+def pair_codes(cluster: NDArray[np.integer]) -> set[int]:
     i, j = cluster_pairs(np.unique(cluster, return_inverse=True)[1])
     return set((i * len(cluster) + j).tolist())
 
 
-def shares(walk: Walk, cluster: NDArray[np.int64]) -> tuple[float, float]:
+def shares(walk: Walk, cluster: NDArray[np.integer]) -> tuple[float, float]:
     invented = walk.of_fruit < 0
     truth = np.where(invented, 10**6 + np.arange(len(invented)), walk.of_fruit)
     found, true = pair_codes(cluster), pair_codes(truth)

@@ -67,7 +67,7 @@ class Quality:
     stop_error_m: float
 
 
-def codes(cluster: NDArray[np.int64]) -> set[int]:
+def codes(cluster: NDArray[np.integer]) -> set[int]:
     """Return the pairs of views of one fruit as numbers."""
     i, j = cluster_pairs(np.unique(cluster, return_inverse=True)[1])
     return set((i * len(cluster) + j).tolist())

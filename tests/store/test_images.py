@@ -40,15 +40,6 @@ def test_a_picture_is_named_by_its_content_and_comes_back_exactly(
     assert list(images.unfinished()) == []
 
 
-def test_a_jpeg_is_small_and_close(images: ImageStore) -> None:
-    ramp = np.linspace(0, 255, 640).astype(np.uint8)
-    color = np.stack(np.broadcast_arrays(ramp, 120, ramp[::-1]), axis=-1)[None].repeat(480, 0)
-    ref = images.put_color(color.astype(np.uint8), lossless=False)
-    assert ref.suffix == ".jpg"
-    worst = np.abs(images.read_color(ref).astype(int) - color).max()
-    assert worst <= 6
-
-
 @pytest.mark.parametrize(("size", "small"), [((480, 848), (181, 320)), ((20, 10), (20, 10))])
 def test_a_thumbnail_keeps_the_shape(
     images: ImageStore, size: tuple[int, int], small: tuple[int, int]

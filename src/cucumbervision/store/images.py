@@ -33,7 +33,6 @@ __all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "CheckReport", "ImageStore", "check_s
 
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
-_JPEG_QUALITY = 95
 _THUMBNAIL_QUALITY = 80
 _TEMPORARY = ".writing-"
 _SUFFIXES = (".png", ".jpg")
@@ -66,24 +65,20 @@ class ImageStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def put_color(self, color: NDArray[np.uint8], *, lossless: bool = True) -> ImageRef:
-        """Store a colour picture.
+    def put_color(self, color: NDArray[np.uint8]) -> ImageRef:
+        """Store a colour picture as PNG, from which can be measured again to the same length.
 
         Parameters
         ----------
         color : ndarray of uint8, shape (H, W, 3)
             RGB.
-        lossless : bool
-            PNG, from which can be measured again to the same length; JPEG is a fifth of the size.
 
         Raises
         ------
         StoreError
             If the folder cannot be written.
         """
-        if lossless:
-            return self._put_picture(color, ".png", ())
-        return self._put_picture(color, ".jpg", _jpeg(_JPEG_QUALITY))
+        return self._put_picture(color, ".png")
 
     def put_thumbnail(self, color: NDArray[np.uint8]) -> ImageRef:
         """Store a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
@@ -92,7 +87,8 @@ class ImageStore:
         scale = min(1.0, THUMBNAIL_PX / max(color.shape[:2]))
         size = (max(1, round(color.shape[1] * scale)), max(1, round(color.shape[0] * scale)))
         small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
-        return self._put_picture(cast("NDArray[Any]", small), ".jpg", _jpeg(_THUMBNAIL_QUALITY))
+        quality = (cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY)
+        return self._put_picture(cast("NDArray[Any]", small), ".jpg", quality)
 
     def put_depth(self, depth_m: NDArray[np.float32]) -> ImageRef:
         """Store a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
@@ -104,7 +100,7 @@ class ImageStore:
         """
         steps = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT_M)
         kept = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
-        return self._put_picture(kept.astype(np.uint16), ".png", ())
+        return self._put_picture(kept.astype(np.uint16), ".png")
 
     def put(self, data: bytes, suffix: str, width_px: int, height_px: int) -> ImageRef:
         """Store an encoded picture.
@@ -193,7 +189,7 @@ class ImageStore:
         return self.folder.glob(f"??/??/{_TEMPORARY}*")
 
     def _put_picture(
-        self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...]
+        self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...] = ()
     ) -> ImageRef:
         import cv2
 
@@ -246,12 +242,6 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _jpeg(quality: int) -> tuple[int, ...]:
-    import cv2
-
-    return (cv2.IMWRITE_JPEG_QUALITY, quality)
 
 
 def _decoded(image: Any) -> NDArray[Any]:

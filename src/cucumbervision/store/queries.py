@@ -85,30 +85,15 @@ class Queries(Database):
 
     def rounds(self, house: str | None = None) -> list[RoundView]:
         """Return the rounds, the newest first; those of one house where one is named."""
-        stops = (
-            select(
-                StopLine.round_id, func.count().label("n"), func.max(StopLine.taken_s).label("last")
-            )
-            .group_by(StopLine.round_id)
-            .subquery()
-        )
-        detections = (
-            select(DetectionLine.round_id, func.count().label("n"))
-            .where(STANDS)
-            .group_by(DetectionLine.round_id)
-            .subquery()
-        )
-        query = (
-            select(
-                *columns_of(Round, ROUND_CELLS),
-                func.coalesce(stops.c.n, 0),
-                func.coalesce(detections.c.n, 0),
-                stops.c.last,
-            )
-            .outerjoin(stops, stops.c.round_id == Round.id)
-            .outerjoin(detections, detections.c.round_id == Round.id)
-            .order_by(Round.started_s.desc(), Round.id.desc())
-        )
+        of_round = StopLine.round_id == Round.id
+        query = select(
+            *columns_of(Round, ROUND_CELLS),
+            select(func.count(StopLine.id)).where(of_round).scalar_subquery(),
+            select(func.count(DetectionLine.id))
+            .where(DetectionLine.round_id == Round.id, STANDS)
+            .scalar_subquery(),
+            select(func.max(StopLine.taken_s)).where(of_round).scalar_subquery(),
+        ).order_by(Round.started_s.desc(), Round.id.desc())
         if house is not None:
             query = query.where(Round.house == house)
         with self.reading() as connection:
@@ -144,44 +129,24 @@ class Queries(Database):
             If it is not there.
         """
         key = checked_key(key, "fruit")
-        query = (
-            select(
-                DetectionLine.number,
-                CaptureLine.number,
-                StopLine.key,
-                Round.key,
-                Mark.details,
-            )
-            .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-            .join(StopLine, StopLine.id == CaptureLine.stop_id)
-            .join(Round, Round.id == DetectionLine.round_id)
-            .outerjoin(
-                Mark,
-                and_(
-                    Mark.fruit_id == DetectionLine.id,
-                    Mark.slot == "mask",
-                    Mark.ended_by_id.is_(None),
-                ),
-            )
-            .where(DetectionLine.key == key, STANDS)
-        )
+        of_round = select(Round.key).join(DetectionLine, DetectionLine.round_id == Round.id)
         with self.reading() as connection:
-            found = connection.execute(query).one_or_none()
-            if found is None:
+            found = of_round.where(DetectionLine.key == key, STANDS)
+            round_key = connection.execute(found).scalar()
+            if round_key is None:
                 raise StoreError(
                     f"fruit {key} is not in the store", remedy="look it up in detections()"
                 )
-            number, capture_number, stop_key, round_key, correction = found
-            stop = _stop_of(connection, stop_key)
             links = links_of(connection, round_key)
             ends = {key, *(end for link in links for end in (link.first, link.second))}
             group = group_detections(ends, links)[key]
             views = _detections_of(connection, round_key, sorted(group))
+            view = next(one for one in views if one.key == key)
+            stop = _stop_of(connection, view.stop_key)
+            corrected = _corrected_of(connection, DetectionLine.key == key).get(key)
             log = _actions_of(connection, round_key, None)
-        capture = stop.captures[capture_number]
-        original = next(one for one in capture.fruit if one.number == number)
-        view = next(one for one in views if one.key == key)
-        corrected = None if correction is None else detection_from_json(correction)
+        capture = next(one for one in stop.captures if one.name == view.capture)
+        original = next(one for one in capture.fruit if one.number == view.record.number)
         return DetectionDetail(
             replace(view, record=corrected or original),
             original,
@@ -207,15 +172,9 @@ class Queries(Database):
 
     def corrected(self, round_key: str) -> dict[str, DetectionRecord]:
         """Return the corrected records, masks included, by the keys of their detections."""
-        query = (
-            select(DetectionLine.key, Mark.details)
-            .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-            .where(Mark.slot == "mask", Mark.ended_by_id.is_(None), STANDS)
-        )
         with self.reading() as connection:
-            of_round = query.where(DetectionLine.round_id == round_id_of(connection, round_key))
-            rows = cells_of(connection, of_round)
-        return {key: detection_from_json(details) for key, details in rows}
+            which = DetectionLine.round_id == round_id_of(connection, round_key)
+            return _corrected_of(connection, which)
 
     def cameras(self, round_key: str) -> dict[str, CameraAt]:
         """Return where the cameras of a round stood, by the stops' keys."""
@@ -229,31 +188,17 @@ class Queries(Database):
             .order_by(StopLine.id, CaptureLine.number)
         )
         found: dict[str, CameraAt] = {}
-        numbers: dict[str, dict[str, int]] = {}
         with self.reading() as connection:
             for key, pose, number, name, camera in connection.execute(query):
-                if key not in found:
-                    numbers[key] = {}
-                    found[key] = CameraAt(pose, numbers[key], camera or {})
+                at = found.setdefault(key, CameraAt(pose, {}, camera or {}))
                 if number is not None:
-                    numbers[key][name] = number
+                    at.captures[name] = number
         return found
 
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
         """Return what the stops of a round were measured with, by the stops' keys."""
-        query = (
-            select(StopLine.key, Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
-            .join(StopArtifact, StopArtifact.stop_id == StopLine.id)
-            .join(Artifact, Artifact.id == StopArtifact.artifact_id)
-            .join(Round, Round.id == StopLine.round_id)
-            .where(Round.key == round_key)
-            .order_by(StopLine.id, StopArtifact.number)
-        )
-        found: dict[str, list[ArtifactRecord]] = {}
         with self.reading() as connection:
-            for key, *cells in cells_of(connection, query):
-                found.setdefault(key, []).append(ArtifactRecord(*cells))
-        return {key: tuple(artifacts) for key, artifacts in found.items()}
+            return _artifacts_of(connection, Round.key == round_key)
 
     def stop(self, stop_key: str) -> StopRecord:
         """Return a stop with everything, as it was saved.
@@ -332,19 +277,11 @@ def links_of(
 
 
 def _stop_query(round_id: int) -> Any:
-    captures = (
-        select(CaptureLine.stop_id, func.count().label("n"))
-        .join(StopLine, StopLine.id == CaptureLine.stop_id)
-        .where(StopLine.round_id == round_id)
-        .group_by(CaptureLine.stop_id)
-        .subquery()
-    )
+    captures = select(func.count(CaptureLine.id)).where(CaptureLine.stop_id == StopLine.id)
     detections = (
-        select(CaptureLine.stop_id, func.count().label("n"))
-        .join(DetectionLine, DetectionLine.capture_id == CaptureLine.id)
-        .where(DetectionLine.round_id == round_id, STANDS)
-        .group_by(CaptureLine.stop_id)
-        .subquery()
+        select(func.count(DetectionLine.id))
+        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
+        .where(CaptureLine.stop_id == StopLine.id, STANDS)
     )
     first = aliased(CaptureLine)
     return (
@@ -352,14 +289,12 @@ def _stop_query(round_id: int) -> Any:
             StopLine.key,
             Row.name,
             *columns_of(StopLine, ("side", *_PLACE, "step", "taken_s", "note")),
-            func.coalesce(captures.c.n, 0),
-            func.coalesce(detections.c.n, 0),
+            captures.scalar_subquery(),
+            detections.scalar_subquery(),
             StopLine.failures,
             *IMAGE_COLUMNS,
         )
         .outerjoin(Row, Row.id == StopLine.row_id)
-        .outerjoin(captures, captures.c.stop_id == StopLine.id)
-        .outerjoin(detections, detections.c.stop_id == StopLine.id)
         .outerjoin(first, and_(first.stop_id == StopLine.id, first.number == 0))
         .outerjoin(Image, Image.sha256 == first.thumbnail_sha256)
         .where(StopLine.round_id == round_id)
@@ -467,6 +402,32 @@ def _marks_of(connection: Connection, round_id: int) -> dict[str, dict[str, Any]
     return marks
 
 
+def _corrected_of(connection: Connection, which: Any) -> dict[str, DetectionRecord]:
+    """Return corrected records with masks and methods by the detections' keys."""
+    query = (
+        select(DetectionLine.key, Mark.details)
+        .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
+        .where(Mark.slot == "mask", Mark.ended_by_id.is_(None), STANDS, which)
+    )
+    return {key: detection_from_json(details) for key, details in cells_of(connection, query)}
+
+
+def _artifacts_of(connection: Connection, which: Any) -> dict[str, tuple[ArtifactRecord, ...]]:
+    """Return what stops were measured with, in the order given, by the stops' keys."""
+    query = (
+        select(StopLine.key, Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
+        .join(StopArtifact, StopArtifact.stop_id == StopLine.id)
+        .join(Artifact, Artifact.id == StopArtifact.artifact_id)
+        .join(Round, Round.id == StopLine.round_id)
+        .where(which)
+        .order_by(StopLine.id, StopArtifact.number)
+    )
+    found: dict[str, list[ArtifactRecord]] = {}
+    for key, *cells in cells_of(connection, query):
+        found.setdefault(key, []).append(ArtifactRecord(*cells))
+    return {key: tuple(artifacts) for key, artifacts in found.items()}
+
+
 def _stop_of(connection: Connection, key: str) -> StopRecord:
     key = checked_key(key, "stop")
     query = (
@@ -479,19 +440,13 @@ def _stop_of(connection: Connection, key: str) -> StopRecord:
     found = connection.execute(query).mappings().one_or_none()
     if found is None:
         raise StoreError(f"stop {key} is not in the store", remedy="look it up in stops()")
-    artifacts = (
-        select(Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
-        .join(StopArtifact, StopArtifact.artifact_id == Artifact.id)
-        .where(StopArtifact.stop_id == found["id"])
-        .order_by(StopArtifact.number)
-    )
     as_saved = ("round_key", "row", "side", "position_m", "position_sd_m", "step", "taken_s")
     return StopRecord(
         key=key,
         **{name: found[name] for name in (*as_saved, "note")},
         pose=tuple(found["pose"]),
         captures=_captures_of(connection, found["id"]),
-        artifacts=tuple(ArtifactRecord(*row) for row in cells_of(connection, artifacts)),
+        artifacts=_artifacts_of(connection, StopLine.key == key).get(key, ()),
         failures=tuple(found["failures"]),
     )
 

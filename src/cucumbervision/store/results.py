@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,6 +56,7 @@ _DOUBTS = frozenset(
         *(Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE, Flag.DETECTOR_MASK),
     }
 )
+_AS_READ = ("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source")
 _STORED = frozenset(column.name for column in fields(DetectionRecord))
 
 
@@ -65,11 +66,8 @@ def records_from_result(
     measurer: Measurer | None = None,
     *,
     key: str | None = None,
-    stop: Stop | None = None,
     position_sd_m: float | None = None,
-    taken_s: float | None = None,
     images: ImageStore | None = None,
-    lossless: bool = True,
 ) -> StopRecord:
     """Return a stop of what was measured there; its pictures are put into `images`.
 
@@ -83,34 +81,26 @@ def records_from_result(
         What measured them: its software, options, networks and calibration are kept.
     key : str, optional
         The stop's own key, kept for sending it again; a new one by default.
-    stop : Stop, optional
-        Row, side, position and step; the first capture's by default.
-    position_sd_m, taken_s : float, optional
-        How sure the position is; when, by default the first capture's time, or now.
-    images, lossless
+    position_sd_m : float, optional
+        How sure the position is; place and time are the first capture's.
+    images : ImageStore, optional
         As in `capture_record`.
     """
     first = results[0].capture if results else None
-    place = stop or (first.stop if first else Stop())
-    when = first.timestamp_s if first and taken_s is None else taken_s
+    when = first.timestamp_s if first else None
     return StopRecord(
         key=key or new_key(),
         round_key=round_key,
-        row=place.row,
-        side=place.side,
-        position_m=place.position_m,
+        **asdict(first.stop if first else Stop()),
         position_sd_m=position_sd_m,
-        step=place.step,
         taken_s=time.time() if when is None else when,
-        captures=tuple(capture_record(one, images, lossless=lossless) for one in results),
+        captures=tuple(capture_record(one, images) for one in results),
         artifacts=() if measurer is None else artifact_records(measurer),
         failures=tuple(vars(failure) for one in results for failure in one.failures),
     )
 
 
-def capture_record(
-    result: CaptureResult, images: ImageStore | None = None, *, lossless: bool = True
-) -> CaptureRecord:
+def capture_record(result: CaptureResult, images: ImageStore | None = None) -> CaptureRecord:
     """Return a record of one capture; its pictures are put into `images`.
 
     Parameters
@@ -119,8 +109,6 @@ def capture_record(
         The capture.
     images : ImageStore, optional
         None keeps no pictures.
-    lossless : bool
-        Colour as PNG rather than JPEG.
 
     Raises
     ------
@@ -129,28 +117,22 @@ def capture_record(
     """
     capture = result.capture
     return CaptureRecord(
-        name=capture.name,
-        frame=capture.frame,
-        burst_frame=capture.burst_frame,
-        burst_size=capture.burst_size,
-        timestamp_s=capture.timestamp_s,
+        **{name: getattr(capture, name) for name in _AS_READ},
         width_px=capture.width,
         height_px=capture.height,
         fill=round(capture.fill, 4),
-        simulated=capture.simulated,
-        source=capture.source,
         camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
         provenance=json_value(capture.provenance),
         fruit=tuple(fruit_record(one) for one in result.seen),
-        **_pictures(capture, images, lossless=lossless),
+        **_pictures(capture, images),
     )
 
 
-def _pictures(capture: Capture, images: ImageStore | None, *, lossless: bool) -> dict[str, Any]:
+def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
     if images is None:
         return {}
     return {
-        "color": images.put_color(capture.color, lossless=lossless),
+        "color": images.put_color(capture.color),
         "depth": images.put_depth(capture.depth_m),
         "thumbnail": images.put_thumbnail(capture.color),
         "depth_unit_m": DEPTH_UNIT_M,

@@ -79,6 +79,11 @@ __all__ = [
 _ACTIVE = text("ended_by_id IS NULL")
 
 
+def _one_active(name: str, *columns: str) -> Index:
+    """Return an index that allows one line which has not ended for these columns."""
+    return Index(name, *columns, unique=True, sqlite_where=_ACTIVE, postgresql_where=_ACTIVE)
+
+
 class Base(DeclarativeBase):
     """All tables; constraints are named, as migrations need."""
 
@@ -250,16 +255,7 @@ class Mark(Base):
     """A mark on a detection, made by hand; of each slot the one that has not ended counts."""
 
     __tablename__ = "marks"
-    __table_args__ = (
-        Index(
-            "uq_marks_active",
-            "fruit_id",
-            "slot",
-            unique=True,
-            sqlite_where=_ACTIVE,
-            postgresql_where=_ACTIVE,
-        ),
-    )
+    __table_args__ = (_one_active("uq_marks_active", "fruit_id", "slot"),)
 
     id: Mapped[int] = mapped_column(primary_key=True)
     fruit_id: Mapped[int] = mapped_column(ForeignKey("fruit.id"), index=True)
@@ -276,14 +272,7 @@ class Link(Base):
     __tablename__ = "links"
     __table_args__ = (
         CheckConstraint("first_id <> second_id", name="two"),
-        Index(
-            "uq_links_active",
-            "first_id",
-            "second_id",
-            unique=True,
-            sqlite_where=_ACTIVE,
-            postgresql_where=_ACTIVE,
-        ),
+        _one_active("uq_links_active", "first_id", "second_id"),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)

@@ -54,7 +54,7 @@ class CameraAt:
     """
 
     pose: Sequence[float]
-    captures: Mapping[str, int]
+    captures: dict[str, int]
     camera: Mapping[str, Any]
 
 

@@ -27,17 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import FilteredStates, Histories, Spreads
     from cucumbervision.agronomy.profiles import CropProfile
 
-__all__ = [
-    "Counts",
-    "DetectionRates",
-    "Forecast",
-    "FruitState",
-    "LengthDraws",
-    "check_fruit",
-    "forecast",
-    "natural_key",
-    "simulate",
-]
+__all__ = ["Counts", "DetectionRates", "Forecast", "FruitState", "forecast", "natural_key"]
 
 
 @dataclass(frozen=True)

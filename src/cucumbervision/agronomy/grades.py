@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BORDERLINE",
-    "INTERVAL_LEVEL",
     "OUT_OF_GRADE",
     "Grade",
     "GradingTraits",

@@ -13,7 +13,7 @@ from cucumbervision.agronomy.profiles import TOO_LONG
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast, FruitState
 
-__all__ = ["DayWork", "Pick", "Rates", "Span", "pick_list", "plan_work"]
+__all__ = ["Pick", "Rates", "Span", "pick_list", "plan_work"]
 
 
 @dataclass(frozen=True)

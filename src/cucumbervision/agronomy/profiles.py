@@ -19,22 +19,7 @@ from cucumbervision.measurement.result import LengthDefinition
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "TOO_LONG",
-    "TOO_SHORT",
-    "CropProfile",
-    "Density",
-    "DiameterBand",
-    "GrowthFigures",
-    "LengthClass",
-    "LengthLimits",
-    "ProfileEntry",
-    "ShapeBand",
-    "WeightBand",
-    "load_profile",
-    "profiles",
-    "profiles_folder",
-]
+__all__ = ["TOO_LONG", "CropProfile", "load_profile", "profiles", "profiles_folder"]
 
 TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
 

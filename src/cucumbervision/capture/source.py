@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import dataclass
 from functools import partial
@@ -147,6 +148,9 @@ def fail(error: Exception, name: str = "") -> Capture:  # noqa: ARG001 - called 
     raise error
 
 
+_LONGEST_NAME = 200  # leaves room for a number and a suffix
+
+
 def safe_name(text: str) -> str:
     """Make a name that is fit for a file name on every system.
 
@@ -154,8 +158,18 @@ def safe_name(text: str) -> str:
     --------
     >>> safe_name("row 3/left:2")
     'row_3_left_2'
+
+    File systems take 255 bytes; a longer name keeps its beginning and gets a hash of the whole, so
+    that two of them stay two:
+
+    >>> len(safe_name("x" * 300)), safe_name("x" * 300) == safe_name("x" * 301)
+    (200, False)
     """
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("._") or "capture"
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("._") or "capture"
+    if len(name) <= _LONGEST_NAME:
+        return name
+    digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]
+    return f"{name[: _LONGEST_NAME - 17]}-{digest}"
 
 
 def unique_name(name: str, taken: set[str]) -> str:

@@ -20,23 +20,40 @@ from cucumbervision.measurement.result import LengthDefinition, Selector
 
 __all__ = ["demo", "measure"]
 
+Inputs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="INPUT...",
+        help="Capture folders, BOP scenes, colour + depth pairs, Viewer exports, .bag or .db3.",
+    ),
+]
+Instances = Annotated[
+    str,
+    typer.Option(
+        help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
+        "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
+    ),
+]
+Fast = Annotated[
+    bool,
+    typer.Option(
+        "--fast",
+        help="Let networks compute in half precision where the processor can: quicker, but "
+        "lengths may differ a little from machine to machine.",
+    ),
+]
+Guard = Annotated[
+    bool,
+    typer.Option(
+        "--guard", help="Play recordings from untrusted senders in a separate, limited process."
+    ),
+]
+
 
 def measure(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="INPUT...",
-            help="Capture folders, BOP scenes, colour + depth pairs, Viewer exports, .bag or .db3.",
-        ),
-    ],
+    inputs: Inputs,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables and pictures.")],
-    instances: Annotated[
-        str,
-        typer.Option(
-            help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
-            "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
-        ),
-    ] = "auto",
+    instances: Instances = "auto",
     pose: Annotated[
         Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
     ] = None,
@@ -68,20 +85,8 @@ def measure(
     ] = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",
-    fast: Annotated[
-        bool,
-        typer.Option(
-            "--fast",
-            help="Let networks compute in half precision where the processor can: quicker, but "
-            "lengths may differ a little from machine to machine.",
-        ),
-    ] = False,
-    guard: Annotated[
-        bool,
-        typer.Option(
-            "--guard", help="Play recordings from untrusted senders in a separate, limited process."
-        ),
-    ] = False,
+    fast: Fast = False,
+    guard: Guard = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:

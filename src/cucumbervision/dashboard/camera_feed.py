@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture, Stop
 
-__all__ = ["CameraFeed", "DepthQuality", "Feed", "Preview", "Replay", "depth_quality"]
+__all__ = ["CameraFeed", "Feed", "Preview", "Replay"]
 
 NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
 POOR_FILL = 0.60

@@ -22,7 +22,7 @@ from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit
 from cucumbervision.rounds.poses import stored_pose
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import new_key
-from cucumbervision.store.results import fruit_record
+from cucumbervision.store.results import AS_READ, fruit_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -285,15 +285,9 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
         images.read_color(record.color),
         images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
         CameraModel.model_validate(dict(record.camera)).intrinsics,
-        record.name,
-        frame=record.frame,
-        burst_frame=record.burst_frame,
-        burst_size=record.burst_size,
         stop=Stop(stop.row, stop.side, stop.position_m, stop.step),
-        timestamp_s=record.timestamp_s,
-        simulated=record.simulated,
-        source=record.source,
         provenance=dict[str, Any](record.provenance),
+        **{name: getattr(record, name) for name in AS_READ},
     )
 
 

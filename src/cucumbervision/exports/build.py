@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-__all__ = ["length_bins", "round_tables"]
+__all__ = ["round_tables"]
 
 PICTURES = "pictures"
 _BIN_CM = 2

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.pipeline.fields import CellType
 
-__all__ = ["COLUMNS", "Charts", "ExportColumn", "RoundTables", "Table", "utc"]
+__all__ = ["COLUMNS", "Charts", "RoundTables", "Table", "utc"]
 
 _NUMBER: dict[str, type] = {"text": str, "whole": int, "number": float, "yes/no": bool}
 

@@ -22,16 +22,7 @@ if TYPE_CHECKING:
     from cucumbervision.exports.tables import Charts, RoundTables, Table
     from cucumbervision.pipeline.fields import Cell, Column
 
-__all__ = [
-    "SHEETS",
-    "Bar",
-    "ExportFormat",
-    "bars",
-    "render_sheet",
-    "stacks",
-    "write_exports",
-    "write_sheet",
-]
+__all__ = ["SHEETS", "ExportFormat", "render_sheet", "write_exports"]
 
 
 def write_exports(

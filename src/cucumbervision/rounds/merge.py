@@ -30,7 +30,6 @@ __all__ = [
     "join_clusters",
     "merge_row",
     "sweep",
-    "views_per_m",
 ]
 
 UNLIKE = -8.0  # what a pair counts that is not among the likely ones

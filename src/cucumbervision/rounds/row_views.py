@@ -31,7 +31,6 @@ __all__ = [
     "pairs_within",
     "position_ratio",
     "shape_ratio",
-    "size_ratio",
 ]
 
 ALONG, UP, DEPTH = 0, 1, 2

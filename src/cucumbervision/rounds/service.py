@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "RoundFruit",
-    "RowLinks",
     "RowReport",
     "find_fruit",
     "find_round",

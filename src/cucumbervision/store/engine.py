@@ -33,8 +33,6 @@ __all__ = [
     "make_engine",
     "migrate",
     "named",
-    "store_errors",
-    "stored_revision",
 ]
 
 BUSY_TIMEOUT_S = 30.0

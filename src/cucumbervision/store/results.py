@@ -39,13 +39,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
     from cucumbervision.store.images import ImageStore
 
-__all__ = [
-    "artifact_records",
-    "capture_record",
-    "fruit_record",
-    "records_from_result",
-    "view_score",
-]
+__all__ = ["AS_READ", "fruit_record", "records_from_result", "view_score"]
 
 PATH_POINTS = 48  # enough to draw a fruit by
 
@@ -56,7 +50,7 @@ _DOUBTS = frozenset(
         *(Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE, Flag.DETECTOR_MASK),
     }
 )
-_AS_READ = ("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source")
+AS_READ = ("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source")
 _STORED = frozenset(column.name for column in fields(DetectionRecord))
 
 
@@ -117,7 +111,7 @@ def capture_record(result: CaptureResult, images: ImageStore | None = None) -> C
     """
     capture = result.capture
     return CaptureRecord(
-        **{name: getattr(capture, name) for name in _AS_READ},
+        **{name: getattr(capture, name) for name in AS_READ},
         width_px=capture.width,
         height_px=capture.height,
         fill=round(capture.fill, 4),

@@ -274,6 +274,22 @@ def ends(
 
 
 @app.command()
+def average(
+    first: Annotated[Path, typer.Argument(help="A checkpoint (.pt).", metavar="FIRST")],
+    second: Annotated[
+        Path, typer.Argument(help="One trained on from it, or from the same.", metavar="SECOND")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="The checkpoint to write.", metavar="FILE")],
+    share: Annotated[float, typer.Option("--share", help="Of the second, 0 to 1.")] = 0.5,
+) -> None:
+    """Write the mean of two checkpoints: what the first knew fades less."""
+    from cucumbervision_lab.cli.screen import show
+    from cucumbervision_lab.training.average import average_networks
+
+    show(average_networks(first, second, out, share))
+
+
+@app.command()
 def export(
     source: Annotated[Path, typer.Argument(help="A run's folder, or a checkpoint (.pt).")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],

@@ -118,7 +118,7 @@ def shade(
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.synthesis.appearance import Assets
+    >>> from cucumbervision_lab.synthesis.appearance import Assets, random_style
     >>> from cucumbervision_lab.synthesis.raycast import Plane
     >>> from cucumbervision_lab.synthesis.scene import Scene, render
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube

@@ -81,15 +81,17 @@ def join_across(
     >>> [one.box.tolist() for one in join_across(parts, np.zeros((40, 200, 3), np.uint8))]
     [[9.5, 9.5, 179.5, 29.5]]
     """
-    left = list(instances)
-    while True:
-        masks = [visible_mask(one) for one in left]
-        parts = [None if mask is None else _Part.of(mask) for mask in masks]
-        pair = _best_pair(parts, color_rgb, depth_m)
-        if pair is None:
-            return tuple(sorted(left, key=lambda one: -one.confidence))
-        joined = _joined(left[pair[0]], left[pair[1]])
-        left = [one for k, one in enumerate(left) if k not in pair] + [joined]
+    left = [(one, _part_of(one)) for one in instances]
+    while (pair := _best_pair([part for _, part in left], color_rgb, depth_m)) is not None:
+        joined = _joined(left[pair[0]][0], left[pair[1]][0])
+        rest = [both for k, both in enumerate(left) if k not in pair]
+        left = [*rest, (joined, _part_of(joined))]
+    return tuple(sorted((one for one, _ in left), key=lambda one: -one.confidence))
+
+
+def _part_of(instance: Instance) -> _Part | None:
+    mask = visible_mask(instance)
+    return None if mask is None else _Part.of(mask)
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,8 +107,6 @@ class Label:
         ----------
         mask : ndarray of bool, shape (H, W)
             The visible pixels, at least one.
-        box : array_like, shape (4,), optional
-            x1, y1, x2, y2 in pixels.
         amodal : ndarray of bool, shape (H, W), optional
             The whole outline.
         **rest
@@ -117,7 +115,7 @@ class Label:
         Raises
         ------
         ValueError
-            If the mask is empty and no box is given.
+            If the mask is empty.
         """
         code = Rle.of(mask) if mask.any() else None
         whole = None if amodal is None else Rle.of(amodal)
@@ -176,6 +174,11 @@ class LabelledPicture:
     depth_unit_m: float = 0.001
     camera: Intrinsics | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def shows_fruit(self) -> bool:
+        """Whether a fruit is labelled that is not to be ignored."""
+        return any(not label.ignore for label in self.labels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -423,5 +423,5 @@ def _assign(
 
 
 def _content(pictures: Sequence[LabelledPicture]) -> np.ndarray:
-    fruit = sum(any(not label.ignore for label in p.labels) for p in pictures)
+    fruit = sum(p.shows_fruit for p in pictures)
     return np.array([fruit, len(pictures) - fruit], np.float64)

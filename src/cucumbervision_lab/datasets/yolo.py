@@ -225,8 +225,15 @@ def _lying(folder: Path) -> list[tuple[Path, str]]:
     return found
 
 
-def label_file(picture: Path) -> Path:
+def label_file(picture: Path, kind: str = "labels") -> Path:
     """Return the label file of a picture, as Ultralytics finds it.
+
+    Parameters
+    ----------
+    picture : Path
+        Below a folder `images`.
+    kind : str
+        'labels', or 'ignored' for the outlines of regions to ignore.
 
     Examples
     --------
@@ -236,7 +243,7 @@ def label_file(picture: Path) -> Path:
     parts = list(picture.parts)
     for k in range(len(parts) - 2, -1, -1):
         if parts[k] == "images":
-            parts[k] = "labels"
+            parts[k] = kind
             break
     return Path(*parts).with_suffix(".txt")
 
@@ -389,7 +396,8 @@ def write_yolo(
     paint_ignored : sequence of str
         Splits in which regions to ignore are painted over, since Ultralytics has no 'ignore':
         with another picture of the split that shows no fruit, or with grey noise where there is
-        none. In others the pictures stay as they are, without labels there.
+        none. In others the pictures stay as they are, without labels there, and the regions'
+        outlines are written to `ignored/SPLIT`, for our own training.
     progress : callable, optional
         Called with 1 after each picture.
 
@@ -429,6 +437,10 @@ def write_yolo(
         rows = [_row(x, picture, task) for x in picture.labels if not x.ignore]
         label_file = out / "labels" / picture.split / f"{Path(name).stem}.txt"
         write_text(label_file, "".join(f"{row}\n" for row, _ in rows))
+        regions = [] if ignored else [_outline(x, picture) for x in picture.labels if x.ignore]
+        if regions:
+            ignored_file = out / "ignored" / picture.split / label_file.name
+            write_text(ignored_file, "".join(f"{row}\n" for row in regions))
         lines, holes = lines + len(rows), holes + sum(hole for _, hole in rows)
         counts[picture.split] += 1
         painted += ignored
@@ -480,6 +492,17 @@ def _require(dataset: DataSet, task: str) -> None:
             source=dataset.folder,
             remedy="draw masks first (cucumbervision data pseudo) or leave that split out",
         )
+
+
+def _outline(label: Label, picture: LabelledPicture) -> str:
+    """Return the outline of a region: its mask's, or its box."""
+    size = np.array([picture.width, picture.height], np.float64)
+    mask = label.mask
+    polygon = None if mask is None else one_polygon(mask)
+    if polygon is None:
+        (x1, y1, x2, y2) = label.box + 0.5
+        polygon = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
+    return _numbers(np.clip(polygon / size, 0, 1))
 
 
 def _row(label: Label, picture: LabelledPicture, task: str) -> tuple[str, bool]:
@@ -553,7 +576,9 @@ def _pixels_of(label: Label, shape: tuple[int, ...], *, edge: bool) -> NDArray[n
         mask = np.zeros(shape, bool)
         mask[y1:y2, x1:x2] = True
         return mask
-    margin = int(_EDGE_SHARE * math.sqrt(np.count_nonzero(mask))) if edge else 0
+    if not edge:
+        return mask
+    margin = int(_EDGE_SHARE * math.sqrt(np.count_nonzero(mask)))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel), bool)
 

@@ -125,8 +125,8 @@ class AuditedPhoto:
     def fully_labelled(self) -> bool:
         """Whether no region over half of the picture is ignored.
 
-        What is not must not be trained on as it is: unlabelled fruit would count as background.
-        `write_yolo` paints such regions over.
+        Of what is not, the ignored regions must stay out of the loss: unlabelled fruit would count
+        as background.
         """
         most = _MOST * self.width * self.height
         return all(b.kind is not Kind.IGNORE or b.area_px <= most for b in self.boxes)

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from cucumbervision.errors import TrainingError
+from cucumbervision_lab.training.checkpoint import load_checkpoint
+from cucumbervision_lab.training.extras import import_ultralytics
 
 __all__ = ["average_networks"]
 
@@ -65,21 +67,13 @@ def average_networks(first: Path, second: Path, out: Path, share: float = 0.5) -
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
-    import torch
-
-    from cucumbervision_lab.training.extras import import_ultralytics
-
+    """Return a checkpoint with a network in it."""
     import_ultralytics()
-    try:
-        # A checkpoint that the user named, as every other one that is trained on.
-        kept = torch.load(path, map_location="cpu", weights_only=False)
-        network = kept["model"]
-        network.state_dict()
-    # Unpickling a broken checkpoint can raise anything.
-    except Exception as error:
+    kept = load_checkpoint(path)
+    if not (isinstance(kept, dict) and hasattr(kept.get("model"), "state_dict")):
         raise TrainingError(
-            f"these weights cannot be loaded ({error})",
+            "these weights cannot be loaded (no network is in them)",
             source=path,
             remedy="give a YOLO26 checkpoint (.pt) as `train` writes it, network.pt",
-        ) from error
-    return dict(kept)
+        )
+    return kept

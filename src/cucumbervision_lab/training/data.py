@@ -64,7 +64,7 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
         run.mkdir(parents=True, exist_ok=True)
         (run / DATA_CARD).write_text(dataset_card(dataset, "Trained on"), encoding="utf-8")
         if not (data.is_dir() and file.is_file()) and data.suffix not in (".yaml", ".yml"):
-            file = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
+            file = write_yolo(dataset, run / "data", TASKS[task], paint_ignored=()).data_yaml
     return write_data_file(file, task, run)
 
 

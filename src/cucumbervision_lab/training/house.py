@@ -31,7 +31,6 @@ from cucumbervision_lab.training.recipe import Recipe, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, write_mixture
 from cucumbervision_lab.training.sources import build_sources
 from cucumbervision_lab.training.train import TrainOptions, TrainWatcher, train
-from cucumbervision_lab.training.trainer import place_in
 
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
@@ -171,22 +170,29 @@ def train_house(
     """
     plan, options = plan or HousePlan(), options or TrainOptions()
     _, held_back = kept_back(house)
+    run = out / _TASK
+    begun = RunState.exists(run)
+    if not begun and not init.is_file():
+        raise TrainingError(
+            "there are no such weights, and none are fetched",
+            source=init,
+            remedy="name the checkpoint of the package's detector with --init",
+        )
     recipe = house_recipe(read_recipe(PACKAGED), house, plan, photos=photos is not None)
     if photos is None:
         say("no folder of photos is given: of the shipped mixture only drawn frames are seen")
     data = photos or out / "no-photos"
     built = build_sources(recipe, data, out / "data", workers, say)
-    run = out / _TASK
-    begun = RunState.exists(run)
     mixture = write_mixture(recipe, built, _TASK, run)
     train(
         _TASK,
         mixture,
         run,
-        init=None if begun else str(_without_place(init, out)),
+        init=None if begun else str(init),
         plan=plan.plan,
         per_epoch=plan.per_epoch,
         resume=begun,
+        new_plan=True,
         options=replace(
             options,
             learning_rate=plan.learning_rate,
@@ -213,7 +219,7 @@ def kept_back(house: Path) -> tuple[DataSet, tuple[LabelledPicture, ...]]:
     dataset = read_coco(house)
     held_back = (*dataset.in_split("val"), *dataset.in_split("test"))
     for own, what in ((dataset.in_split("train"), "to train on"), (held_back, "kept back")):
-        if not any(not label.ignore for picture in own for label in picture.labels):
+        if not any(picture.shows_fruit for picture in own):
             raise TrainingError(
                 f"no picture with fruit is {what}",
                 source=house,
@@ -269,27 +275,6 @@ def _drawn_only(sources: Sequence[Source]) -> tuple[Source, ...]:
         if source.kind not in ("photos", "set") and {*source.of, *source.paste} <= kept.keys():
             kept[source.name] = source
     return tuple(kept.values())
-
-
-def _without_place(init: Path, out: Path) -> Path:
-    """Return weights to begin a plan of one's own with, whatever plan they come from."""
-    if not init.is_file():
-        raise TrainingError(
-            "there are no such weights, and none are fetched",
-            source=init,
-            remedy="name the checkpoint of the package's detector with --init",
-        )
-    if place_in(init) is None:
-        return init
-    import torch
-
-    # What `place_in` could load.
-    kept = torch.load(init, map_location="cpu", weights_only=False)
-    kept.pop("place")
-    copy = out / init.name
-    copy.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(kept, copy)
-    return copy
 
 
 def _judge(

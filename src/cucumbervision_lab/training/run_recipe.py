@@ -199,5 +199,5 @@ def _write_source(source: Source, built: Path, task: str, folder: Path) -> None:
         return
     dataset = read_coco(built)
     splits = [split for split in ("train", "val") if dataset.in_split(split)]
-    write_yolo(dataset, folder, TASKS[task], splits=splits)
+    write_yolo(dataset, folder, TASKS[task], splits=splits, paint_ignored=())
     card.write_text(dataset_card(dataset, source.name), encoding="utf-8")

@@ -96,7 +96,7 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
     place = data / source.folder
     if source.kind == "photos":
         found = audited(place, outlines=True)
-        pictures = [p for p in found.pictures if p.extras["fully_labelled"] or _shows_fruit(p)]
+        pictures = [p for p in found.pictures if p.extras["fully_labelled"] or p.shows_fruit]
     else:
         found = read_coco(place)
         pictures = list(found.pictures)
@@ -110,10 +110,6 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
     boxed = replace(found, pictures=plain, refused=())
     drawn = add_pseudo_masks(boxed, Segmenter("mobile-sam"))
     return write_coco(with_axis_points(drawn.dataset), folder)
-
-
-def _shows_fruit(picture: LabelledPicture) -> bool:
-    return any(not label.ignore for label in picture.labels)
 
 
 def _known_labels(folder: Path) -> dict[tuple[object, ...], tuple[Label, ...]]:

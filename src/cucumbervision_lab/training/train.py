@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cucumbervision.errors import TrainingError
+from cucumbervision_lab.training.checkpoint import load_checkpoint, place_in, strip
 from cucumbervision_lab.training.data import TASKS, prepare_data
 from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.half_precision import choose_precision
@@ -22,7 +23,7 @@ from cucumbervision_lab.training.settings import (
     trainer_settings,
 )
 from cucumbervision_lab.training.tables import read_rows, write_rows
-from cucumbervision_lab.training.trainer import Course, make_trainer, place_in, strip
+from cucumbervision_lab.training.trainer import Course, make_trainer
 
 __all__ = ["DEFAULT_PLAN", "NETWORK", "EpochReport", "TrainOptions", "TrainWatcher", "train"]
 
@@ -85,6 +86,7 @@ def train(
     plan: str | None = None,
     per_epoch: int = 500,
     resume: bool = False,
+    new_plan: bool = False,
     options: TrainOptions | None = None,
     watcher: TrainWatcher | None = None,
 ) -> Path:
@@ -108,6 +110,8 @@ def train(
         Pictures between two checkpoints.
     resume : bool
         Go on with the run in `out`.
+    new_plan : bool
+        Begin a plan of one's own, whatever plan `init` has a place in.
     options : TrainOptions, optional
         How to train. A run that is resumed keeps its own `LEARNING`.
     watcher : TrainWatcher, optional
@@ -138,7 +142,7 @@ def train(
             written = prepare_data(data, task, out, check=options.check)
             state = replace(state, data=str(written))
     else:
-        state = _begun(task, data, out, init, plan, per_epoch, options)
+        state = _begun(task, data, out, init, plan, per_epoch, options, new_plan=new_plan)
     options = replace(options, **state.learning)
     state.save(out)
     end = None if options.minutes is None else time.monotonic() + 60 * options.minutes
@@ -155,6 +159,8 @@ def _begun(
     plan: str | None,
     per_epoch: int,
     options: TrainOptions,
+    *,
+    new_plan: bool,
 ) -> RunState:
     if RunState.exists(out):
         raise TrainingError(
@@ -174,6 +180,8 @@ def _begun(
                 remedy=f"download them from Ultralytics, or begin with --init yolo26n-{task}.yaml",
             )
         weights, place = str(path), place_in(path)
+    if new_plan:
+        place = None
     written = str(prepare_data(data, task, out, check=options.check))
     if place is not None and place["task"] == task and not RunState.of(place).is_done:
         state = replace(RunState.of(place), data=written, init=weights)
@@ -277,6 +285,4 @@ def _append(path: Path, report: EpochReport, seconds: float) -> None:
 
 
 def _epochs_done(checkpoint: Path) -> int:
-    import torch
-
-    return int(torch.load(checkpoint, map_location="cpu", weights_only=False)["epoch"]) + 1
+    return int(load_checkpoint(checkpoint)["epoch"]) + 1

@@ -13,10 +13,10 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cucumbervision.errors import TrainingError
 from cucumbervision.perception.yolo import BY_PLACE
-from cucumbervision_lab.training.assigner import assign_coarsely
+from cucumbervision_lab.training.assigner import assign_coarsely, losses_of
 from cucumbervision_lab.training.half_precision import channels_last, narrow, widen
+from cucumbervision_lab.training.ignored import add_ignored, ignore_regions, take_out_ignored
 from cucumbervision_lab.training.mixture import MixtureSampler, sources_of
 from cucumbervision_lab.training.points import (
     learn_to_assign,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.training.plan import Plan
 
-__all__ = ["Course", "Watcher", "make_trainer", "place_in", "strip"]
+__all__ = ["Course", "Watcher", "make_trainer"]
 
 _OUTSIDE = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
 _WARM_STEPS = 100  # without the optimiser's memory
@@ -144,6 +144,7 @@ def make_trainer(
         trainer.add_callback("on_train_start", lambda t: channels_last(t.model))
         if task == "segment":
             trainer.add_callback("on_train_start", lambda t: assign_coarsely(t.model))
+    trainer.add_callback("on_train_start", _leave_out_ignored)
     if bfloat16:
         trainer.add_callback("on_train_epoch_start", lambda t: narrow(t.model))
         trainer.add_callback("on_train_epoch_end", lambda t: widen(t.model))
@@ -190,7 +191,7 @@ class _Ours:
 
     def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
         """Bring a batch to the device, points in the order to be learnt."""
-        ready: dict[str, Any] = super().preprocess_batch(batch)  # type: ignore[misc]
+        ready: dict[str, Any] = take_out_ignored(super().preprocess_batch(batch))  # type: ignore[misc]
         return _ordered(ready) if self.course.by_place else ready
 
     def get_validator(self) -> Any:
@@ -214,6 +215,7 @@ class _Ours:
         from ultralytics.data.build import InfiniteDataLoader, seed_worker
 
         dataset = self.build_dataset(folders, "train", batch)  # type: ignore[attr-defined]
+        add_ignored(dataset, self.args.task)
         parts = folders if isinstance(folders, list) else [folders]
         sources = sources_of(dataset.im_files, [str(part) for part in parts])
         workers = self.args.workers
@@ -254,6 +256,11 @@ class _Ours:
 def _ordered(batch: dict[str, Any]) -> dict[str, Any]:
     height, width = batch["img"].shape[2:]
     return batch | {"keypoints": order_by_place(batch["keypoints"], width, height)}
+
+
+def _leave_out_ignored(trainer: Any) -> None:
+    for loss in losses_of(trainer.model):
+        ignore_regions(loss)
 
 
 def _say_by_place(trainer: Any) -> None:
@@ -328,61 +335,3 @@ def _be_stricter(trainer: Any) -> None:
     course = trainer.course
     progress = 1.0 if course.strict else course.plan.through(trainer.epoch)
     set_tolerance(trainer.model, tolerance_at(progress))
-
-
-def strip(checkpoint: Path, out: Path, place: dict[str, Any]) -> None:
-    """Write a checkpoint without its optimiser, in half precision; replaces `out` whole.
-
-    `place` says where in which plan it stands, so that another machine can go on from it. Of paths
-    on this machine only the names stay, and nothing of the folder's repository.
-    """
-    import torch
-    from ultralytics.utils.torch_utils import strip_optimizer
-
-    part = out.with_suffix(".part")
-    strip_optimizer(str(checkpoint), str(part))
-    # Our own file, just written.
-    kept = torch.load(part, map_location="cpu", weights_only=False)
-    kept.pop("git", None)
-    kept["train_args"] = _named(kept.get("train_args") or {})
-    network = kept["model"]
-    for holder in ("args", "yaml"):
-        value = getattr(network, holder, None)
-        if isinstance(value, dict):
-            setattr(network, holder, _named(value))
-    network.pt_path = None
-    kept["place"] = _named(place)
-    torch.save(kept, part)
-    part.replace(out)
-
-
-def _named(values: dict[str, Any]) -> dict[str, Any]:
-    """Give paths as their last name."""
-    return {
-        key: Path(value).name if isinstance(value, str) and "/" in value else value
-        for key, value in values.items()
-    }
-
-
-def place_in(checkpoint: Path) -> dict[str, Any] | None:
-    """Give the place in a plan that `strip` wrote into a checkpoint, or None.
-
-    Raises
-    ------
-    TrainingError
-        If the file is no checkpoint.
-    """
-    import torch
-
-    try:
-        # A checkpoint that the user named, as every other one that is trained on.
-        kept = torch.load(checkpoint, map_location="cpu", weights_only=False)
-    # Unpickling a broken checkpoint can raise anything.
-    except Exception as error:
-        raise TrainingError(
-            f"these weights cannot be loaded ({error})",
-            source=checkpoint,
-            remedy="give a YOLO26 checkpoint (.pt)",
-        ) from error
-    found = kept.get("place") if isinstance(kept, dict) else None
-    return found if isinstance(found, dict) else None

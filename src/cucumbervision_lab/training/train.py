@@ -86,7 +86,6 @@ def train(
     plan: str | None = None,
     per_epoch: int = 500,
     resume: bool = False,
-    new_plan: bool = False,
     options: TrainOptions | None = None,
     watcher: TrainWatcher | None = None,
 ) -> Path:
@@ -103,15 +102,13 @@ def train(
     init : str, optional
         Weights to begin with (.pt, also of the other task: what fits is taken), or an
         Ultralytics .yaml for random ones. A `network.pt` of an unfinished run for the same task
-        goes on where that run was.
+        goes on where that run was, unless another plan than that run's is given.
     plan : str, optional
         As `parse_plan` reads it. To prolong a run, give the longer plan.
     per_epoch : int
         Pictures between two checkpoints.
     resume : bool
         Go on with the run in `out`.
-    new_plan : bool
-        Begin a plan of one's own, whatever plan `init` has a place in.
     options : TrainOptions, optional
         How to train. A run that is resumed keeps its own `LEARNING`.
     watcher : TrainWatcher, optional
@@ -142,7 +139,7 @@ def train(
             written = prepare_data(data, task, out, check=options.check)
             state = replace(state, data=str(written))
     else:
-        state = _begun(task, data, out, init, plan, per_epoch, options, new_plan=new_plan)
+        state = _begun(task, data, out, init, plan, per_epoch, options)
     options = replace(options, **state.learning)
     state.save(out)
     end = None if options.minutes is None else time.monotonic() + 60 * options.minutes
@@ -159,8 +156,6 @@ def _begun(
     plan: str | None,
     per_epoch: int,
     options: TrainOptions,
-    *,
-    new_plan: bool,
 ) -> RunState:
     if RunState.exists(out):
         raise TrainingError(
@@ -180,14 +175,11 @@ def _begun(
                 remedy=f"download them from Ultralytics, or begin with --init yolo26n-{task}.yaml",
             )
         weights, place = str(path), place_in(path)
-    if new_plan:
-        place = None
     written = str(prepare_data(data, task, out, check=options.check))
     if place is not None and place["task"] == task and not RunState.of(place).is_done:
         state = replace(RunState.of(place), data=written, init=weights)
-        if plan is None:
+        if plan is None or state.plan == wanted:
             return state
-        return replace(state, plan=extend(state.plan, state.epochs, wanted))
     learning = {name: getattr(options, name) for name in LEARNING}
     return RunState(task, written, weights, wanted, seed=options.seed, learning=learning)
 

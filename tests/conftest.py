@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import doctest
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,3 +64,169 @@ def draw(tube: Tube, camera: Intrinsics, backdrop_m: float = 0.0) -> tuple[Captu
 
 def depth32(scene: View) -> NDArray[np.float32]:
     return scene.depth_m.astype(np.float32)
+
+
+# A RealSense camera without hardware: the SDK's own `software_device`, recorded and played.
+
+WIDTH, HEIGHT = 320, 180
+# A D435's ratios at a quarter of its size: the colour camera sees 1.42 times larger.
+DEPTH_K = (160.0, 160.0, 160.3, 89.7)
+COLOR_K = (227.6, 227.4, 161.3, 91.5)
+SHIFT_M = (0.015, 0.0003, 0.0002)
+
+
+class SoftwareCamera:
+    """Colour and depth with distinct intrinsics and an extrinsic, pushed frame by frame."""
+
+    def __init__(
+        self,
+        record_to: Path | None = None,
+        *,
+        model: str = "brown_conrady",
+        coefficients: tuple[float, ...] = (0.0,) * 5,
+        color: bool = True,
+        pixels: str = "rgb8",
+        pixel_bytes: int = 3,
+    ) -> None:
+        self.rs: Any = pytest.importorskip("pyrealsense2")
+        rs = self.rs
+        device = rs.software_device()
+        device.register_info(rs.camera_info.name, "Software D435")
+        device.register_info(rs.camera_info.serial_number, "0042")
+        depth, rgb = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
+        self.depth_profile = self._profile(depth, rs.stream.depth, rs.format.z16, 2, 1, DEPTH_K)
+        self.color_profile = self._profile(
+            rgb,
+            rs.stream.color,
+            getattr(rs.format, pixels),
+            pixel_bytes,
+            2,
+            COLOR_K,
+            model,
+            coefficients,
+        )
+        depth.add_read_only_option(rs.option.depth_units, 0.001)
+        depth.add_read_only_option(rs.option.stereo_baseline, 50.0)
+        extrinsics = rs.extrinsics()
+        extrinsics.rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1]
+        extrinsics.translation = list(SHIFT_M)
+        self.depth_profile.register_extrinsics_to(self.color_profile, extrinsics)
+        device.create_matcher(rs.matchers.dlr_c)
+        self._device = device
+        self._recorder = rs.recorder(str(record_to), device) if record_to else None
+        # Frames go into the device's own sensors; who records opens the recorder's.
+        used = 2 if color else 1
+        self._inlets = [depth, rgb][:used]
+        self._sensors = (self._recorder.query_sensors() if self._recorder else [depth, rgb])[:used]
+        self._profiles = [self.depth_profile, self.color_profile][:used]
+        self._syncer = rs.syncer(10)
+        for sensor, profile in zip(self._sensors, self._profiles, strict=True):
+            sensor.open(profile)
+            sensor.start(self._syncer)
+        self._count = 0
+
+    def _profile(
+        self,
+        sensor: Any,
+        kind: Any,
+        pixels: Any,
+        size: int,
+        uid: int,
+        k: tuple[float, ...],
+        model: str = "brown_conrady",
+        coefficients: tuple[float, ...] = (0.0,) * 5,
+    ) -> Any:
+        rs = self.rs
+        lens, stream = rs.intrinsics(), rs.video_stream()
+        lens.width, lens.height = WIDTH, HEIGHT
+        lens.fx, lens.fy, lens.ppx, lens.ppy = k
+        lens.model, lens.coeffs = getattr(rs.distortion, model), list(coefficients)
+        stream.type, stream.index, stream.uid, stream.fps = kind, 0, uid, 30
+        stream.width, stream.height, stream.bpp, stream.fmt = WIDTH, HEIGHT, size, pixels
+        stream.intrinsics = lens
+        return sensor.add_video_stream(stream).as_video_stream_profile()
+
+    def push(self, depth_mm: NDArray[np.uint16], color: NDArray[np.uint8] | None) -> Any:
+        """Send one frame; gives the frameset that the SDK made of it."""
+        self._count += 1
+        images: list[NDArray[Any]] = [depth_mm] if color is None else [depth_mm, color]
+        for inlet, profile, image in zip(self._inlets, self._profiles, images, strict=False):
+            frame = self.rs.software_video_frame()
+            frame.pixels = np.ascontiguousarray(image)
+            frame.bpp = image.dtype.itemsize * (image.shape[2] if image.ndim == 3 else 1)
+            frame.stride = WIDTH * frame.bpp
+            frame.timestamp, frame.frame_number = 33.3 * self._count, self._count
+            frame.domain, frame.profile = self.rs.timestamp_domain.system_time, profile
+            if image.ndim == 2:
+                frame.depth_units = 0.001
+            inlet.on_video_frame(frame)
+        return self._syncer.wait_for_frames(2000)
+
+    def stop(self) -> None:
+        """Stop the sensors and finish the recording."""
+        for sensor in self._sensors:
+            sensor.stop()
+            sensor.close()
+        # The recorder finishes its file when nothing holds it any more.
+        self._sensors, self._recorder = [], None
+
+
+def block_scene(index: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """A wall at 600 mm, before it a block at 450 mm; each frame reads 1 mm more than the last."""
+    depth = np.full((HEIGHT, WIDTH), 600, np.uint16)
+    depth[80:100, 100:200] = 450 + index
+    color = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    # The third of each five frames is the sharpest.
+    step = 100 if index % 5 == 2 else 20
+    color[80:100, 100:200] = 90 + step
+    return depth, color
+
+
+def record(
+    path: Path,
+    frames: int,
+    *,
+    pause_s: float = 0.0,
+    convert: Callable[[NDArray[np.uint8]], NDArray[np.uint8] | None] | None = None,
+    **camera: Any,
+) -> Path:
+    """Record `frames` of `block_scene`, its colour converted to what the stream carries."""
+    device = SoftwareCamera(path, **camera)
+    for index in range(frames):
+        depth, color = block_scene(index)
+        device.push(depth, convert(color) if convert else color)
+        time.sleep(pause_s)
+    device.stop()
+    return path
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twenty-two frames of `block_scene`, recorded by the SDK."""
+    return record(tmp_path_factory.mktemp("recording") / "walk.db3", 22)
+
+
+@pytest.fixture
+def software_camera() -> Iterator[Callable[..., SoftwareCamera]]:
+    """Make software cameras, stopped at the end."""
+    made: list[SoftwareCamera] = []
+
+    def make(**options: Any) -> SoftwareCamera:
+        made.append(SoftwareCamera(**options))
+        return made[-1]
+
+    yield make
+    for camera in made:
+        camera.stop()
+
+
+@pytest.fixture(scope="session")
+def make_recording() -> Callable[..., Path]:
+    """Give `record`, for recordings that are out of the ordinary."""
+    return record
+
+
+@pytest.fixture(scope="session")
+def scene() -> Callable[[int], tuple[NDArray[np.uint16], NDArray[np.uint8]]]:
+    """Give `block_scene`."""
+    return block_scene

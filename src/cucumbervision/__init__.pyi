@@ -1,4 +1,6 @@
 from ._version import __version__ as __version__
+from .capture.camera import FolderCamera as FolderCamera
+from .capture.camera import RgbdCamera as RgbdCamera
 from .capture.frames import Capture as Capture
 from .capture.frames import Stop as Stop
 from .capture.frames import fuse_burst as fuse_burst
@@ -42,3 +44,8 @@ from .pipeline.options import MeasureOptions as MeasureOptions
 from .pipeline.overlay import draw_overlay as draw_overlay
 from .pipeline.run import RunResult as RunResult
 from .pipeline.run import measure_inputs as measure_inputs
+from .streaming.sources import open_stream as open_stream
+from .streaming.sources import stream_camera as stream_camera
+from .streaming.stream import FruitStream as FruitStream
+from .streaming.stream import StreamedFrame as StreamedFrame
+from .streaming.stream import TrackedFruit as TrackedFruit

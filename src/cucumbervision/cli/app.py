@@ -23,6 +23,7 @@ from cucumbervision.cli import (
     measure,
     models,
     round,
+    stream,
 )
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
@@ -41,6 +42,7 @@ app = typer.Typer(
 )
 app.command("measure", epilog=EXIT_CODES)(measure.measure)
 app.command("detect", epilog=EXIT_CODES)(detect.detect)
+app.command("stream", epilog=EXIT_CODES)(stream.stream)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)

@@ -106,6 +106,7 @@ class Choice(StrEnum):
     COMPACT_BOX = "no-mask-box-compact"
     NO_DEPTH = "no-depth"
     NOTHING = "not-measured"
+    WAITING = "waits-its-turn"
 
 
 class Flag(StrEnum):

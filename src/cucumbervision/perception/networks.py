@@ -209,7 +209,11 @@ class NetworkLoader:
         return pose
 
     def detectors(
-        self, file: Path | None = None, pose: YoloDetector | Path | None = None
+        self,
+        file: Path | None = None,
+        pose: YoloDetector | Path | None = None,
+        *,
+        keypoints: bool = True,
     ) -> Detectors:
         """Load a detector and the pose network beside it.
 
@@ -219,6 +223,8 @@ class NetworkLoader:
             A user's own detector; the registry's without it, and then its pose network too.
         pose : YoloDetector or Path, optional
             Stands in for the registry's pose network.
+        keypoints : bool
+            Whether the registry's pose network takes part.
 
         Raises
         ------
@@ -232,7 +238,7 @@ class NetworkLoader:
                 remedy="name a YOLO ONNX export (measure --instances FILE, detect --model FILE)",
             )
         detector = self.yolo(own.name if file is None and own is not None else file or "")
-        if pose is None and file is None and own_pose is not None:
+        if pose is None and file is None and keypoints and own_pose is not None:
             pose = self.yolo(own_pose.name)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)

@@ -181,7 +181,7 @@ def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
 def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
     choice, path = options.instances, Path(options.instances)
     if choice == "models":
-        return _network_finder(networks.detectors(pose=options.pose))
+        return _network_finder(networks.detectors(pose=options.pose, keypoints=options.keypoints))
     if choice not in ("auto", "dataset") and not path.exists():
         raise InstancesError(
             "no such file", source=path, remedy="give auto, models, dataset or a file"
@@ -204,7 +204,9 @@ def _auto_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
         if capture.masks:
             return given(capture)
         if not loaded:
-            loaded.append(_network_finder(networks.detectors(pose=pose)))
+            loaded.append(
+                _network_finder(networks.detectors(pose=pose, keypoints=options.keypoints))
+            )
         return loaded[0](capture)
 
     return find

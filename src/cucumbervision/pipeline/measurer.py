@@ -10,6 +10,7 @@ import numpy as np
 from cucumbervision.calibration.corrections import Form, corrected
 from cucumbervision.errors import CalibrationError, InternalError, named_error
 from cucumbervision.measurement.result import (
+    Choice,
     Flag,
     FruitMeasurement,
     IntervalBasis,
@@ -23,7 +24,7 @@ from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
@@ -31,12 +32,13 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.finders import Finder
+    from cucumbervision.pipeline.finders import Finder, Found
 
 __all__ = [
     "Boundary",
     "CaptureResult",
     "Failure",
+    "Looked",
     "Measurer",
     "calibrated_capture",
     "calibrated_fruit",
@@ -171,6 +173,14 @@ class CaptureResult:
         return [fruit_row(one) for one in self.seen]
 
 
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A capture, its depth scaled where a calibration says so, and the fruit found in it."""
+
+    capture: Capture
+    found: Found
+
+
 class Measurer:
     """Measures captures; its calibration and networks are loaded once, with the first capture.
 
@@ -229,11 +239,38 @@ class Measurer:
         CucumberVisionError
             If a network cannot be loaded, or the calibration belongs to another camera.
         """
+        return self.measured(self.look(capture))
+
+    def look(self, capture: Capture) -> Looked:
+        """Find the fruit of one capture: the first half of `measure`.
+
+        Raises
+        ------
+        CucumberVisionError
+            As `measure`.
+        """
         finder = self.load()
         if self.site is not None:
             capture = calibrated_capture(capture, self.site)
-        found = finder.find(capture)
-        fruit = [self.measure_instance(capture, one) for one in found.instances]
+        return Looked(capture, finder.find(capture))
+
+    def measured(self, looked: Looked, chosen: Collection[int] | None = None) -> CaptureResult:
+        """Measure fruit that were found: the second half of `measure`.
+
+        Parameters
+        ----------
+        looked : Looked
+            Of `look`.
+        chosen : collection of int, optional
+            Which of the fruit, from 0; the others get no measurement. All if not given.
+        """
+        capture, found = looked.capture, looked.found
+        fruit = [
+            self.measure_instance(capture, one)
+            if chosen is None or k in chosen
+            else FruitMeasurement(one, {}, None, Choice.WAITING)
+            for k, one in enumerate(found.instances)
+        ]
         for number in found.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]

@@ -30,6 +30,9 @@ class MeasureOptions:
     pose : Path, optional
         A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
         package's own gives them to fruit of the package's own detector only.
+    keypoints : bool
+        Whether the package's own pose network looks for the keypoints of M4 where the package's own
+        detector finds the fruit.
     segmenter : str, optional
         'mobile-sam', 'sam-vit-b' or 'none'; None draws with MobileSAM wherever the masks are not
         the data set's own.
@@ -59,6 +62,7 @@ class MeasureOptions:
 
     instances: str = "auto"
     pose: Path | None = None
+    keypoints: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"
     methods: tuple[Method, ...] = AVAILABLE

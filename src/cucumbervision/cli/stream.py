@@ -1,0 +1,99 @@
+"""`cucumbervision stream`: frames in as they come, one JSON line a frame out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cucumbervision.cli.choices import Confidence, InputSize, Quiet, Runtime, SegmenterChoice
+
+__all__ = ["stream"]
+
+
+def stream(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="camera (a RealSense D4xx), a .bag or .db3 recording, or a folder of captures.",
+        ),
+    ],
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="For speed: the detector's masks at 640 pixels, no SAM, no keypoints, half "
+            "precision where the processor can, and one fruit measured a frame.",
+        ),
+    ] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Wait for what comes into a folder, from now on.")
+    ] = False,
+    every: Annotated[
+        bool,
+        typer.Option("--every", help="Drop no frame of a recording or followed folder."),
+    ] = False,
+    serial: Annotated[
+        str | None, typer.Option(help="The camera's serial number; the first one without it.")
+    ] = None,
+    fps: Annotated[int, typer.Option(min=1, max=90, help="The camera's frames a second.")] = 15,
+    retries: Annotated[
+        int, typer.Option(min=0, help="How often a camera that is gone is opened again.")
+    ] = 3,
+    frames: Annotated[
+        int | None, typer.Option(min=1, help="End after so many frames.", show_default=False)
+    ] = None,
+    instances: Annotated[
+        str, typer.Option(help="Where fruit come from, as for `measure`.")
+    ] = "auto",
+    segmenter: Annotated[
+        SegmenterChoice | None, typer.Option(help="Who draws the masks, without --fast.")
+    ] = None,
+    confidence: Confidence = 0.30,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Camera file (JSON) of a folder's colour stream.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
+    ] = None,
+    input_size: InputSize = "",
+    runtime: Runtime = "auto",
+    quiet: Quiet = False,
+) -> None:
+    """Measure frames as they come, the newest first, and know each fruit again.
+
+    Every frame is one line of JSON on the standard output: when it was taken, how late the line
+    is, how many frames were dropped, and its fruit with numbers that stay and lengths from all
+    frames.
+    """
+    from cucumbervision.capture.realsense import CameraConfig
+    from cucumbervision.capture.source import ReadOptions
+    from cucumbervision.cli.live import print_stream
+    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.pipeline.measurer import Measurer
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.streaming.sources import open_stream
+    from cucumbervision.streaming.stream import FruitStream
+
+    options = MeasureOptions(
+        instances=instances,
+        segmenter=segmenter,
+        confidence=confidence,
+        input_sizes=parse_input_sizes(input_size),
+        runtime=runtime,
+        reading=ReadOptions(intrinsics),
+        calibration=calibration,
+    )
+    fruit = FruitStream.fast(options) if fast else FruitStream(Measurer(options))
+    config = CameraConfig(serial=serial, fps=fps)
+    arrivals = open_stream(
+        source,
+        options.reading,
+        config=config,
+        every=every,
+        follow=follow,
+        retries=retries,
+    )
+    raise typer.Exit(print_stream(fruit.follow(arrivals), frames, quiet=quiet))

@@ -1,0 +1,322 @@
+"""Fruit of frames as they come: each frame measured, its fruit known again, their lengths smoothed.
+
+`FruitStream` takes one frame at a time and measures with the one `Measurer`. In its fast form the
+detector's masks are measured, no SAM and no pose network run, and of a frame's fruit only those are
+measured that gain most by it: frames from one place say nearly the same of a fruit
+(`track_length.FIXED`), so that one which was measured from there can wait.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.measurement.result import LOWER_BOUND, Choice, Method
+from cucumbervision.pipeline.fields import FIELDS, Field, SeenFruit
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.streaming.track_length import TrackLength, same_place
+from cucumbervision.streaming.tracks import FrameView, Tracker, frame_view
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.result import FruitMeasurement, Length
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.measurer import CaptureResult
+    from cucumbervision.streaming.newest import Arrival
+
+__all__ = [
+    "FRAME_FIELDS",
+    "TRACK_FIELDS",
+    "FruitStream",
+    "StreamedFrame",
+    "TrackedFruit",
+    "fast_options",
+]
+
+FAST_SIZE_PX = 640
+FAST_FITS = 1
+AGAIN_AFTER = 10  # frames: until then a fruit seen from the same place is not measured again
+
+
+def fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
+    """Return options for speed: the detector's masks at 640 pixels, no SAM, no keypoints.
+
+    What the options say of runtime, confidence, calibration and reading stays.
+
+    Examples
+    --------
+    >>> fast = fast_options()
+    >>> fast.segmenter, fast.keypoints, fast.input_sizes, fast.full_precision
+    ('none', False, (640,), False)
+
+    Of the methods M6 runs, and M5 and M3 where it gives nothing.
+    """
+    options = options or MeasureOptions()
+    return replace(
+        options,
+        segmenter="none",
+        keypoints=False,
+        input_sizes=options.input_sizes or (FAST_SIZE_PX,),
+        full_precision=False,
+        methods=(Method.M3, Method.M5, Method.M6),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFruit(SeenFruit):
+    """One fruit of one frame, and what all its frames say of it.
+
+    Parameters
+    ----------
+    capture, number, fruit
+        As in `SeenFruit`; a fruit that had to wait has no measurement in this frame.
+    track : int
+        Its number, the same in all frames.
+    seen : int
+        In how many frames it was seen, this one included.
+    length : Length, optional
+        Its length from all frames; None while the whole fruit was not measured.
+    at_least_m : float, optional
+        The longest lower bound, while that is all that is known.
+    frames, places : int
+        How many frames, and from how many places, are in `length`.
+    """
+
+    track: int
+    seen: int
+    length: Length | None = None
+    at_least_m: float | None = None
+    frames: int = 0
+    places: int = 0
+
+
+TRACK_FIELDS = (
+    Field("track", "", "whole", "number of the fruit, the same in all frames", "track"),
+    Field("seen", "", "whole", "frames in which it was seen, this one included", "seen"),
+    Field("track_length_cm", "cm", "number", "length from all frames", "length.value_m"),
+    Field("track_low_cm", "cm", "number", "lower end of its 90 % interval", "length.low_m"),
+    Field("track_high_cm", "cm", "number", "upper end of its 90 % interval", "length.high_m"),
+    Field("track_at_least_cm", "cm", "number", "lower bound, where no more is known", "at_least_m"),
+    Field("track_frames", "", "whole", "frames in that length", "frames"),
+    Field("track_places", "", "whole", "places from which they were taken", "places"),
+)
+"""What a stream says of a fruit beyond the table of fruit."""
+
+_OF_CAPTURE = tuple(one for one in FIELDS if one.path.startswith("capture."))
+_OF_FRUIT = tuple(one for one in FIELDS if not one.path.startswith("capture."))
+
+
+@dataclass(frozen=True, eq=False)
+class StreamedFrame:
+    """What one frame of a stream gave.
+
+    Parameters
+    ----------
+    result : CaptureResult
+        The frame, its fruit as measured in it, and what failed.
+    fruit : tuple of TrackedFruit
+        The same fruit with their numbers and smoothed lengths.
+    latency_s : float
+        From the frame's arrival to now.
+    dropped : int
+        Older frames that were dropped before it.
+    """
+
+    result: CaptureResult
+    fruit: tuple[TrackedFruit, ...]
+    latency_s: float
+    dropped: int = 0
+
+    @property
+    def capture(self) -> Capture:
+        """The frame as it was measured."""
+        return self.result.capture
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the line of a stream: of the tables' fields those that have a value."""
+        values: dict[str, Any] = {
+            **_cells((*_OF_CAPTURE, *FRAME_FIELDS), self),
+            "fruit": [_cells((*TRACK_FIELDS, *_OF_FRUIT), one) for one in self.fruit],
+        }
+        if self.result.failures:
+            values["failures"] = [vars(failure) for failure in self.result.failures]
+        return values
+
+
+FRAME_FIELDS = (
+    Field("latency_s", "s", "number", "from the frame's arrival to its line", "latency_s", 4),
+    Field("dropped", "", "whole", "older frames dropped before this one", "dropped"),
+)
+"""What a stream says of a frame beyond the table of fruit."""
+
+
+def _cells(fields: tuple[Field, ...], line: Any) -> dict[str, Cell]:
+    cells = {one.name: one.of(line) for one in fields}
+    return {name: cell for name, cell in cells.items() if cell not in (None, "")}
+
+
+@dataclass
+class _Known:
+    """What a stream remembers of a fruit."""
+
+    length: TrackLength = field(default_factory=TrackLength)
+    seen: int = 0
+    measured_at: FrameView | None = None
+    waiting: int = 0
+
+
+class FruitStream:
+    """Measures frames one after the other and knows their fruit again.
+
+    Parameters
+    ----------
+    measurer : Measurer, optional
+        What measures; loaded with the first frame.
+    fits : int, optional
+        How many fruit a frame are measured at most: those never measured first, then those seen
+        from a new place, then, every ten frames, the others. All of them if not given.
+    keep_s : float
+        How long a fruit out of sight is remembered.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.readers import open_source
+    >>> from cucumbervision.capture.source import bundled_captures
+    >>> stream = FruitStream(Measurer(MeasureOptions(instances="dataset")))
+    >>> capture = next(iter(open_source(bundled_captures()))).load()
+    >>> frames = [stream.take(capture, at_s=at) for at in (0.0, 0.1, 0.2)]
+    >>> [[one.track for one in frame.fruit] for frame in frames]
+    [[1, 2, 3], [1, 2, 3], [1, 2, 3]]
+    >>> line = frames[-1].as_json()["fruit"][0]
+    >>> line["seen"], line["track_frames"], line["track_places"], round(line["track_length_cm"])
+    (3, 3, 1, 18)
+    """
+
+    def __init__(
+        self, measurer: Measurer | None = None, *, fits: int | None = None, keep_s: float = 2.0
+    ) -> None:
+        self.measurer = measurer or Measurer()
+        self._fits = fits
+        self._tracker = Tracker(keep_s)
+        self._known: dict[int, _Known] = {}
+
+    @classmethod
+    def fast(cls, options: MeasureOptions | None = None, *, keep_s: float = 2.0) -> FruitStream:
+        """Return a stream for speed, as `fast_options` says; one fruit is measured a frame."""
+        return cls(Measurer(fast_options(options)), fits=FAST_FITS, keep_s=keep_s)
+
+    def follow(
+        self, arrivals: Iterable[Arrival[Capture | Failure]]
+    ) -> Iterator[StreamedFrame | Failure]:
+        """Yield what each frame gives.
+
+        Parameters
+        ----------
+        arrivals : iterable of Arrival
+            As `sources.open_stream` yields them.
+
+        Yields
+        ------
+        StreamedFrame or Failure
+            A frame, or why one could not be read or measured; the stream goes on.
+        """
+        self.measurer.load()
+        for arrival in arrivals:
+            item = arrival.item
+            if isinstance(item, Failure):
+                yield item
+                continue
+            try:
+                frame = self.take(item, dropped=arrival.dropped, received_s=arrival.received_s)
+            except Exception as error:
+                yield Failure.of(error, item.source, item.name)
+                continue
+            yield frame
+
+    def take(
+        self,
+        capture: Capture,
+        *,
+        at_s: float | None = None,
+        received_s: float | None = None,
+        dropped: int = 0,
+    ) -> StreamedFrame:
+        """Measure one frame.
+
+        Parameters
+        ----------
+        capture : Capture
+            The frame; frames come in their order.
+        at_s : float, optional
+            When it was taken; by default its own time, or where it has none that of arrival.
+        received_s : float, optional
+            When it arrived, by `time.monotonic`; now by default.
+        dropped : int
+            Older frames that were dropped before it.
+
+        Raises
+        ------
+        CucumberVisionError
+            As `Measurer.measure`.
+        """
+        received_s = time.monotonic() if received_s is None else received_s
+        if at_s is None:
+            at_s = received_s if capture.timestamp_s is None else capture.timestamp_s
+        looked = self.measurer.look(capture)
+        instances = looked.found.instances
+        views = [frame_view(looked.capture, one) for one in instances]
+        numbers = self._tracker.assign(views, looked.capture.intrinsics, at_s)
+        self._known = {n: self._known.get(n, _Known()) for n in self._tracker.known}
+        chosen = self._choose(numbers, views)
+        result = self.measurer.measured(looked, chosen)
+        fruit = tuple(
+            self._tracked(result.capture, k, one, numbers[k], views[k])
+            for k, one in enumerate(result.fruit)
+        )
+        return StreamedFrame(result, fruit, time.monotonic() - received_s, dropped)
+
+    def _choose(self, numbers: list[int], views: list[FrameView]) -> frozenset[int]:
+        """Return which detections are measured now."""
+        if self._fits is None:
+            return frozenset(range(len(numbers)))
+
+        def gain(k: int) -> tuple[bool, bool, int]:
+            known = self._known[numbers[k]]
+            before = known.measured_at
+            new = before is None or not same_place(before.at_m, views[k].at_m)
+            return before is None, new, known.waiting
+
+        gains = {k: gain(k) for k in range(len(numbers))}
+        due = [k for k, (_, new, waiting) in gains.items() if new or waiting >= AGAIN_AFTER]
+        return frozenset(sorted(due, key=gains.__getitem__, reverse=True)[: self._fits])
+
+    def _tracked(
+        self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, view: FrameView
+    ) -> TrackedFruit:
+        known = self._known[number]
+        known.seen += 1
+        known.waiting += 1
+        if fruit.reason is not Choice.WAITING:
+            known.measured_at, known.waiting = view, 0
+        if fruit.length is not None:
+            site = self.measurer.site
+            scale_known = site is not None and site.depth_scale is not None
+            partial = not LOWER_BOUND.isdisjoint(fruit.flags)
+            known.length.add(fruit.length, view.at_m, partial=partial, scale_known=scale_known)
+        length = known.length
+        at_least_m = length.at_least_m if length.length is None else None
+        return TrackedFruit(
+            capture,
+            k + 1,
+            fruit,
+            number,
+            known.seen,
+            length.length,
+            at_least_m,
+            length.frames,
+            len(length.places),
+        )

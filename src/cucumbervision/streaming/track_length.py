@@ -1,0 +1,184 @@
+"""The length of one fruit from all its frames: surer only as its views really differ.
+
+Much of a depth camera's error stays where it is from frame to frame (`docs/sensor.md`), and so do
+an outline's error and what hides an end. A hundred frames from one place are therefore hardly more
+than one: they are first put together to one view, of whose variance `FIXED` stays however many
+they are. Views from different places are combined as a round combines its stops', by
+`rounds.row_fruit.combined_length`: there half of the variance stays, since they share a camera,
+and views that disagree widen the interval again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.measurement.intervals import SCALE_SD
+from cucumbervision.measurement.result import Length, LengthDefinition
+from cucumbervision.rounds.row_fruit import combined_length
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.measurement.result import LengthKind
+
+__all__ = ["FIXED", "SAME_PLACE", "TrackLength", "same_place"]
+
+FIXED = 0.7  # of a length's variance: what stays in all frames from one place
+SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
+MOST_PLACES = 64
+LENGTH_Z = 1.6449  # of 90 % intervals
+UNKNOWN_SD, LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
+
+
+def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
+    """Return whether a fruit was seen from one place.
+
+    Parameters
+    ----------
+    a_m, b_m : ndarray of float64, shape (3,)
+        The fruit's middle in camera coordinates, twice; unknown ones (NaN) are of one place.
+
+    Examples
+    --------
+    >>> far = np.array([0.0, 0.0, 0.5])
+    >>> same_place(far, far + [0.02, 0, 0]), same_place(far, far + [0.08, 0, 0])
+    (True, False)
+    """
+    away = float(np.linalg.norm(a_m - b_m))
+    return not away > SAME_PLACE * max(float(abs(a_m[2])), 0.1)
+
+
+@dataclass
+class _Place:
+    """What the frames from one place gave: running mean and scatter of their log lengths."""
+
+    at_m: NDArray[np.float64]
+    count: int = 0
+    mean: float = 0.0
+    scatter: float = 0.0
+    variance: float = 0.0
+
+    def add(self, log: float, variance: float) -> None:
+        """Take one frame (Welford 1962)."""
+        self.count += 1
+        off = log - self.mean
+        self.mean += off / self.count
+        self.scatter += off * (log - self.mean)
+        self.variance += (variance - self.variance) / self.count
+
+    @property
+    def view_variance(self) -> float:
+        """The variance of the mean, whose fixed part no number of frames makes less."""
+        fresh = (1 - FIXED) * self.variance
+        if self.count > 2:  # an outline that flickers shows in the frames themselves
+            fresh = max(fresh, self.scatter / (self.count - 1))
+        return FIXED * self.variance + fresh / self.count
+
+
+@dataclass
+class TrackLength:
+    """What is known of one fruit's length while its frames come.
+
+    Parameters
+    ----------
+    kind : LengthDefinition or LengthKind, optional
+        What `length` is the length of.
+    places : list
+        One for each place from which the whole fruit was measured.
+    at_least_m : float, optional
+        The longest lower bound that was seen.
+    frames : int
+        Frames that are in `length`.
+    length : Length, optional
+        The length of all frames together; None while the whole fruit was not measured.
+
+    Examples
+    --------
+    Frames from one place, then from others:
+
+    >>> known = TrackLength()
+    >>> one = Length(0.30, LengthDefinition.THREAD, 0.285, 0.3158)
+    >>> def width(far):
+    ...     known.add(one, np.array([far, 0.0, 0.5]))
+    ...     length = known.length
+    ...     return round(100 * (length.high_m - length.low_m), 1)
+    >>> width(0.0), [width(0.0) for _ in range(50)][-1], [width(x) for x in (0.1, 0.2, 0.3)][-1]
+    (3.1, 2.6, 2.4)
+    """
+
+    kind: LengthDefinition | LengthKind | None = None
+    places: list[_Place] = field(default_factory=list)
+    at_least_m: float | None = None
+    frames: int = 0
+    length: Length | None = None
+    _shift: float = 0.0
+
+    def add(
+        self,
+        length: Length,
+        at_m: NDArray[np.float64],
+        *,
+        partial: bool = False,
+        scale_known: bool = False,
+    ) -> None:
+        """Take the length of one frame.
+
+        Parameters
+        ----------
+        length : Length
+            As measured. A fitted tube's goes before raw lengths of other methods, which are
+            another thing: the two are never mixed.
+        at_m : ndarray of float64, shape (3,)
+            The fruit's middle in camera coordinates.
+        partial : bool
+            Whether it is a lower bound; counts only until the whole fruit was seen.
+        scale_known : bool
+            Whether the camera's depth scale was measured.
+        """
+        if partial:
+            self.at_least_m = max(self.at_least_m or 0.0, length.value_m)
+            return
+        tube = isinstance(length.kind, LengthDefinition)
+        if self.kind is None or (tube and not isinstance(self.kind, LengthDefinition)):
+            self.kind = length.kind
+            self.places.clear()
+            self.frames, self._shift = 0, 0.0
+        if length.kind != self.kind:
+            return
+        log, sd, shift = _log_length(length)
+        scale = 0.0 if scale_known else SCALE_SD
+        # The depth scale's error is the same wherever the camera stands: added at the end.
+        self._place(at_m).add(log, max(sd**2 - scale**2, LEAST_SD**2))
+        self.frames += 1
+        self._shift += (shift - self._shift) / self.frames
+        self.length = self._combined(length, scale)
+
+    def _place(self, at_m: NDArray[np.float64]) -> _Place:
+        for place in self.places:
+            if same_place(place.at_m, at_m):
+                return place
+        if len(self.places) < MOST_PLACES:
+            self.places.append(_Place(at_m))
+        return self.places[-1]
+
+    def _combined(self, latest: Length, scale: float) -> Length:
+        means = np.exp([place.mean for place in self.places])
+        deviations = np.sqrt([place.view_variance for place in self.places])
+        found = combined_length(means, deviations, np.zeros(len(means), bool))
+        value, sd_m = found or (latest.value_m, UNKNOWN_SD * latest.value_m)
+        spread = LENGTH_Z * float(np.hypot(sd_m / value, scale))
+        middle = value * float(np.exp(self._shift))
+        low, high = middle * float(np.exp(-spread)), middle * float(np.exp(spread))
+        return Length(value, latest.kind, low, high, latest.interval_of, latest.basis)
+
+
+def _log_length(length: Length) -> tuple[float, float, float]:
+    """Return a length's logarithm, its standard deviation, and where its interval's middle is."""
+    log = float(np.log(length.value_m))
+    if not (length.low_m and length.high_m):
+        return log, UNKNOWN_SD, 0.0
+    sd = float(np.log(length.high_m / length.low_m)) / (2 * LENGTH_Z)
+    return log, sd, float(np.log(length.low_m * length.high_m)) / 2 - log

@@ -1,0 +1,281 @@
+"""Which fruit of a frame is which of the frames before: by place in space and by mask overlap.
+
+The rows of a round are merged in the same way, and its parts serve here: the likeness of two views
+is a log likelihood ratio (`rounds.row_views`), shifts of the camera between two frames are tried
+and the likeliest is taken, and views are assigned one to one. A frame has few fruit and comes soon
+after the last, so that one pass suffices: each frame is assigned once and for all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.perception.instances import visible_mask
+from cucumbervision.perception.masks import mask_window
+from cucumbervision.rounds.poses import SURFACE_DEPTH_SD_M, SURFACE_SD_M
+from cucumbervision.rounds.row_views import Crowd, position_ratio
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.perception.instances import Instance
+
+__all__ = ["FrameView", "Tracker", "frame_view"]
+
+STEP = 4  # every which pixel of masks is looked at
+WALK_M_S = 1.0  # how fast a camera moves, at most, before anything is known of it
+TURN_M_S = 0.5  # by how much that changes from one second to the next
+DRIFT_M_S = 0.03  # how unsure a place becomes while its fruit is out of sight
+STILL_M = 0.005
+HALF_OVERLAP, LEAST_OVERLAP = 0.25, 0.03  # of masks: what speaks neither way, and what is added
+
+
+@dataclass(frozen=True, eq=False)
+class FrameView:
+    """One detection as it is compared with those of other frames.
+
+    Parameters
+    ----------
+    at_m : ndarray of float64, shape (3,)
+        Middle of what is seen of the fruit, camera coordinates in metres; NaN without depth.
+    top_px, left_px : int
+        Where the outline's window lies, pixels.
+    outline : ndarray of bool, shape (h, w)
+        Every fourth pixel of the mask, or of the box where there is no mask.
+    """
+
+    at_m: NDArray[np.float64]
+    top_px: int
+    left_px: int
+    outline: NDArray[np.bool_]
+
+    def overlap(self, other: FrameView, shift_px: NDArray[np.float64]) -> float:
+        """Compute the intersection over union with another outline, when this one is shifted.
+
+        Examples
+        --------
+        >>> block = FrameView(np.zeros(3), 0, 0, np.ones((4, 4), bool))
+        >>> block.overlap(block, np.array([0.0, 0.0])), block.overlap(block, np.array([8.0, 0.0]))
+        (1.0, 0.3333333333333333)
+        """
+        down = round((self.top_px + float(shift_px[1]) - other.top_px) / STEP)
+        right = round((self.left_px + float(shift_px[0]) - other.left_px) / STEP)
+        (h, w), (height, width) = self.outline.shape, other.outline.shape
+        rows, columns = _common(down, h, height), _common(right, w, width)
+        own = self.outline[rows[0] - down : rows[1] - down, columns[0] - right : columns[1] - right]
+        shared = int(np.count_nonzero(own & other.outline[slice(*rows), slice(*columns)]))
+        union = int(np.count_nonzero(self.outline) + np.count_nonzero(other.outline)) - shared
+        return shared / max(union, 1)
+
+
+def _common(shift: int, own: int, other: int) -> tuple[int, int]:
+    start = max(shift, 0)
+    return start, max(min(shift + own, other), start)
+
+
+def frame_view(capture: Capture, instance: Instance) -> FrameView:
+    """Return what tracking looks at: outline and middle of one detection.
+
+    The middle of a mask's box at the median distance of its readings.
+    """
+    mask = visible_mask(instance)
+    window = None if mask is None else mask_window(mask)
+    x1, y1, x2, y2 = (round(float(edge) + 0.5) for edge in instance.box)
+    if mask is None or window is None:
+        window = (slice(max(y1, 0), max(y2, 1)), slice(max(x1, 0), max(x2, 1)))
+        outline = np.ones(capture.depth_m[window][::STEP, ::STEP].shape, bool)
+    else:
+        outline = mask[window][::STEP, ::STEP]
+    rows, columns = window
+    readings = capture.depth_m[window][::STEP, ::STEP][outline]
+    readings = readings[valid_depth(readings)]
+    at_m = np.full(3, np.nan)
+    if readings.size:
+        far = float(np.median(readings))
+        middle = (columns.start + columns.stop - 1) / 2, (rows.start + rows.stop - 1) / 2
+        x, y = capture.intrinsics.rays(*middle)
+        at_m = np.array([float(x) * far, float(y) * far, far])
+    return FrameView(at_m, rows.start, columns.start, outline)
+
+
+@dataclass(eq=False)
+class _Track:
+    """A fruit that was seen, and where it is now if the camera moved as it seems."""
+
+    number: int
+    view: FrameView
+    at_m: NDArray[np.float64]
+    moved_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    seen_s: float = 0.0
+
+
+class Tracker:
+    """Numbers the fruit of frames, the same fruit alike.
+
+    The camera may move and the fruit may not: one shift for all is sought between two frames. A
+    camera that turns shifts what is near as what is far, and so does a small turn.
+
+    Parameters
+    ----------
+    keep_s : float
+        How long a fruit that is out of sight is remembered, seconds.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> square = np.ones((10, 3), bool)
+    >>> def seen(x):
+    ...     return FrameView(np.array([x, 0.0, 0.6]), 100, round(900 * x / 0.6), square)
+    >>> tracker = Tracker()
+    >>> camera = Intrinsics(1280, 720, 900.0, 900.0, 0.0, 360.0)
+    >>> tracker.assign([seen(0.10), seen(0.25)], camera, 0.0)
+    [1, 2]
+
+    The camera walks on by 6 cm; a third fruit comes into sight:
+
+    >>> tracker.assign([seen(0.04), seen(0.19), seen(0.34)], camera, 0.1)
+    [1, 2, 3]
+    """
+
+    def __init__(self, keep_s: float = 2.0) -> None:
+        self._keep_s = keep_s
+        self._tracks: list[_Track] = []
+        self._next = 1
+        self._at_s: float | None = None
+        self._speed_m_s: NDArray[np.float64] | None = None
+
+    @property
+    def known(self) -> frozenset[int]:
+        """Numbers of the fruit that are remembered."""
+        return frozenset(track.number for track in self._tracks)
+
+    def assign(self, views: Sequence[FrameView], camera: Intrinsics, now_s: float) -> list[int]:
+        """Return the number of each detection's fruit.
+
+        Parameters
+        ----------
+        views : sequence of FrameView
+            The frame's detections.
+        camera : Intrinsics
+            What the frame was taken with.
+        now_s : float
+            When, in seconds that do not run back.
+        """
+        elapsed_s = max(now_s - self._at_s, 0.0) if self._at_s is not None else 0.0
+        self._at_s = now_s
+        self._tracks = [one for one in self._tracks if now_s - one.seen_s <= self._keep_s]
+        if self._tracks and views:
+            found = self._pair(views, camera, elapsed_s)
+        else:
+            found = np.zeros((0, 2), np.intp)
+            self._carry_on(self._predicted(elapsed_s))
+        numbers = [0] * len(views)
+        for i, j in found.tolist():
+            track = self._tracks[i]
+            numbers[j] = track.number
+            self._tracks[i] = _Track(track.number, views[j], views[j].at_m, seen_s=now_s)
+        for j, view in enumerate(views):
+            if not numbers[j]:
+                numbers[j], self._next = self._next, self._next + 1
+                self._tracks.append(_Track(numbers[j], view, view.at_m, seen_s=now_s))
+        return numbers
+
+    def _predicted(self, elapsed_s: float) -> NDArray[np.float64]:
+        speed = np.zeros(3) if self._speed_m_s is None else self._speed_m_s
+        return np.asarray(speed * elapsed_s)
+
+    def _carry_on(self, shift_m: NDArray[np.float64]) -> None:
+        for track in self._tracks:
+            track.at_m = track.at_m + shift_m
+            track.moved_m = track.moved_m + shift_m
+
+    def _pair(
+        self, views: Sequence[FrameView], camera: Intrinsics, elapsed_s: float
+    ) -> NDArray[np.intp]:
+        """Return pairs of track and view, shape (K, 2), after moving the tracks along."""
+        from scipy.optimize import linear_sum_assignment
+
+        predicted = self._predicted(elapsed_s)
+        reach = WALK_M_S if self._speed_m_s is None else TURN_M_S
+        reach_m = STILL_M + reach * elapsed_s
+        gap = np.array([view.at_m for view in views]) - np.array(
+            [track.at_m for track in self._tracks]
+        ).reshape(-1, 1, 3)
+        unseen_s = np.array([(self._at_s or 0.0) - track.seen_s for track in self._tracks])
+        spread = np.array([SURFACE_SD_M, SURFACE_SD_M, SURFACE_DEPTH_SD_M])
+        variance = 2 * spread**2 + (DRIFT_M_S * unseen_s[:, None, None]) ** 2
+        crowd = _crowd(views, camera)
+        shift_m = _likeliest_shift(gap, variance, crowd, predicted, reach_m)
+        ratio = _place_ratio(gap - shift_m, variance, crowd, unknown=0.0)
+        self._carry_on(shift_m)
+        ratio += self._overlaps(views, camera)
+        rows, columns = linear_sum_assignment(np.maximum(ratio, 0.0), maximize=True)
+        likely = ratio[rows, columns] > 0
+        pairs = np.stack([rows[likely], columns[likely]], axis=1)
+        self._learn_speed(gap[rows[likely], columns[likely]], elapsed_s)
+        return pairs
+
+    def _overlaps(self, views: Sequence[FrameView], camera: Intrinsics) -> NDArray[np.float64]:
+        """Return what the overlap of masks says for each pair, as a log ratio."""
+        shares = np.zeros((len(self._tracks), len(views)))
+        for i, track in enumerate(self._tracks):
+            before = track.view.at_m
+            shift_px = np.zeros(2)
+            if np.isfinite(before).all() and before[2] + track.moved_m[2] > 0:
+                shift_px = np.subtract(*camera.project([before + track.moved_m, before]))
+            shares[i] = [track.view.overlap(view, shift_px) for view in views]
+        return np.asarray(np.log((shares + LEAST_OVERLAP) / (HALF_OVERLAP + LEAST_OVERLAP)))
+
+    def _learn_speed(self, gap_m: NDArray[np.float64], elapsed_s: float) -> None:
+        known = gap_m[np.isfinite(gap_m).all(axis=1)]
+        if len(known) and elapsed_s > 0:
+            self._speed_m_s = np.median(known, axis=0) / elapsed_s
+
+
+def _crowd(views: Sequence[FrameView], camera: Intrinsics) -> Crowd:
+    """Return how many other fruit a frame may show where one of them is."""
+    far = np.array([view.at_m[2] for view in views])
+    far_m = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.6
+    across_m, up_m = far_m * camera.width / camera.fx_px, far_m * camera.height / camera.fy_px
+    return Crowd(max(len(views), 1) / across_m, up_m, 0.3, 1.0, 0.3)
+
+
+def _place_ratio(
+    gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd, unknown: float
+) -> NDArray[np.float64]:
+    """Return the log ratio of places, `unknown` where one of the two has none."""
+    known = np.isfinite(gap_m).all(axis=-1)
+    ratio = position_ratio(np.where(known[..., None], gap_m, 0.0), variance_m2, crowd)
+    return np.asarray(np.where(known, ratio, unknown))
+
+
+def _likeliest_shift(
+    gap_m: NDArray[np.float64],
+    variance_m2: NDArray[np.float64],
+    crowd: Crowd,
+    predicted_m: NDArray[np.float64],
+    reach_m: float,
+) -> NDArray[np.float64]:
+    """Return by how much all fruit moved, in camera coordinates, shape (3,).
+
+    Every pair's gap is tried, and the shift that the speed so far predicts.
+    """
+    gaps = gap_m.reshape(-1, 3)
+    tried = np.vstack([predicted_m, gaps[np.isfinite(gaps).all(axis=1)]])
+    off = (tried - predicted_m) / reach_m
+    left_m = gap_m[None] - tried[:, None, None]
+    ratio = _place_ratio(left_m, variance_m2[None], crowd, unknown=-50.0)
+    gain = np.log1p(np.exp(np.clip(ratio, -50.0, 20.0)).sum(axis=1))
+    score = gain.sum(axis=1) - 0.5 * np.square(off).sum(axis=1)
+    best = tried[int(score.argmax())]
+    # The gaps that agree with it, by their mean: a single pair's has its own error.
+    near = gaps[np.linalg.norm(gaps - best, axis=1) < 3 * SURFACE_DEPTH_SD_M]
+    return np.asarray(near.mean(axis=0) if len(near) else best)

@@ -1,0 +1,168 @@
+"""Streams of real captures through the one measurer, and where their frames come from."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.camera import FolderCamera
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.errors import CameraError
+from cucumbervision.measurement.result import Choice
+from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.streaming.sources import open_stream, stream_camera
+from cucumbervision.streaming.stream import (
+    FRAME_FIELDS,
+    TRACK_FIELDS,
+    FruitStream,
+    StreamedFrame,
+)
+
+
+@pytest.fixture(scope="module")
+def walk() -> list[Capture]:
+    """A bundled capture of three fruit that moves 12 px a frame, 15 frames a second."""
+    one = next(iter(open_source(bundled_captures() / "simulated-row-a"))).load()
+    return [
+        replace(
+            one,
+            color=np.roll(one.color, -12 * k, 1),
+            depth_m=np.roll(one.depth_m, -12 * k, 1),
+            masks=tuple(np.roll(mask, -12 * k, 1) for mask in one.masks),
+            name=f"walk_{k}",
+            frame=k,
+            timestamp_s=1e9 + k / 15,
+        )
+        for k in range(4)
+    ]
+
+
+@pytest.fixture
+def folder(walk: list[Capture], tmp_path: Path) -> Path:
+    for capture in walk:
+        write_native(capture, tmp_path / "walk" / capture.name)
+    return tmp_path / "walk"
+
+
+def by_masks(fits: int | None = None) -> FruitStream:
+    return FruitStream(Measurer(MeasureOptions(instances="dataset")), fits=fits)
+
+
+def test_a_stream_measures_as_measure_does_and_numbers_its_fruit(walk: list[Capture]) -> None:
+    stream, measurer = by_masks(), Measurer(MeasureOptions(instances="dataset"))
+    for k, capture in enumerate(walk):
+        frame = stream.take(capture)
+        assert [one.track for one in frame.fruit] == [1, 2, 3]
+        assert [one.seen for one in frame.fruit] == [k + 1] * 3
+        assert frame.result.rows() == measurer.measure(capture).rows()
+    lengths = [one.length for one in frame.fruit if one.length is not None]
+    assert lengths
+    for one, length in zip(frame.fruit, lengths, strict=False):
+        measured = one.fruit.length
+        assert measured is not None
+        assert length.low_m < measured.value_m < length.high_m  # type: ignore[operator]
+        assert one.frames == 4
+
+
+def test_a_line_holds_the_fields_of_the_tables(walk: list[Capture]) -> None:
+    stream = by_masks()
+    line = stream.take(walk[0], received_s=0.0, dropped=7).as_json()
+    assert json.loads(json.dumps(line)) == line
+    known = {one.name for one in (*FIELDS, *TRACK_FIELDS, *FRAME_FIELDS)}
+    assert set(line) - {"fruit"} <= known
+    assert (line["capture"], line["timestamp_s"], line["dropped"]) == ("walk_0", 1e9, 7)
+    assert line["simulated"] is True
+    assert line["latency_s"] > 0
+    for fruit in line["fruit"]:
+        assert set(fruit) <= known
+        assert fruit["track_length_cm"] == pytest.approx(fruit["length_cm"])
+
+
+def test_a_fruit_seen_from_the_same_place_waits_when_one_is_measured_a_frame(
+    walk: list[Capture],
+) -> None:
+    stream = by_masks(fits=1)
+    measured = []
+    for k in range(14):
+        frame = stream.take(walk[0], at_s=k / 15)
+        own = [one for one in frame.fruit if one.fruit.reason is not Choice.WAITING]
+        assert all(one.fruit.length is None for one in frame.fruit if one not in own)
+        measured.append([one.track for one in own])
+    # Each once, and again after ten frames in which there was nothing new to see of it.
+    assert sorted(measured[:3]) == [[1], [2], [3]]
+    assert measured[3:11] == [[]] * 8
+    assert measured[11:] == measured[:3]
+    # A step back by 15 % of the distance is another place.
+    moved = replace(walk[0], depth_m=walk[0].depth_m * np.float32(1.15))
+    frame = stream.take(moved, at_s=1.0)
+    assert sum(one.fruit.reason is not Choice.WAITING for one in frame.fruit) == 1
+
+
+def test_a_frame_that_fails_does_not_end_the_stream(folder: Path) -> None:
+    (folder / "walk_1" / "depth_000000.png").write_bytes(b"\x89PNG no more")
+    given = list(by_masks().follow(open_stream(folder)))
+    assert [type(one) for one in given] == [StreamedFrame, Failure, StreamedFrame, StreamedFrame]
+    failure = given[1]
+    assert isinstance(failure, Failure)
+    assert "walk_1" in failure.message
+
+
+def test_a_recording_is_streamed(recording: Path) -> None:
+    every = [one.item for one in open_stream(recording, every=True)]
+    assert [one.frame for one in every if isinstance(one, Capture)] == list(range(1, 23))
+    # As a camera, whoever takes each at once gets all that were not dropped meanwhile.
+    arrivals = list(open_stream(recording))
+    assert len(arrivals) + sum(one.dropped for one in arrivals) == 22
+    last = arrivals[-1].item
+    assert isinstance(last, Capture)
+    assert last.frame == 22
+
+
+def test_a_folder_that_fills_is_a_camera(walk: list[Capture], tmp_path: Path) -> None:
+    write_native(walk[0], tmp_path / "old")
+    naps = iter(walk[1:3])
+
+    def sleep(_: float) -> None:
+        # Another program writes while the camera waits; the last one breaks off.
+        capture = next(naps, None)
+        if capture is not None:
+            write_native(capture, tmp_path / capture.name)
+        else:
+            (tmp_path / "half").mkdir(exist_ok=True)
+            (tmp_path / "half" / "capture.json").write_text('{"format": "cucumber')
+
+    ticks = iter(np.arange(0.0, 1e6, 0.5).tolist())
+    clock: Callable[[], float] = lambda: next(ticks)  # noqa: E731 - a clock that runs by itself
+    camera = FolderCamera(tmp_path, timeout_s=30.0, settle_s=2.0, clock=clock, sleep=sleep)
+    names: list[str] = []
+    with pytest.raises(CameraError, match="no capture has appeared for 30 s"):
+        names.extend(
+            one.item.name if isinstance(one.item, Capture) else one.item.error
+            for one in stream_camera(lambda: camera, every=True)
+        )
+    assert names == ["walk_1", "walk_2", "CaptureError"]
+
+
+def test_the_command_prints_a_line_a_frame(folder: Path) -> None:
+    code = "from cucumbervision.cli.app import main; main()"
+    (folder / "walk_2" / "capture.json").write_text("{}")
+    command = [sys.executable, "-c", code, "stream", str(folder), "--instances", "dataset"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 1, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["capture"] for line in lines] == ["walk_0", "walk_1", "walk_3"]
+    assert [one["track"] for one in lines[-1]["fruit"]] == [1, 2, 3]
+    assert "walk_2" in done.stderr
+    assert "3 frames, 0 dropped" in done.stderr

@@ -11,7 +11,7 @@ from cucumbervision.capture.source import unique_name
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Generator, Iterator, Mapping
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture, Stop
@@ -55,7 +55,7 @@ def captures_of(
     *,
     pause_s: float = 1.0,
     sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Capture | CaptureError]:
+) -> Generator[Capture | CaptureError]:
     """Yield what a camera gives; one that is gone is opened again.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -13,7 +13,13 @@ import numpy as np
 from cucumbervision.capture.depth import require_readings, scale_depth
 from cucumbervision.capture.frames import Capture, Stop, fuse_burst
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
-from cucumbervision.errors import CameraError, CaptureError, MissingExtraError
+from cucumbervision.capture.realsense_device import (
+    CameraSettings,
+    apply_settings,
+    camera_fault,
+    import_realsense,
+)
+from cucumbervision.errors import CameraError, CaptureError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,28 +41,6 @@ __all__ = [
 _STEP_MS = 200
 
 _TAIL_S = 0.5
-
-
-def import_realsense() -> Any:
-    """Import pyrealsense2, or say in one line what is missing.
-
-    Raises
-    ------
-    MissingExtraError
-        If the package is not installed.
-    CameraError
-        If it is, but the system lacks libusb.
-    """
-    try:
-        import pyrealsense2
-    except ModuleNotFoundError:
-        raise MissingExtraError("pyrealsense2", "camera") from None
-    except ImportError as error:
-        raise CameraError(
-            f"pyrealsense2 cannot be loaded ({error})",
-            remedy="install the system package libusb-1.0-0 (libusb1 on Fedora)",
-        ) from None
-    return pyrealsense2
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +126,7 @@ class AlignedStream:
         self._playback: Any = None
         self._file: Any = None
         self._align: Any = None
+        self._device: Any = None
         self._resuming: threading.Thread | None = None
         self._reached_s = 0.0
         self._intrinsics: Intrinsics
@@ -195,6 +180,7 @@ class AlignedStream:
         if self._file is not None:
             _finish_reading(self._file)
         self._pipeline = self._playback = self._file = self._align = self._resuming = None
+        self._device = None
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -280,7 +266,7 @@ class AlignedStream:
         self._intrinsics = Intrinsics(
             *pinhole, Stream.COLOR, self._lens_model(lens), (k1, k2, p1, p2, k3)
         )
-        device = profile.get_device()
+        self._device = device = profile.get_device()
         # The SDK holds it in single precision: 0.0010000000475 is 0.001.
         scale = device.first_depth_sensor().get_depth_scale()
         self._unit_m = float(f"{scale:.6g}")
@@ -364,28 +350,6 @@ def _finish_reading(file: Any) -> None:
             file.pause()
 
 
-def camera_fault(error: RuntimeError, source: object) -> CameraError:
-    """Name what the SDK says of a camera."""
-    text = str(error)
-    if "No device" in text:
-        return CameraError(
-            "no RealSense camera is connected",
-            source=source,
-            remedy="plug a D4xx into a USB 3 port, or name a recording",
-        )
-    if "resolve" in text:
-        return CameraError(
-            "no connected camera streams that size and rate",
-            source=source,
-            remedy="choose a size and rate of the camera, and check that it is at a USB 3 port",
-        )
-    if "busy" in text.lower():
-        return CameraError(
-            "the camera is in use", source=source, remedy="close the other program that uses it"
-        )
-    return CameraError(f"the camera failed ({text})", source=source, remedy="plug it in again")
-
-
 def play_file(path: Path) -> Callable[[Any, Any], None]:
     """Return the configuration that plays a recording once."""
 
@@ -416,6 +380,8 @@ class CameraConfig:
     playback : Path, optional
         A recording to play through the same driver in place of a camera; size, rate and serial
         are then the recording's.
+    settings : CameraSettings
+        Exposure and presets; not for recordings.
     """
 
     serial: str | None = None
@@ -426,12 +392,16 @@ class CameraConfig:
     warm_up: int = 30
     timeout_s: float = 5.0
     playback: Path | None = None
+    settings: CameraSettings = field(default_factory=CameraSettings)
 
     def __post_init__(self) -> None:
         if min(self.width, self.height, self.fps, self.burst) < 1 or self.warm_up < 0:
             raise ValueError("size, fps and burst must be positive, warm_up not negative")
         if not self.timeout_s > 0:
             raise ValueError("timeout_s must be positive")
+
+
+STALE_S, QUEUED = 0.5, 2  # after such a pause, so many frames are old ones of the SDK's queue
 
 
 class RealSenseCamera(AlignedStream):
@@ -452,6 +422,7 @@ class RealSenseCamera(AlignedStream):
 
     def __init__(self, config: CameraConfig | None = None) -> None:
         self.config = config or CameraConfig()
+        self._taken_s = 0.0
         file, serial = self.config.playback, self.config.serial
         super().__init__(
             self._stream_live if file is None else play_file(file),
@@ -463,6 +434,8 @@ class RealSenseCamera(AlignedStream):
     def __enter__(self) -> Self:
         super().__enter__()
         try:
+            if self.config.playback is None:
+                apply_settings(self._rs, self._device, self.config.settings, self._source)
             for _ in range(self.config.warm_up):
                 self._next_frame()
         except BaseException:
@@ -492,7 +465,11 @@ class RealSenseCamera(AlignedStream):
         DepthError
             If no pixel of the burst has a reading between 0.1 and 5 m.
         """
+        if self.config.playback is None and time.monotonic() - self._taken_s > STALE_S:
+            for _ in range(QUEUED):  # frames that waited here were taken before they were asked for
+                self._next_frame()
         frames = [self._next_frame() for _ in range(self.config.burst)]
+        self._taken_s = time.monotonic()
         return burst_capture(
             frames,
             self.intrinsics,

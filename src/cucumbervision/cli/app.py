@@ -22,6 +22,7 @@ from cucumbervision.cli import (
     export,
     measure,
     models,
+    record,
     round,
     stream,
 )
@@ -43,6 +44,8 @@ app = typer.Typer(
 app.command("measure", epilog=EXIT_CODES)(measure.measure)
 app.command("detect", epilog=EXIT_CODES)(detect.detect)
 app.command("stream", epilog=EXIT_CODES)(stream.stream)
+app.command("record", epilog=EXIT_CODES)(record.record)
+app.command("cameras")(record.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)

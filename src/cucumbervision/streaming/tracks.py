@@ -252,7 +252,7 @@ def _place_ratio(
     gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd, unknown: float
 ) -> NDArray[np.float64]:
     """Return the log ratio of places, `unknown` where one of the two has none."""
-    known = np.isfinite(gap_m).all(axis=-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(gap_m).all(axis=-1))
     ratio = position_ratio(np.where(known[..., None], gap_m, 0.0), variance_m2, crowd)
     return np.asarray(np.where(known, ratio, unknown))
 

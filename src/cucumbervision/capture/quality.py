@@ -1,0 +1,74 @@
+"""How good a frame's depth is, in a word and with advice, for who holds the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+
+__all__ = ["DepthQuality", "depth_quality"]
+
+NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
+POOR_FILL = 0.60
+NEAREST = 0.10
+STRIDE = 4
+
+
+@dataclass(frozen=True)
+class DepthQuality:
+    """Quality of a frame's depth.
+
+    Parameters
+    ----------
+    fill : float
+        Share of the picture's middle with a reading, 0 to 1.
+    distance_m : float, optional
+        Of the nearest tenth of what is in the middle: the fruit, not what is behind them.
+    verdict : str
+        'good', 'too-near', 'too-far', 'poor' or 'none'.
+    advice : str
+        What to do, in a few words.
+    """
+
+    fill: float
+    distance_m: float | None
+    verdict: str
+    advice: str
+
+
+def depth_quality(capture: Capture) -> DepthQuality:
+    """Return the quality of a frame's depth, judged by its middle.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    >>> def at(z):
+    ...     color = np.zeros((48, 64, 3), np.uint8)
+    ...     return depth_quality(Capture(color, np.full((48, 64), z, np.float32), camera, "a"))
+    >>> at(0.5).verdict, at(0.2).verdict, at(1.4).verdict, at(0.0).verdict
+    ('good', 'too-near', 'too-far', 'none')
+    """
+    height, width = capture.depth_m.shape
+    middle = capture.depth_m[
+        height // 6 : height - height // 6 : STRIDE, width // 6 : width - width // 6 : STRIDE
+    ]
+    valid = middle[valid_depth(middle)]
+    fill = valid.size / middle.size
+    if not valid.size:
+        return DepthQuality(0.0, None, "none", "No depth: too near, or the lens is covered")
+    distance_m = float(np.quantile(valid, NEAREST / 2))
+    if distance_m < NEAR_M:
+        return DepthQuality(fill, distance_m, "too-near", "Too near: step back")
+    if distance_m > FAR_M:
+        return DepthQuality(fill, distance_m, "too-far", "Too far: step closer")
+    if fill < POOR_FILL:
+        return DepthQuality(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
+    return DepthQuality(fill, distance_m, "good", "Good distance and depth")

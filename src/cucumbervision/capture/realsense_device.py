@@ -1,0 +1,207 @@
+"""RealSense devices: the SDK itself, which cameras there are, and their settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from cucumbervision.errors import CameraError, MissingExtraError
+
+__all__ = [
+    "CameraSettings",
+    "FoundCamera",
+    "apply_settings",
+    "camera_fault",
+    "import_realsense",
+    "list_cameras",
+]
+
+
+def import_realsense() -> Any:
+    """Import pyrealsense2, or say in one line what is missing.
+
+    Raises
+    ------
+    MissingExtraError
+        If the package is not installed.
+    CameraError
+        If it is, but the system lacks libusb.
+    """
+    try:
+        import pyrealsense2
+    except ModuleNotFoundError:
+        raise MissingExtraError("pyrealsense2", "camera") from None
+    except ImportError as error:
+        raise CameraError(
+            f"pyrealsense2 cannot be loaded ({error})",
+            remedy="install the system package libusb-1.0-0 (libusb1 on Fedora)",
+        ) from None
+    return pyrealsense2
+
+
+def camera_fault(error: RuntimeError, source: object) -> CameraError:
+    """Name what the SDK says of a camera."""
+    text = str(error)
+    if "No device" in text:
+        return CameraError(
+            "no RealSense camera is connected",
+            source=source,
+            remedy="plug a D4xx into a USB 3 port, or name a recording",
+        )
+    if "resolve" in text:
+        return CameraError(
+            "no connected camera streams that size and rate",
+            source=source,
+            remedy="choose a size and rate of the camera, and check that it is at a USB 3 port",
+        )
+    if "busy" in text.lower():
+        return CameraError(
+            "the camera is in use", source=source, remedy="close the other program that uses it"
+        )
+    return CameraError(f"the camera failed ({text})", source=source, remedy="plug it in again")
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """A camera that is plugged in.
+
+    Parameters
+    ----------
+    name, serial, firmware, usb : str
+        As the SDK gives them; empty where it does not know. `usb` is '3.2' for a USB 3 port.
+    """
+
+    name: str
+    serial: str
+    firmware: str
+    usb: str
+
+
+def list_cameras(context: Any = None) -> list[FoundCamera]:
+    """Return the RealSense cameras that are plugged in.
+
+    Parameters
+    ----------
+    context : pyrealsense2.context, optional
+        Where to look; a new one by default.
+
+    Raises
+    ------
+    MissingExtraError
+        If pyrealsense2 is not installed.
+    CameraError
+        If the SDK cannot look.
+    """
+    rs = import_realsense()
+    info = rs.camera_info
+    kinds = (info.name, info.serial_number, info.firmware_version, info.usb_type_descriptor)
+    try:
+        devices = list((context or rs.context()).query_devices())
+        return [
+            FoundCamera(*(d.get_info(kind) if d.supports(kind) else "" for kind in kinds))
+            for d in devices
+        ]
+    except RuntimeError as error:
+        raise camera_fault(error, "cameras") from None
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """How a camera exposes and matches; what is None stays as the camera has it.
+
+    Parameters
+    ----------
+    preset : str, optional
+        Name of the depth camera's preset, as the SDK has it: 'high_accuracy', 'high_density',
+        'medium_density', 'hand', 'default'.
+    exposure_us, gain : float, optional
+        Of the colour camera, microseconds and the sensor's own steps; its automatic exposure is
+        switched off. In the SDK's units a colour exposure is a hundred microseconds.
+    depth_exposure_us, depth_gain : float, optional
+        The same of the depth camera.
+    laser_mw : float, optional
+        Power of the projector, milliwatts; 0 switches it off.
+    """
+
+    preset: str | None = None
+    exposure_us: float | None = None
+    gain: float | None = None
+    depth_exposure_us: float | None = None
+    depth_gain: float | None = None
+    laser_mw: float | None = None
+
+
+_COLOR_STEP_US = 100.0  # of a D4xx's colour exposure
+
+
+def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: object) -> None:
+    """Set what is asked for, each within the range that the camera names.
+
+    Parameters
+    ----------
+    rs : module
+        The SDK.
+    device : pyrealsense2.device
+        The camera.
+    settings : CameraSettings
+        What to set.
+    source : object
+        What errors call the camera.
+
+    Raises
+    ------
+    CameraError
+        If the camera does not have the setting, or the value is out of its range.
+    """
+    depth, color, o = "Stereo Module", "RGB Camera", rs.option
+    exposure = settings.exposure_us and settings.exposure_us / _COLOR_STEP_US
+    power = settings.laser_mw
+    wanted = (
+        # A preset sets the depth camera's other options too, so it comes first.
+        (depth, o.visual_preset, _preset(rs, settings.preset, source)),
+        (color, o.enable_auto_exposure, None if exposure is None else 0.0),
+        (color, o.exposure, exposure),
+        (color, o.gain, settings.gain),
+        (depth, o.enable_auto_exposure, None if settings.depth_exposure_us is None else 0.0),
+        (depth, o.exposure, settings.depth_exposure_us),
+        (depth, o.gain, settings.depth_gain),
+        (depth, o.emitter_enabled, None if power is None else float(power > 0)),
+        (depth, o.laser_power, power or None),
+    )
+    sensors = {one.get_info(rs.camera_info.name): one for one in device.query_sensors()}
+    for sensor, option, value in wanted:
+        if value is not None:
+            _set(sensors.get(sensor), sensor, option, value, source)
+
+
+def _preset(rs: Any, name: str | None, source: object) -> float | None:
+    if name is None:
+        return None
+    known = rs.rs400_visual_preset.__members__
+    key = name.strip().lower().replace("-", "_").replace(" ", "_")
+    if key not in known:
+        raise CameraError(
+            f"no preset is called {name!r}",
+            source=source,
+            remedy=f"choose one of {', '.join(sorted(known))}",
+        )
+    return float(int(known[key]))
+
+
+def _set(sensor: Any, name: str, option: Any, value: float, source: object) -> None:
+    text = f"{name.lower()}'s {option.name.replace('_', ' ')}"
+    if sensor is None or not sensor.supports(option):
+        raise CameraError(
+            f"the {text} cannot be set", source=source, remedy="leave that setting out"
+        )
+    limits = sensor.get_option_range(option)
+    if not limits.min <= value <= limits.max:
+        raise CameraError(
+            f"the {text} cannot be {value:g}",
+            source=source,
+            remedy=f"give {limits.min:g} to {limits.max:g}, in the camera's own steps",
+        )
+    try:
+        sensor.set_option(option, value)
+    except RuntimeError as error:
+        raise camera_fault(error, source) from None

@@ -1,0 +1,113 @@
+"""`cucumbervision record`: captures of a live camera into a folder, without a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import typer
+
+from cucumbervision.cli.choices import Quiet
+
+__all__ = ["cameras", "record"]
+
+Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
+
+
+def record(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Gets a folder a capture.")],
+    serial: Annotated[
+        str | None,
+        typer.Option(help="The camera's serial number; the first one found without it."),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="A folder that another program fills, in the camera's place.",
+            show_default=False,
+        ),
+    ] = None,
+    every: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Seconds from one capture to the next; else Enter takes one."),
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option(min=1, help="End after so many.", show_default=False)
+    ] = None,
+    burst: Annotated[int, typer.Option(min=1, max=99, help="Frames fused to one capture.")] = 5,
+    row: Annotated[str | None, typer.Option(help="Row in the house.")] = None,
+    side: Annotated[str | None, typer.Option(help="Side of the row: left or right.")] = None,
+    position: Annotated[
+        float | None, typer.Option(help="Metres along the row of the first capture.")
+    ] = None,
+    step: Annotated[float, typer.Option(help="Metres from one capture to the next.")] = 0.0,
+    name: Annotated[str, typer.Option(help="What the captures are called.")] = "capture",
+    width: Annotated[int, typer.Option(min=1, help="Pixels.")] = 1280,
+    height: Annotated[int, typer.Option(min=1, help="Pixels.")] = 720,
+    fps: Annotated[int, typer.Option(min=1, max=90, help="The camera's frames a second.")] = 15,
+    preset: Annotated[
+        Preset | None, typer.Option(help="The depth camera's preset; its own without.")
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option(min=1, help="Colour exposure in microseconds; automatic without."),
+    ] = None,
+    gain: Annotated[float | None, typer.Option(min=0, help="Colour gain.")] = None,
+    depth_exposure: Annotated[
+        float | None,
+        typer.Option(min=1, help="Depth exposure in microseconds; automatic without."),
+    ] = None,
+    laser: Annotated[
+        float | None, typer.Option(min=0, help="Projector's power in milliwatts; 0 is off.")
+    ] = None,
+    retries: Annotated[
+        int, typer.Option(min=0, help="How often a camera that is gone is opened again.")
+    ] = 3,
+    quiet: Quiet = False,
+) -> None:
+    """Write captures of a live camera: one at each Enter, or every so many seconds.
+
+    What is written is read by `cucumbervision measure` and every other command.
+    """
+    from itertools import islice
+
+    from cucumbervision.capture.camera import FolderCamera, RgbdCamera
+    from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
+    from cucumbervision.capture.realsense_device import CameraSettings
+    from cucumbervision.capture.recorder import Walk, record_captures
+    from cucumbervision.cli.live import clock, enter_keys, print_recording
+
+    settings = CameraSettings(
+        preset, exposure, gain, depth_exposure_us=depth_exposure, laser_mw=laser
+    )
+    config = CameraConfig(serial, width, height, fps, burst, settings=settings)
+
+    def open_camera() -> RgbdCamera:
+        return RealSenseCamera(config) if folder is None else FolderCamera(folder)
+
+    signals = clock(every) if every is not None else enter_keys(quiet=quiet)
+    recorded = record_captures(
+        open_camera,
+        out,
+        islice(signals, count),
+        Walk(row, side, position, step),
+        name=name,
+        retries=retries,
+    )
+    raise typer.Exit(print_recording(recorded, quiet=quiet))
+
+
+def cameras() -> None:
+    """List the RealSense cameras that are plugged in, with their serial numbers."""
+    from cucumbervision.capture.realsense_device import list_cameras
+    from cucumbervision.cli.console import columns_table, screen
+
+    found = list_cameras()
+    if not found:
+        typer.echo("No RealSense camera is connected; plug a D4xx into a USB 3 port")
+        raise typer.Exit(2)
+    table = columns_table(None, ["camera", "serial number", "firmware", "USB"])
+    for one in found:
+        table.add_row(one.name, one.serial, one.firmware, one.usb)
+    screen().print(table)

@@ -1,0 +1,88 @@
+"""Settings and serial numbers against the SDK's own software device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cucumbervision.capture.realsense_device import (
+    CameraSettings,
+    apply_settings,
+    list_cameras,
+)
+from cucumbervision.errors import CameraError
+
+rs = pytest.importorskip("pyrealsense2")
+
+
+def limits(low: float, high: float, step: float, default: float) -> Any:
+    given = rs.option_range()
+    given.min, given.max, given.step, given.default = low, high, step, default
+    return given
+
+
+@pytest.fixture
+def device() -> Any:
+    made = rs.software_device()
+    made.register_info(rs.camera_info.name, "Software D435")
+    made.register_info(rs.camera_info.serial_number, "0042")
+    depth, color = made.add_sensor("Stereo Module"), made.add_sensor("RGB Camera")
+    depth.add_option(rs.option.visual_preset, limits(0, 5, 1, 1), True)
+    depth.add_option(rs.option.laser_power, limits(0, 360, 30, 150), True)
+    depth.add_option(rs.option.emitter_enabled, limits(0, 1, 1, 1), True)
+    color.add_option(rs.option.enable_auto_exposure, limits(0, 1, 1, 1), True)
+    color.add_option(rs.option.exposure, limits(1, 10000, 1, 156), True)
+    color.add_option(rs.option.gain, limits(0, 128, 1, 64), True)
+    return made
+
+
+def values(device: Any) -> dict[tuple[str, str], float]:
+    return {
+        (sensor.get_info(rs.camera_info.name), option.name): (sensor.get_option(option))
+        for sensor in device.query_sensors()
+        for option in sensor.get_supported_options()
+    }
+
+
+def test_settings_reach_their_sensors(device: Any) -> None:
+    settings = CameraSettings("high-accuracy", exposure_us=8000, gain=32, laser_mw=90)
+    apply_settings(rs, device, settings, "camera 0042")
+    found = values(device)
+    assert found["Stereo Module", "visual_preset"] == 3  # RS2_RS400_VISUAL_PRESET_HIGH_ACCURACY
+    assert found["Stereo Module", "laser_power"] == 90
+    assert found["RGB Camera", "exposure"] == 80  # in the SDK's hundreds of microseconds
+    assert found["RGB Camera", "enable_auto_exposure"] == 0
+    assert found["RGB Camera", "gain"] == 32
+
+
+def test_what_is_not_asked_for_stays(device: Any) -> None:
+    before = values(device)
+    apply_settings(rs, device, CameraSettings(), "camera")
+    assert values(device) == before
+    apply_settings(rs, device, CameraSettings(laser_mw=0), "camera")
+    assert values(device) == before | {("Stereo Module", "emitter_enabled"): 0.0}
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        (CameraSettings(gain=500), "rgb camera's gain cannot be 500; give 0 to 128"),
+        (CameraSettings(depth_exposure_us=8000), "auto exposure cannot be set"),
+        (CameraSettings(preset="sharp"), "no preset is called 'sharp'; choose one of .*hand"),
+    ],
+)
+def test_what_the_camera_cannot_is_said(device: Any, settings: CameraSettings, text: str) -> None:
+    with pytest.raises(CameraError, match=text):
+        apply_settings(rs, device, settings, "camera")
+
+
+def test_cameras_are_listed_by_serial_number(recording: Path) -> None:
+    context = rs.context()
+    assert "0042" not in [one.serial for one in list_cameras(context)]
+    # A recording that is loaded into a context is one of its devices.
+    played = context.load_device(str(recording))
+    found = [one for one in list_cameras(context) if one.serial == "0042"]
+    assert [(one.name, one.firmware) for one in found] == [("Software D435", "")]
+    played.pause()

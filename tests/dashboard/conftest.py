@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import socket
@@ -63,19 +62,6 @@ def house(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def store(house: Path) -> Iterator[Store]:
     with open_store(house) as opened:
         yield opened
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    """Twenty-two frames, recorded by the SDK; as in the tests of the readers."""
-    pytest.importorskip("pyrealsense2")
-    path = Path(__file__).parents[1] / "capture" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("capture_conftest", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module: Any = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return Path(module.record(tmp_path / "walk.db3", 22))
 
 
 def long_round(store: Store, template: StopRecord, stops: int) -> None:

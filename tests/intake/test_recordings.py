@@ -1,12 +1,10 @@
 from __future__ import annotations
 
-import importlib.util
 import io
 import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -21,22 +19,12 @@ from cucumbervision.pipeline.run import count_captures
 posix = pytest.mark.skipif(os.name != "posix", reason="needs process groups and rlimits")
 
 
-def capture_conftest() -> ModuleType:
-    path = Path(__file__).parents[1] / "capture" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("capture_conftest", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def walk(
+    tmp_path_factory: pytest.TempPathFactory, make_recording: Callable[[Path, int], Path]
+) -> Path:
     """Seven frames, recorded by the SDK."""
-    pytest.importorskip("pyrealsense2")
-    record: Callable[[Path, int], Path] = capture_conftest().record
-    return record(tmp_path_factory.mktemp("walk") / "walk.db3", 7)
+    return make_recording(tmp_path_factory.mktemp("walk") / "walk.db3", 7)
 
 
 def test_a_recording_reads_as_it_does_in_this_process(walk: Path, tmp_path: Path) -> None:

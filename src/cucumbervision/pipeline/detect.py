@@ -25,6 +25,7 @@ from cucumbervision.capture.files import (
 from cucumbervision.capture.source import safe_name, unique_name
 from cucumbervision.errors import CaptureError, CucumberVisionError, naming_os_errors
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
+from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import encode_rle
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
 from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
@@ -350,6 +351,7 @@ class _Run:
         found, segmenter = self._detectors.find(color), self._options.segmenter
         if found and segmenter != "none":
             found = self._networks.segmenter(segmenter).segment(color, found)
+        found = place_keypoints(found)
         self._add(picture.name, color, found)
         scores = tuple(one.confidence for one in found)
         seconds = time.perf_counter() - start

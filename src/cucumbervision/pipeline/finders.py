@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource, with_keypoints
+from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.options import MeasureOptions
 
@@ -108,13 +109,13 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         # Masks that were given are used as they are unless a segmenter was asked for.
         drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
-            return found
+            return replace(found, instances=place_keypoints(found.instances))
         prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
         masked = dict(
             zip(drawn, networks.segmenter(name).segment(capture.color, prompts), strict=True)
         )
-        instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
-        return replace(found, instances=instances)
+        instances = (masked.get(k, one) for k, one in enumerate(found.instances))
+        return replace(found, instances=place_keypoints(instances))
 
     return Finder(find, networks.models)
 

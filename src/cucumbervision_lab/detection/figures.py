@@ -157,7 +157,9 @@ def summarise(result: DetectionResult) -> Summary:
     segmented, posed = bool(stages & {"segment", "detect"}), "pose" in stages
     asked = [(Stage.SEGMENTED, Judged.BOXES)] if segmented else []
     asked += [(Stage.SEGMENTED, Judged.MASKS)] if "segment" in stages else []
-    asked += [(Stage.POSED, Judged.BOXES), (Stage.POSED, Judged.KEYPOINTS)] if posed else []
+    if posed:
+        asked += [(Stage.POSED, Judged.BOXES), (Stage.POSED, Judged.KEYPOINTS)]
+        asked += [(Stage.KEPT, Judged.KEYPOINTS)]
     fruit, found = fruit_rows(frames, confidence), found_rows(frames, confidence)
     parts = [Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked)]
     ends = end_rows(frames, confidence)

@@ -327,10 +327,10 @@ def found_rows(
 
 
 def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
-    """Compare the ends that the pose network sets with the true ones.
+    """Compare the ends of the keypoints that a measurement gets with the true ones.
 
-    Every fruit that it found and whose five keypoints have a known place counts; swapped ends are
-    judged as they are, and ends outside the picture are not.
+    Every fruit that was found with keypoints, and whose own five have a known place, counts;
+    swapped ends are judged as they are, and ends outside the picture are not.
 
     Examples
     --------
@@ -339,14 +339,14 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
     >>> seen = true[::-1] + (0, 1.0, 0)
     >>> box = np.array([10.0, 5, 110, 15])
     >>> one = SeenFruit(box, 0.9, None, seen)
-    >>> frame = Frame("a", "a", 200, 50, (TrueFruit(box, keypoints=true),), posed=(one,))
+    >>> frame = Frame("a", "a", 200, 50, (TrueFruit(box, keypoints=true),), kept=(one,))
     >>> row, = end_rows([frame], 0.3)
     >>> row.length_px, round(row.blossom_percent, 3), row.swapped, row.stem_seen
     (100.0, 100.005, True, False)
     """
     rows = []
     for frame in frames:
-        matches, seen, required = matches_of(frame, confidence, Stage.POSED)
+        matches, seen, required = matches_of(frame, confidence, Stage.KEPT)
         for t, s in matches.pairs:
             true, points = frame.true[required[t]].keypoints, seen[s].keypoints
             if true is None or points is None or not _placed(true):

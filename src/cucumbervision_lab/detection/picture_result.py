@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
 from cucumbervision.pipeline.finders import dataset_instances
@@ -164,6 +165,8 @@ def detect_picture(
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
     detected = segmented if networks.segment else None
     kept = shipped(detected, posed, networks.confidence, color, depth_m)
+    if networks.segmenter is not None and any(one.keypoints is not None for one in frame.true):
+        kept = _placed(kept, networks.segmenter, color)
 
     def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
         return tuple(seen_fruit(one, depth_m) for one in found)
@@ -176,6 +179,16 @@ def detect_picture(
         has_masks=networks.segment is not None and networks.segment.task == "segment",
     )
     return PictureResult(frame, kept, seconds)
+
+
+def _placed(
+    kept: tuple[Instance, ...], segmenter: Segmenter, color: NDArray[np.uint8]
+) -> tuple[Instance, ...]:
+    """Give the keypoints that a measurement gets: on the axes of SAM's masks."""
+    drawn = place_keypoints(segmenter.segment(color, kept))
+    return tuple(
+        replace(one, keypoints=masked.keypoints) for one, masked in zip(kept, drawn, strict=True)
+    )
 
 
 def shipped(

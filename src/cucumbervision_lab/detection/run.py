@@ -272,7 +272,7 @@ def evaluate_real_photos(
     # No average precision here: unsure detections, whose masks take long, are not wanted.
     networks = open_networks(
         *chosen_networks(segment, pose),
-        None,
+        "mobile-sam",
         runtime=runtime,
         confidence=confidence,
         floor=confidence,

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import TrainingError
+from cucumbervision.perception.keypoint_axis import keypoints_between
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.derive import add_pseudo_masks, merge_datasets
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.polygons import (
     DIRECTIONS,
-    keypoints_between,
     keypoints_of_mask,
 )
 from cucumbervision_lab.datasets.windows import write_sheets, write_windows
@@ -167,7 +167,7 @@ def _with_points(label: Label) -> Label:
     ends = label.extras.get("ends_px")
     points = None if ends is None else keypoints_between(mask, ends)
     if points is not None:
-        return replace(label, keypoints=points)
+        return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))
     told = label.extras.get("stem")
     for stem in [told] if told in DIRECTIONS else ["right", "up"]:
         points = keypoints_of_mask(mask, stem)

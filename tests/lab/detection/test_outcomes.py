@@ -98,8 +98,8 @@ def test_distance_is_read_in_the_middle_of_the_box() -> None:
     assert math.isnan(seen_fruit(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
 
 
-def posed(points: NDArray[np.float64]) -> tuple[SeenFruit, ...]:
-    return (SeenFruit(BOX, 0.9, None, points),)
+def posed(points: NDArray[np.float64]) -> list[SeenFruit]:
+    return [SeenFruit(BOX, 0.9, None, points)]
 
 
 def test_ends_are_judged_in_percent_of_the_line() -> None:
@@ -108,7 +108,7 @@ def test_ends_are_judged_in_percent_of_the_line() -> None:
     points[4, :2] += (3.0, 4.0)
     true = LINE.copy()
     true[4, 2] = 1
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(points))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3)
     assert row.length_px == pytest.approx(100.0)
     assert (row.blossom_percent, row.stem_percent) == pytest.approx((3.0, 5.0))
     assert (row.blossom_seen, row.stem_seen, row.swapped) == (True, False, False)
@@ -119,25 +119,25 @@ def test_bent_fruit_are_measured_along_their_line() -> None:
     true[2, 1] += 25.0  # two of four segments become 25 * sqrt(2) long
     points = true.copy()
     points[0, 0] += 10.0
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(points))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3)
     assert row.length_px == pytest.approx(50 + 2 * math.hypot(25, 25))
     assert row.blossom_percent == pytest.approx(100 * 10 / row.length_px)
 
 
 def test_swapped_ends_are_judged_as_they_are() -> None:
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=LINE)], [], posed=posed(LINE[::-1]))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=LINE)], posed(LINE[::-1]))], 0.3)
     assert (row.swapped, row.blossom_percent, row.stem_percent) == (True, 100.0, 100.0)
 
 
 def test_an_end_outside_the_picture_is_not_judged() -> None:
     true = LINE.copy()
     true[4] = (700.0, 110.0, 0.0)  # known to be outside
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(LINE))], 0.3)
+    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3)
     assert row.length_px == pytest.approx(600.0)
     assert math.isnan(row.stem_percent)
     assert (row.blossom_percent, row.swapped) == (0.0, None)
     true[4] = 0.0  # nobody knows where
-    assert end_rows([frame([TrueFruit(BOX, keypoints=true)], [], posed=posed(LINE))], 0.3) == []
+    assert end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3) == []
 
 
 def test_recall_and_precision_by_group() -> None:

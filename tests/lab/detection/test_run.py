@@ -173,7 +173,7 @@ def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> DetectionResult:
 def test_average_precision_and_recall(result: DetectionResult) -> None:
     summary = summarise(result)
     found = {(one.stage, one.judged): one for one in summary.precisions}
-    assert len(found) == 4
+    assert len(found) == 5
     # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
     expected = (51 + 50 * 2 / 3) / 101
     for key in ((Stage.SEGMENTED, Judged.BOXES), (Stage.POSED, Judged.BOXES)):
@@ -205,7 +205,8 @@ def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
     length = float(np.linalg.norm(scene.keypoints[4, :2] - scene.keypoints[0, :2]))
     every = {one.ends: one for one in summary.ends}["all"]
     assert every.median_percent.count == 4
-    assert every.median_percent.value == pytest.approx(100 * 3 / length, rel=1e-3)
+    # The network's points are 3 px off; the outline's axis ends within a pixel of the fruit's.
+    assert every.median_percent.value < 100 * 1 / length
     assert summary.swapped.value == 0.0
 
 

@@ -1,0 +1,216 @@
+"""Keypoints on the axis of a fruit's outline.
+
+A pose network says roughly where a fruit's two ends are, and which of them is the stem's; the
+outline says it to a pixel. An end that the outline ends near is set to the end of the outline's
+axis, without the stalk; one that lies elsewhere, since something hides it, stays where the network
+saw it. The points between are spread evenly along the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry.curve import arc_positions, points_along
+from cucumbervision.perception.masks import mask_window
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from cucumbervision.perception.instances import Instance
+
+    Array = NDArray[np.float64]
+
+__all__ = ["axis_line", "body_without_stalk", "keypoints_between", "place_keypoints"]
+
+LEAST_PIXELS = 80
+LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
+SAMPLES = 400
+FADE = 4  # in the middle of the fruit a sixteenth of an end's shift is left
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+STALK = 0.45  # of the body's thickness: what is thinner is no body
+NEAR = 0.12  # of the length: an end of the outline further from the network's is another one
+
+
+def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
+    """Set keypoints onto the axes of the masks that are measured.
+
+    Parameters
+    ----------
+    instances : iterable of Instance
+        With keypoints from end to end, of a network, and `mask`, or else `detector_mask`. Others
+        stay as they are: keypoints that people gave, and fruit whose outline has no clear axis.
+
+    Returns
+    -------
+    tuple of Instance
+        In the same order; visibilities and which end is which stay.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.instances import Instance
+    >>> mask = np.zeros((40, 120), bool)
+    >>> mask[10:30, 10:91] = True
+    >>> mask[19:22, 91:101] = True  # the stalk
+    >>> points = np.column_stack([np.linspace(14, 94, 5), np.full(5, 22.0), np.ones(5)])
+    >>> box = np.array([9.5, 9.5, 100.5, 29.5])
+    >>> found = Instance(box, 0.9, mask=mask, keypoints=points, input_size_px=640)
+    >>> (placed,) = place_keypoints([found])
+    >>> placed.keypoints[:, 0].round().tolist()
+    [10.0, 30.0, 50.0, 70.0, 90.0]
+    """
+    return tuple(_placed(one) for one in instances)
+
+
+def _placed(instance: Instance) -> Instance:
+    mask = instance.detector_mask if instance.mask is None else instance.mask
+    points = instance.keypoints
+    given = instance.input_size_px is None
+    if mask is None or points is None or given or not np.isfinite(points[:, :2]).all():
+        return instance
+    body = body_without_stalk(mask)
+    line = None if body is None else axis_line(body)
+    if body is None or line is None:
+        return instance
+    tips, seen = line[[0, -1]], points[[0, -1], :2]
+    if np.linalg.norm(tips - seen, axis=1).sum() > np.linalg.norm(tips[::-1] - seen, axis=1).sum():
+        tips = tips[::-1]
+    near = np.linalg.norm(tips - seen, axis=1) <= NEAR * arc_positions(points[:, :2])[-1]
+    if not near.any():
+        return instance
+    line = points[:, :2].copy()
+    line[[0, -1]] = np.where(near[:, None], tips, seen)
+    spread = keypoints_between(body, line[[0, -1]]) if near.all() else None
+    if spread is None:
+        spread = points_along(line, SHARES)
+    return replace(instance, keypoints=np.column_stack([spread, points[:, 2]]))
+
+
+def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Return an outline without what is thinner than 45 % of its thickest place.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W), or None
+        The largest part that is left by opening with a disc; None of an empty mask.
+    """
+    import cv2
+
+    window = mask_window(mask, 2)
+    if window is None:
+        return None
+    part = np.pad(mask[window], 1).astype(np.uint8)
+    inside = cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    radius = STALK * float(inside.max())
+    # A pixel is in the opening if it lies in a disc that lies in the mask.
+    centres = (inside <= radius).astype(np.uint8)
+    opened = cv2.distanceTransform(centres, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) < radius
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(opened.astype(np.uint8))
+    if count > 2:
+        opened = labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    body = np.zeros(mask.shape, bool)
+    body[window] = opened[1:-1, 1:-1] & mask[window]
+    return body
+
+
+def axis_line(mask: NDArray[np.bool_]) -> Array | None:
+    """Return the axis of an outline from one end to the other.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ndarray of float64, shape (K, 2), or None
+        u, v in pixels; None where the outline is too small, too round or bent too much.
+
+    Notes
+    -----
+    The axis is the cubic that lies in the middle of the pixels in the frame of their principal
+    axes (least squares over all of them), cut where it leaves the outline.
+    """
+    axis = _axis(mask)
+    if axis is None:
+        return None
+    middle, frame, along, curve = axis
+    s = np.linspace(along.min(), along.max(), SAMPLES)
+    line = middle + np.stack([s, curve(s)], axis=1) @ frame
+    inside = _inside(mask, line)
+    first, last = int(inside.argmax()), SAMPLES - int(inside[::-1].argmax())
+    return line[first:last] if inside.any() and inside[first:last].all() else None
+
+
+def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | None:
+    """Return five points along the axis of an outline from one known end to the other.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        A whole fruit; its stalk may be in it.
+    ends_px : array_like, shape (2, 2)
+        u, v of both ends, pixels.
+
+    Returns
+    -------
+    ndarray of float64, shape (5, 2), or None
+        u, v in pixels, evenly along the line from the first end to the second; None where the
+        outline is too small, too round or bent too much.
+
+    Notes
+    -----
+    The line is that of `axis_line` between the feet of both ends, shifted so that it meets them;
+    what shifts it fades from each end to the other.
+
+    Examples
+    --------
+    >>> mask = np.zeros((40, 100), bool)
+    >>> mask[15:25, 10:91] = True
+    >>> keypoints_between(mask, [[90, 20], [18, 20]])[:, 0].round().tolist()
+    [90.0, 72.0, 54.0, 36.0, 18.0]
+    """
+    ends = np.asarray(ends_px, np.float64)
+    axis = _axis(mask)
+    if axis is None:
+        return None
+    middle, frame, _, curve = axis
+    first, last = (ends - middle) @ frame[0]
+    s = np.linspace(first, last, SAMPLES)
+    line = middle + np.stack([s, curve(s)], axis=1) @ frame
+    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    line += (1 - share) ** FADE * (ends[0] - line[0]) + share**FADE * (ends[1] - line[-1])
+    # At the very ends the line may run along the outline.
+    if not _inside(mask, line[SAMPLES // 10 : -SAMPLES // 10]).all():
+        return None
+    return points_along(line, SHARES)
+
+
+def _axis(mask: NDArray[np.bool_]) -> tuple[Array, Array, Array, Callable[[Array], Array]] | None:
+    """Return the pixels' middle, their principal axes, their places along and the axis across."""
+    pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
+    if len(pixels) < LEAST_PIXELS:
+        return None
+    middle = pixels.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov((pixels - middle).T))
+    if spread[1] < LEAST_SLIMNESS**2 * spread[0]:
+        return None
+    frame = axes.T[::-1]
+    along, across = ((pixels - middle) @ frame.T).T
+    return middle, frame, along, np.polynomial.Polynomial.fit(along, across, 3)
+
+
+def _inside(mask: NDArray[np.bool_], line: Array) -> NDArray[np.bool_]:
+    u, v = np.rint(line).astype(int).T
+    height, width = mask.shape
+    within = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    found = np.zeros(len(line), np.bool_)
+    found[within] = mask[v[within], u[within]]
+    return found

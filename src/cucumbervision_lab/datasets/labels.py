@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.errors import CucumberVisionError
 
 __all__ = [
+    "KEYPOINT_ORDER",
     "SPLITS",
     "DataSet",
     "Label",
@@ -37,6 +38,9 @@ __all__ = [
     "ticked",
     "write_text",
 ]
+
+KEYPOINT_ORDER = "keypoint_order"
+"""In a label's extras: 'place' where its points run by where they lie, not from blossom to stem."""
 
 SPLITS = ("train", "val", "test")
 

@@ -15,7 +15,8 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.perception.ends import STRIP_PX, SURE, straighten
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision_lab.datasets.labels import DataSet, Label, ticked
+from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.publish import ModelCard, write_card
 
 __all__ = [
@@ -29,14 +30,14 @@ __all__ = [
 
 COPIES = 3  # of each fruit, each with other points
 ALONG_SD, ASIDE_SD = 0.04, 0.02  # what a pose network's points err by, as shares of the length
-HELD_OUT = 8  # every eighth scene is not learnt from
+HELD_OUT = 8  # every eighth scene is not learnt from, nor the split val
 _BATCH, _SEEN = 128, 2
 _SMOOTH = 0.02
 _LIMITS = (
     "Where neither end is in sight it goes by colour and taper alone.",
     "Learnt from points that err by 4 % of the length along a fruit and 2 % aside; worse points "
     "give worse answers.",
-    "Its probabilities are those of drawn fruit; on real ones they were not checked.",
+    "Its probabilities are those of drawn fruit and of photos of loose fruit.",
 )
 
 
@@ -92,7 +93,8 @@ def collect_strips(
     Parameters
     ----------
     sets : sequence of DataSet
-        With keypoints; pictures of the split 'test' are left out.
+        With keypoints; a set that is named twice counts twice. Pictures of the split 'test' are
+        left out, and fruit of which nobody said where the stem is; those of 'val' are judged by.
     seed : int
         Of the points' errors.
     progress : callable, optional
@@ -120,7 +122,8 @@ def collect_strips(
                     strips = _copies(rng, color, label)
                     found += strips
                     seen += [_ends_seen(label)] * len(strips)
-                    held += [scene % HELD_OUT == HELD_OUT - 1] * len(strips)
+                    judged = picture.split == "val" or scene % HELD_OUT == HELD_OUT - 1
+                    held += [judged] * len(strips)
     if not found or all(held) or not any(held):
         raise TrainingError(
             "there are too few scenes with fruit of five labelled points",
@@ -131,7 +134,10 @@ def collect_strips(
 
 
 def _usable(label: Label) -> bool:
-    return not label.ignore and label.keypoints is not None and bool(label.keypoints[:, 2].all())
+    by_chance = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
+    if label.ignore or label.keypoints is None or by_chance:
+        return False
+    return bool(label.keypoints[:, 2].all())
 
 
 def _ends_seen(label: Label) -> int:

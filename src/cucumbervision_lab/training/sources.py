@@ -12,9 +12,10 @@ import numpy as np
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.keypoint_axis import keypoints_between
+from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.derive import add_pseudo_masks, merge_datasets
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.polygons import (
     DIRECTIONS,
     keypoints_of_mask,
@@ -139,8 +140,8 @@ def _few_of_each(pictures: Sequence[LabelledPicture], most: int) -> list[Labelle
 def with_axis_points(dataset: DataSet) -> DataSet:
     """Give keypoints along the axis of its mask to every whole fruit that has none.
 
-    Where nobody said which end is the stem's, the order is by chance of where the fruit lies:
-    good for a network that learns points by place, not for `train ends`.
+    Where nobody said which end is the stem's, the order is by chance of where the fruit lies, which
+    the label's extras say: good for a network that learns points by place, not for `train ends`.
 
     Parameters
     ----------
@@ -169,10 +170,12 @@ def _with_points(label: Label) -> Label:
     if points is not None:
         return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))
     told = label.extras.get("stem")
-    for stem in [told] if told in DIRECTIONS else ["right", "up"]:
+    known = told in DIRECTIONS
+    for stem in [str(told)] if known else ["right", "up"]:
         points = keypoints_of_mask(mask, stem)
         if points is not None:
-            return replace(label, keypoints=points)
+            extras = label.extras if known else {**label.extras, KEYPOINT_ORDER: BY_PLACE}
+            return replace(label, keypoints=points, extras=extras)
     return label
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from cucumbervision.cli.console import summary_table
 from cucumbervision.pipeline.detect import DetectedPicture, DetectResult
@@ -23,42 +22,16 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.fixture
-def detector(tmp_path: Path) -> Path:
-    """A detecting network that finds one box, whatever it sees."""
-    onnx = pytest.importorskip("onnx")
-    helper, kind = onnx.helper, onnx.TensorProto
-    rows = np.zeros((1, 300, 6), np.float32)
-    rows[0, 0] = [8, 8, 40, 30, 0.75, 0]
-    nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-        helper.make_node("Add", ["rows", "nothing"], ["output"]),
-    ]
-    constants = [
-        onnx.numpy_helper.from_array(np.float32(0), "zero"),
-        onnx.numpy_helper.from_array(rows, "rows"),
-    ]
-    images = helper.make_tensor_value_info("images", kind.FLOAT, (1, 3, 64, 64))
-    output = helper.make_tensor_value_info("output", kind.FLOAT, rows.shape)
-    graph = helper.make_graph(nodes, "g", [images], [output], constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(
-        model, {"names": "{0: 'cucumber'}", "task": "detect", "end2end": "True", "stride": "32"}
-    )
-    path = tmp_path / "one-box.onnx"
-    path.write_bytes(model.SerializeToString())
-    return path
-
-
-def test_detect_shows_a_summary_and_writes_its_files(tmp_path: Path, detector: Path) -> None:
+def test_detect_shows_a_summary_and_writes_its_files(
+    tmp_path: Path, one_box_detector: Path
+) -> None:
     photos = tmp_path / "photos"
     photos.mkdir()
     cv2.imwrite(str(photos / "a.png"), np.full((64, 64, 3), 90, np.uint8))
     (photos / "b.png").write_bytes(b"no picture")
     (photos / "c.txt").write_text("")
     out = tmp_path / "out"
-    common = ("--model", str(detector), "--segmenter", "none", "--out", str(out))
+    common = ("--model", str(one_box_detector), "--segmenter", "none", "--out", str(out))
     done = run(str(photos), *common)
     assert done.returncode == 1, done.stderr
     table = {line.split("│")[1].strip(): line.split("│")[2].strip()

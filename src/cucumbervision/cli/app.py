@@ -24,6 +24,7 @@ from cucumbervision.cli import (
     models,
     record,
     round,
+    serve,
     stream,
 )
 from cucumbervision.cli.choices import EXIT_CODES
@@ -47,6 +48,7 @@ app.command("stream", epilog=EXIT_CODES)(stream.stream)
 app.command("record", epilog=EXIT_CODES)(record.record)
 app.command("cameras")(record.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
+app.command("serve")(serve.serve)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
 _GROUPS = {

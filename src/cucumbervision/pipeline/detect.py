@@ -44,6 +44,7 @@ __all__ = [
     "DetectedPicture",
     "Picture",
     "PictureList",
+    "coco_fields",
     "detect_inputs",
     "find_pictures",
 ]
@@ -366,7 +367,7 @@ class _Run:
             category = self._labels.index(one.class_name) + 1
             head = {"image_id": number, "file_name": name, "category_id": category}
             keypoints = self._detectors.gives_keypoints
-            self._entries.append(head | _coco_fields(one, keypoints=keypoints))
+            self._entries.append(head | coco_fields(one, keypoints=keypoints))
         if self._options.overlays:
             from cucumbervision.pipeline.overlay import draw_detections
 
@@ -411,7 +412,7 @@ def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def _coco_fields(one: Instance, *, keypoints: bool) -> dict[str, Any]:
+def coco_fields(one: Instance, *, keypoints: bool) -> dict[str, Any]:
     """Return one fruit's box, score, mask and keypoints as COCO's results have them.
 
     COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1; `keypoints`

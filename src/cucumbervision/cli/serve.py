@@ -1,0 +1,66 @@
+"""`cucumbervision serve`: captures in and rows out over HTTP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cucumbervision.cli.choices import Confidence, InputSize, Prompt, Runtime, SegmenterChoice
+
+__all__ = ["serve"]
+
+
+def serve(
+    address: Annotated[
+        str, typer.Option(help="Address to listen on; this machine only by default.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8600,
+    token: Annotated[
+        str,
+        typer.Option(
+            envvar="CUCUMBERVISION_TOKEN",
+            help="What requests must carry; needed for addresses that other machines reach. "
+            "Better in the environment than on the command line, where others see it.",
+            show_default=False,
+        ),
+    ] = "",
+    most_mb: Annotated[
+        int, typer.Option("--max-mb", min=1, help="Largest request, megabytes.")
+    ] = 200,
+    waiting: Annotated[
+        int, typer.Option(min=0, help="Requests that may wait for the one that is measured.")
+    ] = 8,
+    segmenter: Annotated[
+        SegmenterChoice | None, typer.Option(help="Who draws the masks, as for `measure`.")
+    ] = None,
+    prompt: Prompt = "box+point",
+    confidence: Confidence = 0.30,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
+    ] = None,
+    input_size: InputSize = "",
+    runtime: Runtime = "auto",
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Half precision where the processor can.")
+    ] = False,
+) -> None:
+    """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'."""
+    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.service.server import serve as run
+    from cucumbervision.service.settings import ServiceSettings, request_limits
+
+    options = MeasureOptions(
+        segmenter=segmenter,
+        prompt=prompt,
+        confidence=confidence,
+        input_sizes=parse_input_sizes(input_size),
+        runtime=runtime,
+        full_precision=not fast,
+        calibration=calibration,
+    )
+    settings = ServiceSettings(token, request_limits(most_mb), waiting)
+    typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
+    run(options, settings, address=address, port=port)

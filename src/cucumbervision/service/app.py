@@ -1,0 +1,230 @@
+"""The service's routes, who may use them, and what is counted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any, BinaryIO
+
+from fastapi import APIRouter, Depends, FastAPI, File, Request, Response, UploadFile
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from fastapi.security import HTTPBearer
+from prometheus_client import (
+    CONTENT_TYPE_LATEST,
+    CollectorRegistry,
+    Counter,
+    Histogram,
+    generate_latest,
+)
+from starlette.exceptions import HTTPException
+from starlette.middleware.body_limit import RequestBodyLimitMiddleware
+
+from cucumbervision._version import __version__
+from cucumbervision.about import software
+from cucumbervision.errors import (
+    CucumberVisionError,
+    FileError,
+    InternalError,
+    ModelError,
+    OutOfMemoryError,
+    named_error,
+)
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.service.replies import DetectReply, Health, MeasureReply, Problem
+from cucumbervision.service.settings import ServiceSettings
+from cucumbervision.service.work import BusyError, Work
+
+__all__ = ["create_app"]
+
+OPEN = frozenset({"/health"})
+BODY_SLACK = 1_000_000  # heads of the parts of a body of many files
+
+_REFUSED = {
+    400: "The body cannot be parsed.",
+    401: "No token, or a wrong one.",
+    413: "The body is larger than the service takes.",
+    422: "The request has no files, or nothing can be taken of it.",
+    500: "A defect of the software, a full disk, or a network that cannot be loaded.",
+    503: "Too many requests wait, or there is no memory.",
+}
+_RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {"model": Problem, "description": text} for status, text in _REFUSED.items()
+}
+_bearer = HTTPBearer(auto_error=False, description="The service's token.")
+Files = Annotated[
+    list[UploadFile], File(description="One file or more, as for an upload.", min_length=1)
+]
+
+
+class _Metrics:
+    """What Prometheus is told."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.requests = Counter(
+            "cucumbervision_requests",
+            "Requests by path and status",
+            ("path", "status"),
+            registry=self.registry,
+        )
+        self.found = Counter(
+            "cucumbervision_found",
+            "Captures, pictures, fruit and failures of answers",
+            ("what",),
+            registry=self.registry,
+        )
+        self.seconds = Histogram(
+            "cucumbervision_request_seconds",
+            "Time of requests that were answered, waiting included",
+            ("path",),
+            registry=self.registry,
+            buckets=(0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300),
+        )
+
+
+def create_app(
+    measurer: Measurer | None = None, settings: ServiceSettings | None = None
+) -> FastAPI:
+    """Return the service.
+
+    Parameters
+    ----------
+    measurer : Measurer, optional
+        What measures.
+    settings : ServiceSettings, optional
+        Token and limits.
+
+    Examples
+    --------
+    >>> sorted(create_app().openapi()["paths"])
+    ['/detect', '/health', '/measure', '/metrics']
+    """
+    settings = settings or ServiceSettings()
+    work, metrics = Work(measurer or Measurer(), settings), _Metrics()
+    # No pages: FastAPI's own load their scripts from another machine.
+    app = FastAPI(
+        title="CucumberVision",
+        version=__version__,
+        description="Measures greenhouse cucumbers from RGB-D pictures.",
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.include_router(_routes(work, metrics))
+    _answer_errors(app)
+    app.add_middleware(
+        RequestBodyLimitMiddleware, max_body_size=settings.limits.total_bytes + BODY_SLACK
+    )
+
+    # The last that is added comes first: nobody's body is read before the token is.
+    @app.middleware("http")
+    async def guard(request: Request, answer: Callable[[Request], Awaitable[Response]]) -> Response:
+        began_s = time.perf_counter()
+        path = request.url.path
+        scheme, _, token = request.headers.get("authorization", "").partition(" ")
+        admitted = path in OPEN or settings.admits(token if scheme.lower() == "bearer" else "")
+        if admitted:
+            response = await answer(request)
+        else:
+            response = _problem(401, "AccessError", "the token is missing or wrong")
+            response.headers["WWW-Authenticate"] = "Bearer"
+        known = path if path in _PATHS else "other"
+        metrics.requests.labels(known, str(response.status_code)).inc()
+        if admitted:
+            metrics.seconds.labels(known).observe(time.perf_counter() - began_s)
+        return response
+
+    return app
+
+
+_PATHS = frozenset({"/measure", "/detect", "/health", "/metrics", "/openapi.json"})
+
+
+def _routes(work: Work, metrics: _Metrics) -> APIRouter:
+    """Return the four routes."""
+    routes = APIRouter()
+    secured: dict[str, Any] = {
+        "responses": _RESPONSES,
+        "dependencies": [Depends(_bearer)] if work.settings.token else [],
+    }
+
+    @routes.post("/measure", response_model=MeasureReply, **secured)
+    def measure(files: Files) -> MeasureReply:
+        """Measure every fruit of every capture: zipped capture folders, pairs, .npz, recordings."""
+        reply = work.measure(_streams(files))
+        metrics.found.labels("captures").inc(len(reply.captures))
+        metrics.found.labels("fruit").inc(sum(len(one.fruit) for one in reply.captures))
+        metrics.found.labels("failures").inc(len(reply.failures))
+        return reply
+
+    @routes.post("/detect", response_model=DetectReply, **secured)
+    def detect(files: Files) -> DetectReply:
+        """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
+        reply = work.detect(_streams(files))
+        metrics.found.labels("pictures").inc(len(reply.pictures))
+        metrics.found.labels("fruit").inc(sum(len(one.fruit) for one in reply.pictures))
+        metrics.found.labels("failures").inc(len(reply.failures))
+        return reply
+
+    @routes.get("/health", response_model=Health)
+    def health() -> Health:
+        """Say that the service works, what it is, and where its source is; needs no token."""
+        names = [str(one["name"]) for one in work.measurer.models]
+        about = software()
+        return Health(
+            status="ok",
+            software=about["software"],
+            licence=about["licence"],
+            source=about["source"],
+            models=names,
+        )
+
+    @routes.get("/metrics", response_class=Response, **_only(secured, 401))
+    def tell_metrics() -> Response:
+        """Tell Prometheus what was done."""
+        return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
+
+    return routes
+
+
+def _only(secured: dict[str, Any], status: int) -> dict[str, Any]:
+    text = {"description": "Metrics in Prometheus' text format.", "content": {"text/plain": {}}}
+    return {**secured, "responses": {200: text, status: _RESPONSES[status]}}
+
+
+def _streams(files: list[UploadFile]) -> list[tuple[str, BinaryIO]]:
+    return [(one.filename or "unnamed", one.file) for one in files]
+
+
+def _problem(status: int, error: str, message: str) -> JSONResponse:
+    return JSONResponse(Problem(error=error, message=message).model_dump(), status)
+
+
+def _answer_errors(app: FastAPI) -> None:
+    """Answer whatever is raised with a `Problem`."""
+
+    @app.exception_handler(HTTPException)
+    async def refused(_: Request, error: HTTPException) -> Response:
+        response = _problem(error.status_code, "HTTPError", str(error.detail))
+        response.headers.update(error.headers or {})
+        return response
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_: Request, error: RequestValidationError) -> Response:
+        faults = [f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()]
+        return _problem(422, "RequestError", "; ".join(faults)[:1000])
+
+    async def failed(_: Request, error: Exception) -> Response:
+        named = named_error(error)
+        status = 422
+        if isinstance(named, InternalError | FileError | ModelError):
+            status = 500
+        elif isinstance(named, BusyError | OutOfMemoryError):
+            status = 503
+        response = _problem(status, named.code, str(named))
+        if status == 503:
+            response.headers["Retry-After"] = "1"
+        return response
+
+    for kind in (CucumberVisionError, MemoryError, OSError, Exception):
+        app.add_exception_handler(kind, failed)

@@ -1,0 +1,211 @@
+"""The service in its own process's hands: what it measures, refuses and counts."""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+from collections.abc import Iterator, MutableMapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("fastapi")
+
+import anyio
+from starlette.testclient import TestClient
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.service.app import create_app
+from cucumbervision.service.client import packed
+from cucumbervision.service.settings import ServiceSettings, request_limits
+from cucumbervision.service.work import Work
+
+TOKEN = "0123456789abcdef"
+ADMITTED = {"Authorization": f"Bearer {TOKEN}"}
+
+
+@pytest.fixture(scope="module")
+def bench() -> Capture:
+    return next(iter(open_source(bundled_captures() / "simulated-bench"))).load()
+
+
+@pytest.fixture
+def measurer() -> Measurer:
+    return Measurer(MeasureOptions(instances="dataset"))
+
+
+@pytest.fixture
+def client(measurer: Measurer) -> Iterator[TestClient]:
+    with TestClient(create_app(measurer, ServiceSettings(TOKEN)), headers=ADMITTED) as client:
+        yield client
+
+
+def test_a_capture_comes_back_as_the_rows_of_the_tables(
+    client: TestClient, measurer: Measurer, bench: Capture
+) -> None:
+    reply = client.post("/measure", files=[("files", packed(bench))])
+    assert reply.status_code == 200, reply.text
+    told = reply.json()
+    (capture,) = told["captures"]
+    assert (capture["name"], capture["simulated"]) == ("simulated-bench", True)
+    expected = measurer.measure(bench).rows()
+    assert len(capture["fruit"]) == len(expected) == 3
+    for row, own in zip(capture["fruit"], expected, strict=True):
+        assert list(row) == [one.name for one in FIELDS]
+        # Where it was read from is the sender's name here, and a path there.
+        assert {k: v for k, v in row.items() if k != "source"} == {
+            k: v for k, v in own.items() if k != "source"
+        }
+    assert told["config_sha256"] == measurer.options.sha256
+
+
+def test_what_cannot_be_read_costs_the_others_nothing(client: TestClient, bench: Capture) -> None:
+    files = [
+        ("files", ("../../x.png", b"MZ no picture")),
+        ("files", packed(bench)),
+        ("files", ("half.zip", packed(bench)[1][:5000])),
+    ]
+    told = client.post("/measure", files=files).json()
+    assert [one["name"] for one in told["captures"]] == ["simulated-bench"]
+    assert [(one["name"], one["error"]) for one in told["failures"]] == [
+        ("x.png", "UploadError"),
+        ("half.zip", "UploadError"),
+    ]
+    assert not any("/tmp" in one["message"] for one in told["failures"])
+
+
+def test_detect_gives_boxes_as_coco_has_them(one_box_detector: Path) -> None:
+    measurer = Measurer(MeasureOptions(instances=str(one_box_detector), segmenter="none"))
+    picture = cv2.imencode(".png", np.full((64, 64, 3), 90, np.uint8))[1].tobytes()
+    files = [("files", ("a.png", picture)), ("files", ("b.txt", b"text"))]
+    with TestClient(create_app(measurer)) as client:
+        told = client.post("/detect", files=files).json()
+        (seen,) = told["pictures"]
+        # The network's box is 8, 8 to 40, 30 pixels from the picture's corner.
+        (fruit,) = seen["fruit"]
+        assert (fruit["bbox"], fruit["score"], fruit["class"]) == ([8, 8, 32, 22], 0.75, "cucumber")
+        assert [(one["name"], one["error"]) for one in told["failures"]] == [
+            ("b.txt", "UploadError")
+        ]
+        assert client.get("/health").json()["models"] == [one_box_detector.name]
+
+
+@pytest.mark.parametrize("token", ["", "Bearer", "Bearer 0123456789abcdeF", f"Basic {TOKEN}"])
+def test_nobody_else_gets_in(measurer: Measurer, token: str) -> None:
+    with TestClient(create_app(measurer, ServiceSettings(TOKEN))) as client:
+        given = {"Authorization": token} if token else {}
+        for path in ("/measure", "/detect"):
+            reply = client.post(path, headers=given, content=b"x")
+            assert reply.status_code == 401
+            assert reply.headers["www-authenticate"] == "Bearer"
+        assert client.get("/metrics", headers=given).status_code == 401
+        assert client.get("/openapi.json", headers=given).status_code == 401
+        assert client.get("/health").json()["status"] == "ok"
+
+
+def test_no_body_is_read_before_the_token(measurer: Measurer) -> None:
+    app, sent = create_app(measurer, ServiceSettings(TOKEN)), []
+    scope = {
+        **{"type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "http"},
+        **{"method": "POST", "path": "/measure", "raw_path": b"/measure", "root_path": ""},
+        **{"query_string": b"", "client": None, "server": None},
+        "headers": [(b"content-type", b"multipart/form-data; boundary=x")],
+    }
+
+    async def receive() -> dict[str, object]:
+        raise AssertionError("the body was asked for")
+
+    async def send(message: MutableMapping[str, object]) -> None:
+        sent.append(message)
+
+    anyio.run(app, scope, receive, send)
+    assert sent[0]["status"] == 401
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_body_that_is_too_large_is_refused(measurer: Measurer, told: bool) -> None:
+    settings = ServiceSettings(limits=request_limits(1))
+    body = b"--x\r\n" + b"a" * 3_000_000
+    content: bytes | io.BytesIO = body if told else io.BytesIO(body)
+    with TestClient(create_app(measurer, settings)) as client:
+        kind = {"Content-Type": "multipart/form-data; boundary=x"}
+        reply = client.post("/measure", headers=kind, content=content)
+    assert reply.status_code == 413
+
+
+def test_who_comes_when_too_many_wait_is_told_when_to_come_again(
+    measurer: Measurer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[Work] = []
+    made = Work.__init__
+
+    def keep(self: Work, *given: object) -> None:
+        made(self, *given)  # type: ignore[arg-type]
+        taken.append(self)
+
+    monkeypatch.setattr(Work, "__init__", keep)
+    with TestClient(create_app(measurer, ServiceSettings(waiting=0))) as client:
+        with taken[0].turn():
+            reply = client.post("/measure", files=[("files", ("a.png", b""))])
+        assert (reply.status_code, reply.headers["retry-after"]) == (503, "1")
+        assert client.post("/measure", files=[("files", ("a.png", b""))]).status_code == 200
+
+
+def test_refusals_say_why_in_one_form(client: TestClient) -> None:
+    no_border = {"Content-Type": "multipart/form-data"}
+    for reply, status in (
+        (client.post("/measure"), 422),
+        (client.get("/measure"), 405),
+        (client.get("/nowhere"), 404),
+        (
+            client.post("/measure", content=b"x", headers=no_border),
+            400,
+        ),
+    ):
+        assert reply.status_code == status
+        assert set(reply.json()) == {"error", "message"}
+
+
+def test_what_was_done_is_counted(client: TestClient, bench: Capture) -> None:
+    client.post("/measure", files=[("files", packed(bench))])
+    client.get("/a-path-of-a-stranger")
+    lines = client.get("/metrics").text.splitlines()
+    assert 'cucumbervision_requests_total{path="/measure",status="200"} 1.0' in lines
+    assert 'cucumbervision_requests_total{path="other",status="404"} 1.0' in lines
+    assert 'cucumbervision_found_total{what="fruit"} 3.0' in lines
+    assert 'cucumbervision_request_seconds_count{path="/measure"} 1.0' in lines
+
+
+def test_the_description_names_every_column(client: TestClient) -> None:
+    told = client.get("/openapi.json").json()
+    columns = told["components"]["schemas"]["FruitRow"]["properties"]
+    assert {name: one["description"] for name, one in columns.items()} == {
+        one.name: one.says for one in FIELDS
+    }
+    assert told["paths"]["/measure"]["post"]["security"] == [{"HTTPBearer": []}]
+    assert json.dumps(told).count("http") < 5  # no page that loads from elsewhere
+
+
+def test_requests_take_turns(measurer: Measurer, bench: Capture) -> None:
+    work, inside, most = Work(measurer, ServiceSettings(waiting=8)), [0], [0]
+
+    def one() -> None:
+        with work.turn():
+            inside[0] += 1
+            most[0] = max(most[0], inside[0])
+            inside[0] -= 1
+
+    threads = [threading.Thread(target=one) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert most == [1]

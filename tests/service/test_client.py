@@ -1,0 +1,94 @@
+"""The client against the command itself, on loopback."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("fastapi")
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.errors import AccessError
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.service.client import Client, ServiceError
+from cucumbervision.service.settings import check_access
+
+TOKEN = "a-token-of-the-tests"
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[str]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    code = "from cucumbervision.cli.app import main; main()"
+    command = [sys.executable, "-c", code, "serve", "--port", str(port), "--segmenter", "none"]
+    environment = {**os.environ, "CUCUMBERVISION_TOKEN": TOKEN}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        url = f"http://127.0.0.1:{port}"
+        for _ in range(600):
+            try:
+                Client(url).health()
+                break
+            except ServiceError:
+                assert process.poll() is None, process.stderr and process.stderr.read()
+                time.sleep(0.2)
+        yield url
+        process.terminate()
+
+
+def test_captures_go_and_rows_come(service: str) -> None:
+    capture = next(iter(open_source(bundled_captures() / "simulated-bench"))).load()
+    client = Client(service, TOKEN)
+    told = client.measure(capture)
+    (measured,) = told["captures"]
+    own = Measurer(MeasureOptions(segmenter="none")).measure(capture).rows()
+    lengths = [row["length_cm"] for row in own]
+    assert [row["length_cm"] for row in measured["fruit"]] == lengths
+    assert told["failures"] == []
+
+
+def test_pictures_that_are_none_are_named(service: str, tmp_path: Path) -> None:
+    broken = tmp_path / 'a "b".jpg'
+    broken.write_bytes(b"no picture")
+    told = Client(service, TOKEN).detect(broken)
+    assert told["pictures"] == []
+    assert [one["error"] for one in told["failures"]] == ["UploadError"]
+
+
+def test_a_wrong_token_is_said(service: str) -> None:
+    assert Client(service).health()["status"] == "ok"
+    picture = bundled_captures() / "simulated-bench" / "color_000000.jpg"
+    with pytest.raises(ServiceError, match="the token is missing or wrong") as refused:
+        Client(service, "another-token-0123").detect(picture)
+    assert refused.value.status == 401
+
+
+def test_a_service_that_is_not_there_is_said() -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{closed.getsockname()[1]}"
+        with pytest.raises(ServiceError, match="does not answer") as refused:
+            Client(url, timeout_s=5).health()
+    assert refused.value.status == 0
+    with pytest.raises(ServiceError, match="no address"):
+        Client("file:///etc/passwd")
+
+
+@pytest.mark.parametrize(
+    ("address", "token"), [("0.0.0.0", ""), ("", ""), ("::", ""), ("127.0.0.1", "short")]
+)
+def test_other_machines_need_a_token(address: str, token: str) -> None:
+    with pytest.raises(AccessError):
+        check_access(address, token)
+    check_access("localhost", "")
+    check_access(address, TOKEN)

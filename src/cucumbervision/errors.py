@@ -45,6 +45,7 @@ __all__ = [
     "as_errors_of",
     "named_error",
     "naming_os_errors",
+    "refusing",
 ]
 
 
@@ -249,6 +250,60 @@ def naming_os_errors(
     except OSError as error:
         raise kind(f"{fault} ({error.strerror})", source=source, remedy=remedy) from error
 
+
+@contextmanager
+def refusing(
+    source: object,
+    kind: type[CucumberVisionError] = CucumberVisionError,
+    remedy: str = "correct or export it again",
+) -> Iterator[None]:
+    """Raise a named error for whatever a damaged file makes its reader raise: the reader's door.
+
+    Named errors pass as they are; the original error stays their cause.
+
+    Parameters
+    ----------
+    source : object
+        The file that is read inside.
+    kind : type
+        The error's class.
+    remedy : str
+        What the user can do about it.
+
+    Examples
+    --------
+    >>> with refusing("run.json", TruthError):
+    ...     {"captures": 3}["fruit"]
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.TruthError: run.json: has no 'fruit'; correct or export it again
+    """
+    try:
+        yield
+    except CucumberVisionError:
+        raise
+    except MemoryError as error:
+        raise named_error(error, source) from error
+    except Exception as error:
+        raise kind(_fault_of(error), source=source, remedy=remedy) from error
+
+
+def _fault_of(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError):
+        return f"cannot be read ({error.strerror or text})"
+    if isinstance(error, RecursionError):
+        return "is nested too deeply"
+    if isinstance(error, UnicodeError):
+        return "is no text that can be read"
+    if isinstance(error, KeyError):
+        return f"has no {text[:_LONGEST_FAULT]}"
+    if len(text) > _LONGEST_FAULT:
+        text = f"{text[:_LONGEST_FAULT]}…"
+    return f"is damaged or of another form ({text or type(error).__name__})"
+
+
+_LONGEST_FAULT = 200  # of what a library says
 
 _FILE_REMEDIES = {
     errno.ENAMETOOLONG: "shorten the name",

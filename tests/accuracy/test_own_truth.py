@@ -180,10 +180,10 @@ def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: 
     ("name", "content", "text"),
     [
         ("measurements.json", "{}", "holds no measurements"),
-        ("measurements.json", "{", "cannot be read"),
+        ("measurements.json", "{", "is no JSON"),
         ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
         ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),
-        ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "a row that is none of ours"),
+        ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "is damaged or of another form"),
         ("other.txt", "", "holds no measurements"),
     ],
 )

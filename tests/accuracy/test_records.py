@@ -40,7 +40,7 @@ def test_a_broken_line_in_the_middle_is_named(tmp_path: Path) -> None:
     path = tmp_path / "records.jsonl"
     path.write_text("nonsense\n")
     append_record(path, ONE)
-    with pytest.raises(CucumberVisionError, match=r"records\.jsonl: line 1 is no record"):
+    with pytest.raises(CucumberVisionError, match=r"records\.jsonl, line 1: is damaged"):
         read_records([path])
 
 

@@ -73,7 +73,7 @@ def test_another_file_is_refused(tmp_path: Path, change: dict[str, object], text
 
 
 def test_what_cannot_be_read_or_written(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="cannot be read"):
+    with pytest.raises(CalibrationError, match="the file is missing; make it with"):
         read_site_calibration(tmp_path / "none.json")
     (tmp_path / "a.json").write_text("{")
     with pytest.raises(CalibrationError, match="is no JSON"):

@@ -168,7 +168,7 @@ def test_a_broken_manifest_is_told(registry: Registry, tmp_path: Path, content: 
 @pytest.mark.parametrize("content", ["models = 3", "[[models]]\nname = 'x'", "[["])
 def test_a_broken_registry_is_told(tmp_path: Path, content: str) -> None:
     (tmp_path / "models.toml").write_text(content)
-    with pytest.raises(ModelError, match=r"models\.toml: the registry cannot be read"):
+    with pytest.raises(ModelError, match=r"models\.toml: .*; install again"):
         load_registry(tmp_path / "models.toml")
 
 

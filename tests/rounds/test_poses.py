@@ -44,7 +44,7 @@ def test_unreadable_files(tmp_path: Path) -> None:
         read_poses(tmp_path / "none.csv")
     broken = tmp_path / "broken.json"
     broken.write_text("[{")
-    with pytest.raises(RoundError, match="cannot be read"):
+    with pytest.raises(RoundError, match="is no JSON"):
         read_poses(broken)
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.accuracy.truth import parse_number, read_table
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import CucumberVisionError, refusing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -101,24 +101,20 @@ def read_measured(path: Path) -> Measured:
         path = found[0]
     beside = path.with_suffix(".json")
     report = _read_report(beside) if beside.exists() else {}
-    if path.suffix.lower() == ".json":
-        if not report:
-            raise CucumberVisionError("is missing", source=path, remedy=REMEDY)
-        rows = [row for capture in report["captures"] for row in capture["fruit"]]
-        names = [str(capture["name"]) for capture in report["captures"]]
-    else:
-        table = read_table(path)
-        rows = [_typed(line.cells) for line in table.lines]
-        names = []
-        if not {"capture", "fruit", "length_cm"} <= set(table.columns):
-            raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
-    ran = _keys_that_ran(rows, report)
-    try:
+    with refusing(path, remedy=REMEDY):
+        if path.suffix.lower() == ".json":
+            if not report:
+                raise CucumberVisionError("is missing", source=path, remedy=REMEDY)
+            rows = [row for capture in report["captures"] for row in capture["fruit"]]
+            names = [str(capture["name"]) for capture in report["captures"]]
+        else:
+            table = read_table(path)
+            rows = [_typed(line.cells) for line in table.lines]
+            names = []
+            if not {"capture", "fruit", "length_cm"} <= set(table.columns):
+                raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+        ran = _keys_that_ran(rows, report)
         readings = tuple(_reading(row, ran) for row in rows)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise CucumberVisionError(
-            f"holds a row that is none of ours ({error})", source=path, remedy=REMEDY
-        ) from None
     if not readings:
         raise CucumberVisionError("holds no fruit", source=path, remedy="measure captures first")
     captures = tuple(dict.fromkeys([*names, *(r.capture for r in readings)]))
@@ -126,10 +122,7 @@ def read_measured(path: Path) -> Measured:
 
 
 def _read_report(path: Path) -> dict[str, Any]:
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CucumberVisionError(f"cannot be read ({error})", source=path, remedy=REMEDY) from None
+    report = read_json(path, CucumberVisionError, REMEDY)
     captures = report.get("captures") if isinstance(report, dict) else None
     known = isinstance(captures, list) and all(
         isinstance(c, dict) and {"name", "fruit", "intrinsics"} <= set(c) for c in captures

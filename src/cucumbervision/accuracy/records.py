@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.capture.files import parse_model, read_text
+from cucumbervision.errors import CucumberVisionError, MissingExtraError, refusing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -112,19 +113,19 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
     """
     records = []
     for path in paths:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text(path, CucumberVisionError).split("\n")
         for number, line in enumerate(lines, 1):
+            if not line.strip():
+                continue
+            place, again = f"{path}, line {number}", "delete the line, or the file, and run again"
             try:
-                values = json.loads(line)
-                records.append(Record(**values | {"masks": Masks(values["masks"])}))
-            except (ValueError, TypeError, KeyError) as error:
+                with refusing(place, remedy=again):
+                    values = json.loads(line)
+                records.append(parse_model(Record, values, source=place, error=CucumberVisionError))
+            except CucumberVisionError:
                 if number == len(lines):
                     continue
-                raise CucumberVisionError(
-                    f"line {number} is no record ({error})",
-                    source=path,
-                    remedy="delete the line, or the file, and run again",
-                ) from None
+                raise
     return records
 
 
@@ -170,4 +171,5 @@ def readings_frame(records: Iterable[Record]) -> pd.DataFrame:
             shared | {"method": method, "length_m": length_m}
             for method, length_m in record.lengths_m.items()
         ]
-    return pd.DataFrame(rows).astype(dict.fromkeys(_NUMBERS, float))
+    with refusing("the records", remedy="run the benchmark again"):
+        return pd.DataFrame(rows).astype(dict.fromkeys(_NUMBERS, float))

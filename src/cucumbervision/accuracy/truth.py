@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.errors import CucumberVisionError, TruthError, naming_os_errors
+from cucumbervision.capture.files import read_text
+from cucumbervision.errors import CucumberVisionError, TruthError, refusing
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     >>> table.columns, table.lines[0]
     (('capture', 'length_cm'), Line(number=2, cells={'capture': 'row-3', 'length_cm': '23,5'}))
     """
-    text = _text(path, error)
+    text = read_text(path, error)
     first, _, rest = text.partition("\n")
     skipped = 0
     if first.strip().strip('"').lower().startswith("sep="):
@@ -90,6 +91,13 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     if not text.strip():
         raise error("the file is empty", source=path, remedy="write a head and a line a length")
     separator = max(SEPARATORS, key=first.count)
+    with refusing(path, error, "write one line a length, and close every quote"):
+        return _table_of(text, skipped, separator, path, error)
+
+
+def _table_of(
+    text: str, skipped: int, separator: str, path: Path, error: type[CucumberVisionError]
+) -> Table:
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     head = tuple(name.strip().lower() for name in next(reader))
     double = {name for name in head if name and head.count(name) > 1}
@@ -137,17 +145,6 @@ def parse_number(text: str) -> float | None:
 def _cell(text: str) -> str:
     plain = text.strip()
     return plain[1:] if plain[:1] == "'" and plain[1:2] in FORMULA_STARTS else plain
-
-
-def _text(path: Path, error: type[CucumberVisionError]) -> str:
-    with naming_os_errors("cannot be read", path, "check the path", error):
-        data = path.read_bytes()
-    for code in ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "cp1252"):
-        try:
-            return data.decode(code)
-        except UnicodeDecodeError:
-            continue
-    raise error("is no text", source=path, remedy="save the table as CSV UTF-8")
 
 
 MISSED = "missed"

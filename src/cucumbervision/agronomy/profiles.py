@@ -322,12 +322,13 @@ def _entry(path: Path, *, shipped: bool) -> ProfileEntry:
 
 def _read(path: Path) -> CropProfile:
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            data = tomllib.load(stream)
     except OSError as error:
         raise ProfileError(
             f"cannot be read ({error.strerror})", source=path, remedy="give a profile's file"
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ProfileError(
             f"is no TOML ({error})", source=path, remedy="correct that line"
         ) from None

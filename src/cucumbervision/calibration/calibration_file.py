@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 
 from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
-from cucumbervision.capture.files import parse_model
+from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import CalibrationError, naming_os_errors
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -212,11 +212,7 @@ def read_site_calibration(path: Path) -> SiteCalibration:
         If it is missing, no calibration, or of another version.
     """
     again = "make it with `cucumbervision calibrate`"
-    try:
-        with naming_os_errors("cannot be read", path, again, CalibrationError):
-            data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        raise CalibrationError("is no JSON", source=path, remedy=again) from None
+    data = read_json(path, CalibrationError, again)
     if not isinstance(data, dict) or data.get("format") != _FORMAT:
         raise CalibrationError("is no calibration file", source=path, remedy=again)
     if data.get("version") != 1:

@@ -7,6 +7,7 @@ import math
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -16,13 +17,14 @@ from cucumbervision.errors import (
     CucumberVisionError,
     DepthError,
     naming_os_errors,
+    refusing,
 )
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-    from pydantic import BaseModel
+    from pydantic import TypeAdapter
 
 __all__ = [
     "COLOR_SUFFIXES",
@@ -37,6 +39,7 @@ __all__ = [
     "read_json",
     "read_mask",
     "read_photo",
+    "read_text",
     "write_bytes",
     "write_jpeg",
     "write_png",
@@ -50,20 +53,24 @@ _GREY = 114  # what stands for nothing in a network's input too
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 
-ModelT = TypeVar("ModelT", bound="BaseModel")
+ModelT = TypeVar("ModelT")
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(
+    path: Path,
+    error: type[CucumberVisionError] = CaptureError,
+    remedy: str = "copy the capture again",
+) -> bytes:
     """Read a file, or say in one line why not."""
     data = None
     with (
-        naming_os_errors("cannot be read", path, "check the path", CaptureError),
+        naming_os_errors("cannot be read", path, "check the path", error),
         suppress(FileNotFoundError),
     ):
         data = path.read_bytes()
     if not data:
         fault = "the file is missing" if data is None else "the file is empty"
-        raise CaptureError(fault, source=path, remedy="copy the capture again")
+        raise error(fault, source=path, remedy=remedy)
     return data
 
 
@@ -194,14 +201,15 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         If it holds Python objects (pickle), is no NumPy file, or has no 'depth'.
     """
     import io
-    from zipfile import BadZipFile
 
     data = read_bytes(path)
     try:
         loaded = np.load(io.BytesIO(data), allow_pickle=False)
         # An .npz reads its members only here.
         arrays = {"depth": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
-    except (ValueError, OSError, EOFError, KeyError, SyntaxError, zlib.error, BadZipFile) as error:
+    except MemoryError:
+        raise
+    except Exception as error:  # its parsers raise what they like, a tokenizer's errors too
         # NumPy calls every file that it does not know a pickle; a real one begins with 0x80.
         pickled = "Object arrays" in str(error) or data.startswith(b"\x80")
         raise DepthError(
@@ -295,22 +303,58 @@ def write_bytes(path: Path, data: bytes) -> None:
         path.write_bytes(data)
 
 
-def read_json(path: Path) -> Any:
+def read_json(
+    path: Path,
+    error: type[CucumberVisionError] = CaptureError,
+    remedy: str = "correct or export it again",
+) -> Any:
     """Read a JSON file.
 
     Raises
     ------
     CaptureError
-        If it is missing, no text or no JSON; the line and column are named.
+        Of the class `error`: it is missing, no text, no JSON (with line and column), nested too
+        deeply, or holds numbers of thousands of digits.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, error, remedy)
     try:
         return json.loads(data)
-    except json.JSONDecodeError as error:
-        fault = f"is no JSON (line {error.lineno}, column {error.colno}: {error.msg})"
-    except (UnicodeDecodeError, RecursionError):
+    except json.JSONDecodeError as wrong:
+        fault = f"is no JSON (line {wrong.lineno}, column {wrong.colno}: {wrong.msg})"
+    except UnicodeDecodeError:
         fault = "is no JSON text"
-    raise CaptureError(fault, source=path, remedy="correct or export it again")
+    except RecursionError:
+        fault = "is nested too deeply"
+    except ValueError:
+        fault = "holds a number of thousands of digits"
+    raise error(fault, source=path, remedy=remedy)
+
+
+def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> str:
+    r"""Read a text as editors save it, with line ends of any system as line feeds.
+
+    UTF-8 with or without its mark, UTF-16 with its mark, else Windows-1252 ("ANSI").
+
+    Raises
+    ------
+    CaptureError
+        Of the class `error`: the file is missing or no text. An empty file is an empty text.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "classes.txt"
+    >>> _ = path.write_bytes("gürkchen\r\nzucchini\r".encode("cp1252"))
+    >>> read_text(path)
+    'gürkchen\nzucchini\n'
+    """
+    with naming_os_errors("cannot be read", path, "check the path", error):
+        data = path.read_bytes()
+    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    for code in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+        with suppress(UnicodeDecodeError):
+            return data.decode(code).replace("\r\n", "\n").replace("\r", "\n")
+    raise error("is no text", source=path, remedy="save it as UTF-8")
 
 
 def json_value(value: Any) -> Any:
@@ -342,8 +386,9 @@ def parse_model(
     *,
     source: object,
     error: type[CucumberVisionError] = CaptureError,
+    remedy: str = "correct the file",
 ) -> ModelT:
-    """Check what people or programs wrote against a pydantic model.
+    """Check what people or programs wrote against a pydantic model or a dataclass.
 
     Raises
     ------
@@ -353,11 +398,22 @@ def parse_model(
     from pydantic import ValidationError
 
     try:
-        return model.model_validate(data)
-    except ValidationError as invalid:
+        with refusing(source, error):
+            return cast("ModelT", _adapter(model).validate_python(data))
+    except error as refused:
+        invalid = refused.__cause__
+        if not isinstance(invalid, ValidationError):
+            raise
         faults = invalid.errors(include_url=False, include_context=False, include_input=False)
     first = faults[0]
     where = ".".join(str(part) for part in first["loc"]) or "the whole"
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     what = first["msg"][0].lower() + first["msg"][1:]
-    raise error(f"'{where}': {what}{more}", source=source, remedy="correct the file")
+    raise error(f"'{where}': {what}{more}"[:500], source=source, remedy=remedy)
+
+
+@lru_cache(maxsize=64)
+def _adapter(model: Any) -> TypeAdapter[Any]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(model)

@@ -205,7 +205,7 @@ def read_openid_connect(files: tuple[Path, ...] | None = None) -> OpenIdConnect 
             document |= tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             continue
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise AccessError(
                 f"cannot be read ({error})", source=path, remedy="correct it"
             ) from None

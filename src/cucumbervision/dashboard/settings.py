@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cucumbervision.agronomy.picking import Rates
 from cucumbervision.capture.source import ReadOptions
@@ -173,7 +173,7 @@ def read_settings(path: Path) -> Settings:
     """
     try:
         return Settings.model_validate_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValidationError):
+    except (OSError, ValueError):
         return Settings()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import TypeAdapter
 
-from cucumbervision.errors import ModelError
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import ModelError, refusing
 from cucumbervision.measurement.result import (
     Flag,
     IntervalBasis,
@@ -268,17 +268,11 @@ def read_interval_models(path: Path) -> IntervalModels:
     ModelError
         If the file is none.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+    content = read_json(path, ModelError, "install the package anew")
+    with refusing(path, ModelError, "install the package anew"):
         models = TypeAdapter(list[IntervalModel]).validate_python(content["models"])
         by_method = {model.method: model for model in models}
         return IntervalModels(float(content["level"]), by_method, int(content["fruit"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ModelError(
-            f"is no file of interval models ({error})",
-            source=path,
-            remedy="install the package anew",
-        ) from None
 
 
 @lru_cache(maxsize=1)

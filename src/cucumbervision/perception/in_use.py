@@ -13,7 +13,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.errors import ModelError
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import ModelError, refusing
 from cucumbervision.perception.registry import (
     IN_USE,
     Model,
@@ -128,13 +129,9 @@ def _read_judgement(given: Path) -> Mapping[str, Any]:
     path = (given if given.is_dir() else given.parent) / JUDGEMENT
     if not path.is_file():
         return {}
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+    with refusing(path, ModelError, "judge it again"):
+        values = read_json(path, ModelError, "judge it again")
         return {name: values[name] for name in ("file", "new", "old", "better", "why")}
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise ModelError(
-            f"the judgement cannot be read ({error})", source=path, remedy="judge it again"
-        ) from error
 
 
 def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:

@@ -6,14 +6,14 @@ pixel is taken off.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.errors import InstancesError
+from cucumbervision.capture.files import read_json, read_text
+from cucumbervision.errors import InstancesError, refusing
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_of_segmentation, polygon_points
 
@@ -100,12 +100,12 @@ def read_coco(path: Path) -> list[Picture]:
     InstancesError
         If the file is no JSON, or neither of the two.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InstancesError(
-            f"is no JSON ({error})", source=path, remedy="write it again"
-        ) from error
+    data = read_json(path, InstancesError)
+    with refusing(path, InstancesError, "give COCO JSON"):
+        return _coco_pictures(data, path)
+
+
+def _coco_pictures(data: Any, path: Path) -> list[Picture]:
     annotated = isinstance(data, dict)
     items = data.get("annotations") if annotated else data
     if not isinstance(items, list):
@@ -174,7 +174,7 @@ def _coco_record(
 def _read_yolo_classes(folder: Path) -> list[str]:
     """Read the class names from `classes.txt` beside the labels; empty without one."""
     path = folder / "classes.txt"
-    return path.read_text(encoding="utf-8").split("\n") if path.is_file() else []
+    return read_text(path, InstancesError).split("\n") if path.is_file() else []
 
 
 def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
@@ -401,12 +401,7 @@ def _read_yolo_folder(folder: Path) -> list[Picture]:
 
 
 def _read_yolo_file(path: Path, names: list[str]) -> Picture:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise InstancesError(
-            f"is no text ({error})", source=path, remedy="write it again"
-        ) from error
+    lines = read_text(path, InstancesError).split("\n")
     records: list[Record | InstancesError] = []
     for i, line in enumerate(lines, 1):
         if not line.strip():

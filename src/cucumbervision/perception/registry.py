@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
+from cucumbervision.capture.files import parse_model, read_json
+from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, refusing
 
 __all__ = [
     "FORMATS",
@@ -396,13 +397,9 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
     'Apache-2.0'
     """
     path = path or _HERE / "models.toml"
-    try:
+    with refusing(path, ModelError, "install again"):
         entries = tomllib.loads(path.read_text(encoding="utf-8"))["models"]
-        models = tuple(_model(entry) for entry in entries)
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise ModelError(
-            f"the registry cannot be read ({error})", source=path, remedy="install again"
-        ) from error
+        models = tuple(_model(entry, path, "install again") for entry in entries)
     user = user or models_folder()
     own, in_use = _read_in_use(user / IN_USE)
     return Registry((*models, *own), path.parent / "weights", user, in_use)
@@ -423,10 +420,8 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _model(entry: dict[str, Any]) -> Model:
-    files = tuple(ModelFile(**file) for file in entry.pop("files"))
-    source = entry.pop("source", None)
-    return Model(**entry, files=files, source=ModelSource(**source) if source else None)
+def _model(entry: Any, path: Path, remedy: str) -> Model:
+    return parse_model(Model, entry, source=path, error=ModelError, remedy=remedy)
 
 
 def _file_state(path: Path, sha256: str) -> str:
@@ -443,33 +438,26 @@ def _again(model: Model) -> str:
     return f"run: cucumbervision models pull {model.name}"
 
 
+_USE_AGAIN = "delete the file to use the package's own, and give yours again"
+
+
 def _read_in_use(path: Path) -> tuple[tuple[Model, ...], dict[str, tuple[str, ...]]]:
     """Return the user's own networks, and which are in use."""
     if not path.is_file():
         return (), {}
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        models = tuple(_model(entry) for entry in values["models"])
+    with refusing(path, ModelError, _USE_AGAIN):
+        values = read_json(path, ModelError, _USE_AGAIN)
+        models = tuple(_model(entry, path, _USE_AGAIN) for entry in values["models"])
         in_use = {str(task): tuple(names) for task, names in values["in_use"].items()}
         if not {name for names in in_use.values() for name in names} <= {m.name for m in models}:
             raise ValueError("it names a network that it does not describe")
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ModelError(
-            f"the networks in use cannot be read ({error})",
-            source=path,
-            remedy="delete the file to use the package's own, and give yours again",
-        ) from error
     return models, in_use
 
 
 def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+    manifest = read_json(path, ModelError, remedy)
+    with refusing(path, ModelError, remedy):
         files, source = manifest["files"], manifest["source_sha256"]
         if not isinstance(files, dict) or not isinstance(source, str):
             raise ValueError("its entries have the wrong types")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ModelError(
-            f"the manifest cannot be read ({error})", source=path, remedy=remedy
-        ) from error
     return {"files": files, "source_sha256": source}

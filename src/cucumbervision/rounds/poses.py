@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cucumbervision.errors import RoundError
+from cucumbervision.errors import RoundError, refusing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,17 +96,16 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
     ...     read_poses(path)["a"].position_m
     0.41
     """
-    from cucumbervision.capture.files import parse_model
+    from cucumbervision.capture.files import parse_model, read_json, read_text
 
-    try:
+    with refusing(path, RoundError, "give CSV or JSON"):
         if path.stat().st_size > _LARGEST:
             raise RoundError("larger than 64 MiB", source=path, remedy="give one line a capture")
-        text = path.read_text(encoding="utf-8-sig")
-        lines = _lines(text, json_text=path.suffix.lower() == ".json")
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
-        raise RoundError(
-            f"cannot be read ({error})", source=path, remedy="give CSV or JSON"
-        ) from None
+        if path.suffix.lower() == ".json":
+            found = read_json(path, RoundError, "give CSV or JSON")
+            lines = found if isinstance(found, list) else [found]
+        else:
+            lines = _lines(read_text(path, RoundError))
     poses: dict[str, PoseLine] = {}
     for number, line in enumerate(lines, 1):
         pose = parse_model(PoseLine, line, source=f"{path}, line {number}", error=RoundError)
@@ -123,10 +121,7 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
     return poses
 
 
-def _lines(text: str, *, json_text: bool) -> list[Any]:
-    if json_text:
-        found = json.loads(text)
-        return found if isinstance(found, list) else [found]
+def _lines(text: str) -> list[Any]:
     # An empty cell is a value that is not given.
     return [
         {key: value for key, value in line.items() if value not in ("", None)}

@@ -16,7 +16,7 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model, read_json
-from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError
+from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError, refusing
 from cucumbervision.perception.instances import KEYPOINT_NAMES
 from cucumbervision.perception.masks import Rle, box_of_mask, mask_of_segmentation
 from cucumbervision_lab.datasets.labels import (
@@ -84,11 +84,13 @@ def read_coco(path: Path) -> DataSet:
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
     for (file, split), data in zip(sources, files, strict=True):
-        ids = _category_indices(data, names)
-        found, bad = _read_pictures(data, ids, file, split, root)
+        with refusing(file, DataSetError, "give COCO JSON"):
+            ids = _category_indices(data, names)
+            found, bad = _read_pictures(data, ids, file, split, root)
         pictures.extend(found)
         refused.extend(bad)
-    points = _keypoint_names(files[0])
+    with refusing(sources[0][0], DataSetError, "give COCO JSON"):
+        points = _keypoint_names(files[0])
     return DataSet(root, tuple(pictures), tuple(names), points, refused=tuple(refused))
 
 

@@ -8,7 +8,6 @@ its boxes were drawn and why each scene is in its split.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -17,14 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.errors import DataSetError
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import DataSetError, refusing
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instance_files import parse_yolo_line
 from cucumbervision.perception.masks import fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
 __all__ = ["audited", "load_audit"]
 
@@ -185,7 +185,23 @@ def load_audit() -> Audit:
     (86, 28)
     """
     folder = Path(__file__).parent / "audit"
-    files = [json.loads((folder / name).read_text(encoding="utf-8")) for name in _FILES]
+    return read_audit([folder / name for name in _FILES])
+
+
+def read_audit(paths: Sequence[Path]) -> Audit:
+    """Read an audit that lies in one or more files.
+
+    Raises
+    ------
+    DataSetError
+        If one of them cannot be read, or is no audit.
+    """
+    files = [read_json(path, DataSetError) for path in paths]
+    with refusing(" and ".join(map(str, paths)), DataSetError, "audit the photos again"):
+        return _audit(files)
+
+
+def _audit(files: Sequence[Any]) -> Audit:
     sets = {name: entry for data in files for name, entry in data["sets"].items()}
     return Audit(
         photos=tuple(_photo(entry) for data in files for entry in data["photos"]),

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import TrainingError
 
 __all__ = ["Part", "Plan", "RunState", "extend", "parse_plan"]
@@ -234,22 +235,26 @@ class RunState:
             If the folder holds no run, or its file is broken.
         """
         path = run / _STATE_FILE
-        try:
-            return cls.of(json.loads(path.read_text(encoding="utf-8")))
-        except FileNotFoundError as error:
+        if not path.is_file():
             raise TrainingError(
                 "there is no training to go on with", source=run, remedy="leave out --resume"
-            ) from error
-        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-            raise TrainingError(
-                f"the state of the training cannot be read ({error})",
-                source=path,
-                remedy="begin in another folder with --init and this one's network.pt",
-            ) from error
+            )
+        again = "begin in another folder with --init and this one's network.pt"
+        return cls.of(read_json(path, TrainingError, again), path, again)
 
     @classmethod
-    def of(cls, values: dict[str, Any]) -> RunState:
-        """Make it of what `dataclasses.asdict` gave."""
-        plan = values["plan"]
-        parts = tuple(Part(**part) for part in plan["parts"])
-        return cls(**{**values, "plan": Plan(parts, plan["per_epoch"])})
+    def of(
+        cls, values: Any, source: object = "the training", remedy: str = "begin anew"
+    ) -> RunState:
+        """Make it of what `dataclasses.asdict` gave.
+
+        Raises
+        ------
+        TrainingError
+            If a value is missing or of another type, or a part of the plan has no pictures.
+        """
+        state = parse_model(cls, values, source=source, error=TrainingError, remedy=remedy)
+        if state.plan.per_epoch < 1 or not all(part.pictures > 0 for part in state.plan.parts):
+            fault = "its plan has a part without pictures"
+            raise TrainingError(fault, source=source, remedy=remedy)
+        return state

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelHashError, TrainingError
 from cucumbervision.perception import registry
 from cucumbervision.perception.registry import file_sha256, load_registry
@@ -138,17 +139,15 @@ def read_card(path: Path) -> ModelCard:
     TrainingError
         If it cannot be read.
     """
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        for name in ("credits", "limits"):
-            values[name] = tuple(values[name])
-        return ModelCard(**values)
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    values = read_json(path, TrainingError, "export the network again")
+    card = parse_model(
+        ModelCard, values, source=path, error=TrainingError, remedy="export the network again"
+    )
+    if card.task not in _WHAT:
         raise TrainingError(
-            f"the card cannot be read ({type(error).__name__}: {error})",
-            source=path,
-            remedy="export the network again",
-        ) from error
+            f"no task is called {card.task!r}", source=path, remedy="export the network again"
+        )
+    return card
 
 
 def card_markdown(card: ModelCard) -> str:

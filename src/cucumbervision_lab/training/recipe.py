@@ -134,7 +134,7 @@ def read_recipe(path: Path) -> Recipe:
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise TrainingError(
             f"the recipe cannot be read ({error})", source=path, remedy="give a TOML file"
         ) from error
@@ -147,8 +147,10 @@ def read_recipe(path: Path) -> Recipe:
                 raise ValueError(f"no task is called {task!r}")
             parse_plan(schedule.plan, schedule.per_epoch)
         _check(sources)
-    except (TypeError, ValueError, TrainingError) as error:
+    except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
         raise TrainingError(str(error), source=path, remedy="correct the recipe") from error
+    except TrainingError as error:
+        raise error.at(path) from error
     return Recipe(sources, schedules)
 
 

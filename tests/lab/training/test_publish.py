@@ -103,5 +103,5 @@ def test_cards_survive_the_disk(tmp_path: Path) -> None:
     assert card_markdown(card).endswith("## Data\n\nten\n")
     (tmp_path / "bad.json").write_text('{"name": "a"}')
     for name in ("bad.json", "none.json"):
-        with pytest.raises(TrainingError, match="the card cannot be read"):
+        with pytest.raises(TrainingError, match="; export the network again"):
             read_card(tmp_path / name)

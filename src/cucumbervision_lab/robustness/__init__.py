@@ -1,0 +1,1 @@
+"""What the software bears: broken files by the million, and faults on purpose."""

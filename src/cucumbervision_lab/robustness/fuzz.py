@@ -1,0 +1,457 @@
+"""Broken files by the million: each is read by a limited process, and only named errors pass."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING, Any, cast
+
+from cucumbervision.errors import CucumberVisionError, InternalError, OutOfMemoryError
+from cucumbervision_lab.robustness.doors import DOORS, Door
+from cucumbervision_lab.robustness.mutations import damaged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from multiprocessing.connection import Connection
+
+__all__ = ["Find", "FuzzResult", "Limits", "find_doors", "fuzz", "replay"]
+
+_KEPT = 3  # inputs kept of each place
+_BATCH = 500  # inputs between two reports of a worker
+_GRACE_S = 5.0  # for a process that does not end by itself
+_PACKAGES = ("cucumbervision/", "cucumbervision_lab/")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one input may use.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        Memory of the process, with what it needs before the first input.
+    seconds : float
+        Time for one input.
+    """
+
+    memory_bytes: int = 2 * 1024**3
+    seconds: float = 10.0
+
+
+@dataclass(frozen=True)
+class Find:
+    """One input that did something other than work or raise a named error.
+
+    Parameters
+    ----------
+    door : str
+        Which reader.
+    number : int
+        The input: with the run's seed it can be made again.
+    kind : str
+        'unnamed', 'memory', 'time' or 'crash'.
+    place : str
+        The last line of our own code that was running, and the error's class.
+    detail : str
+        The traceback, or how the process ended.
+    """
+
+    door: str
+    number: int
+    kind: str
+    place: str
+    detail: str
+
+
+@dataclass
+class FuzzResult:
+    """What a run did.
+
+    Parameters
+    ----------
+    seed : int
+        Of the run.
+    tried, refused : Counter of str
+        Inputs by door, and how many of them were refused with a named error.
+    finds : dict of str to list of Find
+        By place; the first few of each.
+    found : Counter of str
+        How often each place was found.
+    seconds : float
+        Time taken.
+    """
+
+    seed: int
+    tried: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    finds: dict[str, list[Find]] = field(default_factory=dict)
+    found: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
+
+    def note(self, find: Find) -> bool:
+        """Count a find; tell whether it is one of the first of its place."""
+        key = f"{find.door}: {find.kind} at {find.place}"
+        self.found[key] += 1
+        kept = self.finds.setdefault(key, [])
+        if len(kept) < _KEPT:
+            kept.append(find)
+            return True
+        return False
+
+
+class _TooLongError(BaseException):
+    """Not an Exception: no reader may take it for a fault of the file."""
+
+
+def find_doors(names: Sequence[str]) -> tuple[Door, ...]:
+    """Return the doors whose names begin with any of the given; all without one.
+
+    Examples
+    --------
+    >>> [door.name for door in find_doors(["truth", "poses"])]
+    ['truth tables', 'poses']
+    """
+    found = [d for d in DOORS if not names or d.name.lower().startswith(tuple(names))]
+    if not found:
+        known = ", ".join(door.name for door in DOORS)
+        raise CucumberVisionError(f"no reader is called {', '.join(names)}", remedy=f"take {known}")
+    return tuple(found)
+
+
+def fuzz(
+    inputs: int,
+    seed: int = 1,
+    doors: Sequence[Door] = DOORS,
+    out: Path | None = None,
+    *,
+    limits: Limits | None = None,
+    seconds: float | None = None,
+    tick: Callable[[int], None] | None = None,
+) -> FuzzResult:
+    """Read damaged files of every kind.
+
+    Parameters
+    ----------
+    inputs : int
+        How many.
+    seed : int
+        The same seed damages alike.
+    doors : sequence of Door
+        Which readers, in the shares of their weights.
+    out : Path, optional
+        Where finds are kept: `PLACE/NUMBER/` with the files and `traceback.txt`.
+    limits : Limits, optional
+        Of each input.
+    seconds : float, optional
+        Begin no further batch after this time.
+    tick : callable, optional
+        Called with how many more were tried.
+
+    Returns
+    -------
+    FuzzResult
+    """
+    result, limits, began = FuzzResult(seed), limits or Limits(), time.monotonic()
+    with _workplace(doors) as place:
+        done = 0
+        while done < inputs:
+            if seconds is not None and time.monotonic() - began > seconds:
+                break
+            worker = _Worker(place, doors, seed, (done, inputs), limits)
+            try:
+                done = worker.follow(result, out, tick, _until(began, seconds))
+            finally:
+                worker.end()
+    result.seconds = time.monotonic() - began
+    return result
+
+
+def _until(began: float, seconds: float | None) -> float:
+    return float("inf") if seconds is None else began + seconds
+
+
+@contextmanager
+def _workplace(doors: Sequence[Door]) -> Iterator[Path]:
+    """Write every door's seeds into a folder, in memory where the system has one there."""
+    memory = Path("/dev/shm")
+    roomy = memory.is_dir() and shutil.disk_usage(memory).free > 256 * 1024**2
+    with tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory if roomy else None) as tmp:
+        for door in doors:
+            folder = Path(tmp) / door.name
+            folder.mkdir()
+            door.seed(folder)
+        yield Path(tmp)
+
+
+class _Worker:
+    """A process that reads inputs until it is done or one of them ends it."""
+
+    def __init__(
+        self,
+        place: Path,
+        doors: Sequence[Door],
+        seed: int,
+        span: tuple[int, int],
+        limits: Limits,
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._at = context.Value("q", -1, lock=False)
+        self._here, there = context.Pipe()
+        self._limits, self._seed, self._stop = limits, seed, span[1]
+        self._doors, self._place = doors, place
+        names = [door.name for door in doors]
+        self._process = context.Process(
+            target=_work, args=(there, self._at, str(place), names, seed, span, limits), daemon=True
+        )
+        self._process.start()
+        there.close()
+
+    def follow(
+        self,
+        result: FuzzResult,
+        out: Path | None,
+        tick: Callable[[int], None] | None,
+        until: float,
+    ) -> int:
+        """Take what the process reports; return the number of the next input."""
+        before, since = -2, time.monotonic()
+        while True:
+            with suppress(EOFError, ConnectionResetError):
+                while self._here.poll(1.0):
+                    message = self._here.recv()
+                    if isinstance(message, Find):
+                        if result.note(message) and out is not None:
+                            self._keep(message, out)
+                        continue
+                    tried, refused, done = message
+                    result.tried.update(tried)
+                    result.refused.update(refused)
+                    if tick is not None:
+                        tick(sum(tried.values()))
+                    if done >= self._stop or time.monotonic() > until:
+                        return int(done) if done < self._stop else self._stop
+            at = int(self._at.value)
+            if at != before:
+                before, since = at, time.monotonic()
+            stuck = at >= 0 and time.monotonic() - since > self._limits.seconds + _GRACE_S
+            if stuck:
+                self._process.kill()
+                self._process.join()
+            if stuck or not self._process.is_alive():
+                return self._ended(result, out, at, stuck=stuck)
+
+    def _ended(self, result: FuzzResult, out: Path | None, at: int, *, stuck: bool) -> int:
+        if at < 0:
+            raise CucumberVisionError(
+                f"the reading process did not start (exit {self._process.exitcode})",
+                remedy="give it more memory",
+            )
+        door = _door_of(self._doors, self._seed, at)
+        code = self._process.exitcode
+        kind, how = ("time", "no end") if stuck else ("crash", f"exit {code}")
+        find = Find(door.name, at, kind, how, f"the process ended: {how}")
+        if result.note(find) and out is not None:
+            self._keep(find, out)
+        result.tried[door.name] += 1
+        return at + 1
+
+    def _keep(self, find: Find, out: Path) -> None:
+        door = next(d for d in self._doors if d.name == find.door)
+        words = "".join(c if c.isalnum() else "-" for c in f"{find.door} {find.kind} {find.place}")
+        folder = out / words[:150] / str(find.number)
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(self._place / door.name, folder)
+        _damage(folder, self._seed, find.number)
+        (folder / "traceback.txt").write_text(find.detail, encoding="utf-8")
+
+    def end(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.join()
+        self._here.close()
+
+
+def _door_of(doors: Sequence[Door], seed: int, number: int) -> Door:
+    return Random(f"{seed}/{number}").choices(doors, [d.weight for d in doors])[0]
+
+
+def replay(number: int, seed: int, folder: Path, doors: Sequence[Door] = DOORS) -> Door:
+    """Write one input of a run into a folder, which must not exist; return its door."""
+    door = _door_of(doors, seed, number)
+    folder.mkdir(parents=True)
+    door.seed(folder)
+    _damage(folder, seed, number)
+    return door
+
+
+def _damage(folder: Path, seed: int, number: int) -> tuple[Path, bytes]:
+    """Damage one file of a folder; return it and what it held."""
+    random = Random(f"{seed}/{number}/damage")
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    file = random.choice(files)
+    data = file.read_bytes()
+    how = random.random()
+    if how < 0.01:
+        file.unlink()
+    elif how < 0.02:
+        file.unlink()
+        file.mkdir()
+    elif how < 0.03:
+        file.rename(file.with_name("0" * random.choice((1, 200)) + "²3_" + file.name[-20:]))
+    elif how < 0.05:
+        file.write_bytes(random.choice(files).read_bytes())
+    else:
+        file.write_bytes(damaged(data, file.suffix.lstrip("."), random))
+    return file, data
+
+
+def _work(
+    report: Connection,
+    at: Any,
+    place: str,
+    names: Sequence[str],
+    seed: int,
+    span: tuple[int, int],
+    limits: Limits,
+) -> None:
+    doors = [next(d for d in DOORS if d.name == name) for name in names]
+    signal.signal(signal.SIGALRM, _ring)
+    _silence()
+    warnings.simplefilter("ignore")
+    _warm_up(doors, Path(place))
+    _limit_memory(limits.memory_bytes)
+    tried: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
+    for number in range(*span):
+        at.value = number
+        door = _door_of(doors, seed, number)
+        folder = Path(place) / door.name
+        tried[door.name] += 1
+        find = _one(door, folder, seed, number, limits, refused)
+        if find is not None:
+            report.send(find)
+        if sum(tried.values()) >= _BATCH or number + 1 == span[1]:
+            report.send((tried, refused, number + 1))
+            tried, refused = Counter(), Counter()
+
+
+def _silence() -> None:
+    """Send what libraries print, from C too, to nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        os.dup2(nowhere, number)
+
+
+def _limit_memory(most: int) -> None:
+    """Let the process hold `most` bytes: libraries that are mapped but not loaded do not count."""
+    mapped, loaded = (
+        int(n) * resource.getpagesize() for n in Path("/proc/self/statm").read_text().split()[:2]
+    )
+    limit = mapped - loaded + most
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def _warm_up(doors: Sequence[Door], place: Path) -> None:
+    """Read every seed once: all is imported before memory is limited, and seeds are valid."""
+    for door in doors:
+        try:
+            door.read(place / door.name)
+        except CucumberVisionError:
+            if door.whole:
+                raise
+        _tidy(place / door.name)
+
+
+_SEEDS: dict[Path, dict[Path, bytes]] = {}
+
+
+def _tidy(folder: Path) -> None:
+    """Put a folder back as its seeds were."""
+    if folder not in _SEEDS:
+        _SEEDS[folder] = {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    wanted = _SEEDS[folder]
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path not in wanted and not path.is_dir():
+            path.unlink()
+        elif path.is_dir():
+            with suppress(OSError):  # one that is not empty stays
+                path.rmdir()
+    for path, data in wanted.items():
+        if path.suffix == ".db" or not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+
+
+def _one(
+    door: Door, folder: Path, seed: int, number: int, limits: Limits, refused: Counter[str]
+) -> Find | None:
+    file, data = _damage(folder, seed, number)
+    kind, error = "", cast("BaseException | None", None)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, limits.seconds)
+        try:
+            door.read(folder)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+    except _TooLongError as caught:
+        kind, error = "time", caught
+    except (MemoryError, OutOfMemoryError) as caught:
+        kind, error = "memory", caught
+    except InternalError as caught:
+        kind, error = "unnamed", caught
+    except CucumberVisionError:
+        refused[door.name] += 1
+    except BaseException as caught:
+        kind, error = "unnamed", caught
+    if file.is_dir():
+        shutil.rmtree(file)
+    _tidy(folder)
+    file.write_bytes(data)
+    if error is None:
+        return None
+    detail = "".join(traceback.format_exception(error))
+    return Find(door.name, number, kind, _place_of(error), detail[-20_000:])
+
+
+def _place_of(error: BaseException) -> str:
+    # An error that was made of another is where that one was.
+    while error.__cause__ is not None:
+        error = error.__cause__
+    name = type(error).__name__
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = frame.filename.replace(os.sep, "/")
+        if "/robustness/" not in path and any(f"/{p}" in path for p in _PACKAGES):
+            return f"{path.rpartition('/cucumbervision')[2].lstrip('/')}:{frame.lineno} {name}"
+    return name
+
+
+def _ring(*_: object) -> None:
+    raise _TooLongError
+
+
+def as_json(result: FuzzResult) -> str:
+    """Return a result as JSON, for figures in documents."""
+    return json.dumps(
+        {
+            "seed": result.seed,
+            "inputs": sum(result.tried.values()),
+            "refused": sum(result.refused.values()),
+            "seconds": round(result.seconds, 1),
+            "doors": dict(result.tried),
+            "finds": dict(result.found),
+        },
+        indent=1,
+    )

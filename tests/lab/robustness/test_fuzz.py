@@ -1,0 +1,92 @@
+"""The fuzzer finds what it should, its seeds are valid, and a short run finds nothing."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from cucumbervision_lab.robustness import fuzz as fuzzing
+from cucumbervision_lab.robustness.doors import DOORS, Door
+from cucumbervision_lab.robustness.fuzz import Limits, find_doors, fuzz, replay
+from cucumbervision_lab.robustness.mutations import damaged
+
+PNG_HEAD = b"\x89PNG\r\n\x1a\n"
+
+
+def test_every_reader_bears_a_short_run(tmp_path: Path) -> None:
+    result = fuzz(600, seed=20, out=tmp_path)
+    assert result.found == Counter(), result.finds
+    assert sum(result.tried.values()) == 600
+    # Damage reaches deep only where some inputs still pass and most do not.
+    assert 200 < sum(result.refused.values()) < 590
+
+
+@pytest.mark.parametrize(
+    "door", [d for d in DOORS if d.whole and d.weight > 3], ids=lambda d: d.name
+)
+def test_seeds_are_valid(door: Door, tmp_path: Path) -> None:
+    door.seed(tmp_path)
+    door.read(tmp_path)
+
+
+def _fails(error: type[BaseException], when: bytes = b"") -> Door:
+    def read(folder: Path) -> None:
+        if (folder / "a.txt").read_bytes() != b"1 2 3\n":
+            raise error("broken")
+
+    return Door("made here", lambda folder: (folder / "a.txt").write_text("1 2 3\n") and None, read)
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"), [(KeyError, "unnamed"), (MemoryError, "memory"), (SystemExit, "unnamed")]
+)
+def test_what_has_no_name_is_a_find(error: type[BaseException], kind: str, tmp_path: Path) -> None:
+    door = _fails(error)
+    door.seed(tmp_path)
+    found = [fuzzing._one(door, tmp_path, 1, n, Limits(), Counter()) for n in range(20)]
+    kinds = {one.kind for one in found if one is not None}
+    assert kinds == {kind}
+    # Whatever was done to it, the folder is as it was.
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+    assert (tmp_path / "a.txt").read_bytes() == b"1 2 3\n"
+
+
+def test_an_input_is_made_again_from_its_number(tmp_path: Path) -> None:
+    doors = find_doors(["poses"])
+    first, second = (
+        {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
+        for folder in (tmp_path / "a", tmp_path / "b")
+        if replay(4, 7, folder, doors).name == "poses"
+    )
+    assert first == second
+
+
+def test_damage_to_a_chunk_keeps_its_checksum_right(tmp_path: Path) -> None:
+    from cucumbervision.capture.files import _whole_png
+    from cucumbervision_lab.robustness.seeds import bop
+
+    bop(tmp_path)
+    data = (tmp_path / "rgb" / "000001.png").read_bytes()
+    random = Random(5)
+    changed = {fuzzing_png(data, random) for _ in range(40)} - {data}
+    assert len(changed) > 10
+    assert all(_whole_png(one) for one in changed)
+
+
+def fuzzing_png(data: bytes, random: Random) -> bytes:
+    from cucumbervision_lab.robustness.mutations import _png
+
+    return _png(data, random)
+
+
+def test_json_damage_reaches_values(tmp_path: Path) -> None:
+    made = {damaged(b'{"a": [1, 2], "b": "x"}', "json", Random(n)) for n in range(200)}
+    longest = max(made, key=len)
+    assert b"9" * 6000 in b"".join(made)
+    assert len(longest) > 50_000
+    with pytest.raises((RecursionError, ValueError)):
+        json.loads(longest)

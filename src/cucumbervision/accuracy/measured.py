@@ -19,6 +19,7 @@ __all__ = ["REPORTED", "Measured", "Reading", "read_measured"]
 REPORTED = "reported"
 _TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
 _METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
+_LONGEST_CM = 10_000
 REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
 
 
@@ -125,7 +126,10 @@ def _read_report(path: Path) -> dict[str, Any]:
     report = read_json(path, CucumberVisionError, REMEDY)
     captures = report.get("captures") if isinstance(report, dict) else None
     known = isinstance(captures, list) and all(
-        isinstance(c, dict) and {"name", "fruit", "intrinsics"} <= set(c) for c in captures
+        isinstance(c, dict)
+        and {"name", "fruit", "intrinsics"} <= set(c)
+        and isinstance(c["intrinsics"], dict)
+        for c in captures
     )
     if not known:
         raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
@@ -169,6 +173,8 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
 
 
 def _metres(length_cm: float | None) -> float | None:
+    if length_cm is not None and not 0 < length_cm < _LONGEST_CM:
+        raise ValueError(f"{length_cm:g} cm is no length")
     return None if length_cm is None else length_cm / 100
 
 

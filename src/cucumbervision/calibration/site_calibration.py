@@ -30,7 +30,7 @@ from cucumbervision.calibration.corrections import (
 )
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model
-from cucumbervision.errors import CalibrationError
+from cucumbervision.errors import CalibrationError, refusing
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -190,6 +190,11 @@ def _run(measured: Measured) -> _Run:
             source=measured.path,
             remedy="give the folder of the run, with its measurements.json",
         )
+    with refusing(measured.path, CalibrationError, "measure again"):
+        return _run_of(measured)
+
+
+def _run_of(measured: Measured) -> _Run:
     captures = measured.report["captures"]
     cameras = [CalibratedCamera.of(_camera(c, measured), _serial(c)) for c in captures]
     first = next((camera for camera in cameras if camera.serial), cameras[0])

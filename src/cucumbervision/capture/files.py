@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import zipfile
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
+from numpy.lib import format as npy
 
 from cucumbervision.errors import (
     CaptureError,
@@ -200,10 +203,9 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     DepthError
         If it holds Python objects (pickle), is no NumPy file, or has no 'depth'.
     """
-    import io
-
     data = read_bytes(path)
     try:
+        _require_whole_arrays(data)
         loaded = np.load(io.BytesIO(data), allow_pickle=False)
         # An .npz reads its members only here.
         arrays = {"depth": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
@@ -226,6 +228,32 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             remedy="save it with numpy.savez(file, depth=...)",
         )
     return arrays
+
+
+_MOST_DEFLATED = 1032  # bytes of one byte, by RFC 1951
+
+
+def _require_whole_arrays(data: bytes) -> None:
+    """Refuse arrays whose heads promise more than the file holds: room is made by the head."""
+    if not data.startswith(b"PK"):
+        _require_whole_array(io.BytesIO(data), len(data))
+        return
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for member in archive.infolist():
+            if member.file_size > _MOST_DEFLATED * len(data):
+                raise ValueError(f"{member.filename} is larger than its file can hold")
+            if member.filename.endswith(".npy"):
+                with archive.open(member) as stream:
+                    _require_whole_array(stream, member.file_size)
+
+
+def _require_whole_array(stream: IO[bytes], size: int) -> None:
+    version = npy.read_magic(stream)
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, dtype = read(stream, max_header_size=4000)
+    # Objects have no size of their own: they are refused as they are read.
+    if not dtype.hasobject and stream.tell() + math.prod(shape) * dtype.itemsize > size:
+        raise ValueError("the array is longer than the file")
 
 
 def _decode(path: Path, flags: int) -> NDArray[Any]:
@@ -318,10 +346,14 @@ def read_json(
     """
     data = read_bytes(path, error, remedy)
     try:
-        return json.loads(data)
+        value = json.loads(data)
+        if b"\\ud" in data.lower():
+            # Half of a pair that stands for one letter: no file and no page could take it.
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
     except json.JSONDecodeError as wrong:
         fault = f"is no JSON (line {wrong.lineno}, column {wrong.colno}: {wrong.msg})"
-    except UnicodeDecodeError:
+    except UnicodeError:
         fault = "is no JSON text"
     except RecursionError:
         fault = "is nested too deeply"

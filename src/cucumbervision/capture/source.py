@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unicodedata import category
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -148,16 +149,16 @@ def fail(error: Exception, name: str = "") -> Capture:  # noqa: ARG001 - called 
     raise error
 
 
-_LONGEST_NAME = 200  # leaves room for a number and a suffix
+_LONGEST_NAME = 200  # bytes; leaves room for a number and a suffix
 
 
 def safe_name(text: str) -> str:
-    """Make a name that is fit for a file name on every system.
+    """Make a name that is fit for a file name on every system: letters of any alphabet stay.
 
     Examples
     --------
-    >>> safe_name("row 3/left:2")
-    'row_3_left_2'
+    >>> safe_name("row 3/left:2"), safe_name("Reihe süd/黄瓜")
+    ('row_3_left_2', 'Reihe_süd_黄瓜')
 
     File systems take 255 bytes; a longer name keeps its beginning and gets a hash of the whole, so
     that two of them stay two:
@@ -165,11 +166,14 @@ def safe_name(text: str) -> str:
     >>> len(safe_name("x" * 300)), safe_name("x" * 300) == safe_name("x" * 301)
     (200, False)
     """
-    name = re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("._") or "capture"
-    if len(name) <= _LONGEST_NAME:
+    # Marks belong to the letters before them: Hindi has half of its vowels as such.
+    kept = (c if c.isalnum() or c in ".-" or category(c)[0] == "M" else "_" for c in text)
+    name = re.sub("_+", "_", "".join(kept)).strip("._") or "capture"
+    if len(name.encode()) <= _LONGEST_NAME:
         return name
     digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]
-    return f"{name[: _LONGEST_NAME - 17]}-{digest}"
+    beginning = name.encode()[: _LONGEST_NAME - 17].decode(errors="ignore")
+    return f"{beginning}-{digest}"
 
 
 def unique_name(name: str, taken: set[str]) -> str:
@@ -184,10 +188,10 @@ def unique_name(name: str, taken: set[str]) -> str:
     ('A-2', ['a', 'a-2'])
     """
     candidate, n = name, 1
-    while candidate.lower() in taken:
+    while candidate.casefold() in taken:
         n += 1
         candidate = f"{name}-{n}"
-    taken.add(candidate.lower())
+    taken.add(candidate.casefold())
     return candidate
 
 

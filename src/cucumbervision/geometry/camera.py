@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ __all__ = [
     "undistort",
 ]
 
+_LARGEST_FOOTPRINT = 4096.0  # colour pixels of one depth pixel; of a D4xx it is under 100
 _UNDISTORT_STEPS = 10  # as the SDK: more changes nothing at the distortions of a D4xx
 
 
@@ -190,6 +192,11 @@ def align_depth_to_color(
         Metres; 0 where no depth pixel falls. The value is the depth camera's own z, as in the
         SDK: on a D4xx the two cameras' z differ by less than 1 mm.
 
+    Raises
+    ------
+    ValueError
+        If a depth pixel covers thousands of colour pixels: no two cameras are like that.
+
     Notes
     -----
     The rule of the RealSense SDK's `rs2::align` (`align.cpp`, `sse-align.cpp`): a depth pixel's
@@ -227,6 +234,9 @@ def align_depth_to_color(
         return px, py
 
     (x0, y0), (x1, y1) = corner(-0.5), corner(0.5)
+    footprint = [max(float((b - a).max(initial=0)), 0) + 1 for a, b in ((x0, x1), (y0, y1))]
+    if math.prod(footprint) > _LARGEST_FOOTPRINT:
+        raise ValueError("a depth pixel covers thousands of colour pixels")
     aligned = np.full(height * width, np.inf, np.float32)
     for dy in range(int((y1 - y0).max(initial=-1)) + 1):
         for dx in range(int((x1 - x0).max(initial=-1)) + 1):

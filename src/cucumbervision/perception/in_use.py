@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["JUDGEMENT", "use_back", "use_network", "use_shipped"]
 
 JUDGEMENT = "judgement.json"
+_LONGEST_NAME = 200
 """What `train house` writes into its run's folder: old and new network on the same pictures."""
 
 
@@ -135,7 +136,10 @@ def _read_judgement(given: Path) -> Mapping[str, Any]:
 
 
 def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:
-    path = given / str(judgement.get("file", "")) if given.is_dir() else given
+    path = given
+    if given.is_dir():
+        # Its name alone: a judgement says nothing about files elsewhere.
+        path = given / Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
     if not path.is_file() or path.suffix != ".onnx":
         raise ModelError(
             "there is no exported and judged network",

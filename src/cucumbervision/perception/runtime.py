@@ -290,18 +290,20 @@ def _open_onnxruntime(
         session = ort.InferenceSession(
             path if isinstance(path, bytes) else str(path), options, providers=providers
         )
+        inputs = tuple(_onnx_info(i) for i in session.get_inputs())
+        outputs = tuple(_onnx_info(o) for o in session.get_outputs())
+        metadata = dict(session.get_modelmeta().custom_metadata_map)
     # Its classes derive from Exception alone.
     except Exception as error:
         raise _unreadable(source, "ONNX Runtime", error) from error
     if wanted[0] not in session.get_providers():
         raise ModelError(f"{wanted[0]} does not start", source=source, remedy=_GPU_REMEDY)
-    outputs = tuple(_onnx_info(o) for o in session.get_outputs())
     names = [o.name for o in outputs]
     provider = wanted[0].removesuffix("ExecutionProvider").lower()
     return Network(
-        inputs=tuple(_onnx_info(i) for i in session.get_inputs()),
+        inputs=inputs,
         outputs=outputs,
-        metadata=MappingProxyType(dict(session.get_modelmeta().custom_metadata_map)),
+        metadata=MappingProxyType(metadata),
         runtime=f"onnxruntime ({provider}{why})",
         source=source,
         compute=lambda feeds: session.run(names, feeds),

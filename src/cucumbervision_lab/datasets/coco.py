@@ -51,6 +51,7 @@ ROBOFLOW = "_annotations.coco.json"
 
 _FOLDERS = {"train": "train", "valid": "val", "val": "val", "test": "test"}
 _KEYPOINTS = 5
+_FAULTS = (AttributeError, KeyError, TypeError, ValueError, OverflowError)  # of wrong types
 _MOST_PIXELS = 2**30  # as OpenCV reads at most
 
 
@@ -161,7 +162,7 @@ def _read_pictures(
         own = items.pop(key, [])
         try:
             picture, bad = picture_of(image, own, ids, file, split, root)
-        except (KeyError, TypeError, ValueError, OverflowError, CucumberVisionError) as error:
+        except (CucumberVisionError, *_FAULTS) as error:
             refused.append(_fault(file, f"image {key if key is not None else i}", error))
         else:
             pictures.append(picture)
@@ -216,8 +217,10 @@ def picture_of(
     refused: list[CucumberVisionError] = []
     for i, item in enumerate(annotations):
         try:
+            if not isinstance(item, dict):
+                raise TypeError("is no object")
             labels.append(_label(item, ids, width, height))
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except _FAULTS as error:
             number = item.get("id", i) if isinstance(item, dict) else i
             refused.append(_fault(file, f"annotation {number} ({name})", error))
     camera = None
@@ -422,7 +425,7 @@ def collect_fragments(
                 raise CaptureError("is no fragment", source=file, remedy="make the frame again")
             ids = {k + 1: k for k in range(len(categories))}
             picture, bad = picture_of(data["image"], data["annotations"], ids, file)
-        except (CucumberVisionError, KeyError, TypeError, ValueError) as error:
+        except (CucumberVisionError, *_FAULTS) as error:
             if not isinstance(error, CucumberVisionError):
                 error = DataSetError(f"is no fragment ({error})", source=file)
             refused.append(error)

@@ -16,6 +16,7 @@ from cucumbervision.capture.files import read_bytes, read_color, read_json, writ
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
+    refusing,
 )
 from cucumbervision.perception.instance_files import parse_yolo_line
 from cucumbervision.perception.masks import Rle, box_of_mask, mask_of_segmentation
@@ -138,7 +139,13 @@ def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
     yaml = path if path.is_file() else path / "data.yaml"
     folder = yaml.parent.resolve()
     data = load_data_yaml(yaml) if yaml.is_file() else {}
-    named = list(names) or _names(data.get("names"), yaml)
+    with refusing(yaml, DataSetError, "correct it"):
+        return _found(path, folder, yaml, data, list(names) or _names(data.get("names"), yaml))
+
+
+def _found(
+    path: Path, folder: Path, yaml: Path, data: dict[str, Any], named: list[str]
+) -> YoloFolder:
     if not named:
         raise DataSetError(
             "the classes have no names", source=path, remedy="add data.yaml or give --names"
@@ -166,10 +173,11 @@ def load_data_yaml(path: Path) -> dict[str, Any]:
     DataSetError
         If it is no YAML or describes no data set.
     """
-    try:
+    with refusing(path, DataSetError, "correct it"):
+        # Lists of lists of lists, named and repeated, are small here and endless written out.
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(read_bytes(path))):
+            raise DataSetError("repeats a part by its name", source=path, remedy="write it out")
         data = yaml.safe_load(read_bytes(path))
-    except yaml.YAMLError as error:
-        raise DataSetError(f"is no YAML ({error})", source=path, remedy="correct it") from None
     if not isinstance(data, dict):
         raise DataSetError("is no data set's YAML", source=path, remedy="name train, val, names")
     return data

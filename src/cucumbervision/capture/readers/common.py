@@ -8,7 +8,7 @@ from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics
-from cucumbervision.errors import CaptureError, IntrinsicsError
+from cucumbervision.errors import CaptureError, IntrinsicsError, refusing
 from cucumbervision.geometry.camera import align_depth_to_color
 
 if TYPE_CHECKING:
@@ -154,13 +154,14 @@ def _aligned(
             source=source,
             remedy="give the depth camera's intrinsics at that size",
         )
-    return align_depth_to_color(
-        depth_m,
-        camera.matrix,
-        intrinsics.matrix,
-        intrinsics.size,
-        moved.rotation,
-        moved.translation_m,
-        depth_lens=(camera.distortion, camera.coefficients),
-        color_lens=(intrinsics.distortion, intrinsics.coefficients),
-    )
+    with refusing(source, IntrinsicsError, "correct lens and 'depth_to_color' in the camera file"):
+        return align_depth_to_color(
+            depth_m,
+            camera.matrix,
+            intrinsics.matrix,
+            intrinsics.size,
+            moved.rotation,
+            moved.translation_m,
+            depth_lens=(camera.distortion, camera.coefficients),
+            color_lens=(intrinsics.distortion, intrinsics.coefficients),
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from joserfc.jwk import RSAKey
 from cucumbervision.dashboard.access import set_password
 
 WORDS = "a row of cucumbers"
+UUID = re.compile(rb"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 
 # One server and one browser, and no limit that a busy machine could reach.
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
@@ -82,20 +84,40 @@ def test_nothing_is_shown_without_the_password_and_all_with_it(
     assert links(other).count() == 0
 
 
-def test_an_account_is_locked_after_some_wrong_passwords(address: str, new_page: NewPage) -> None:
+def test_an_account_waits_after_wrong_passwords(address: str, new_page: NewPage) -> None:
     page = new_page()
     page.goto(address)
-    locked = page.get_by_text("too many wrong passwords")
+    waits = page.get_by_text("too many wrong passwords")
     for number in range(40):
         log_in(page, "ben", f"wrong {number}")
         page.wait_for_timeout(500)
-        if locked.count():
+        if waits.count():
             break
-    locked.wait_for()
-    log_in(page, "ben", WORDS)
-    page.wait_for_timeout(2000)
-    locked.wait_for()
+    waits.wait_for()
     assert links(page).count() == 0
+
+
+def test_only_who_is_inside_may_upload(address: str, new_page: NewPage) -> None:
+    page, sessions = new_page(), set[str]()
+
+    def note(frame: Any) -> None:
+        if isinstance(frame, bytes):
+            sessions.update(m.group().decode() for m in UUID.finditer(frame))
+
+    page.on("websocket", lambda socket: socket.on("framereceived", note))
+    page.goto(address)
+    page.get_by_label("Password", exact=True).wait_for()
+    assert sessions  # the page's own, which Streamlit tells it before any login
+
+    def statuses() -> set[int]:
+        form = {"file": {"name": "a.png", "mimeType": "image/png", "buffer": b"x"}}
+        places = (f"{address}/_stcore/upload_file/{one}/1" for one in (*sessions, "invented"))
+        return {page.request.put(place, multipart=form).status for place in places}
+
+    assert statuses() == {403}
+    log_in(page, "anna", WORDS)
+    links(page).first.wait_for()
+    assert any(status != 403 for status in statuses())
 
 
 def test_an_open_page_closes_when_its_account_is_removed(

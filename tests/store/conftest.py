@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import importlib.util
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Protocol
 
 import pytest
@@ -20,8 +18,8 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.schema import Base
+from cucumbervision_lab.robustness.throwaway_postgres import missing_reason, throwaway_cluster
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1000.0)
 NEXT_DAY = RoundRecord(key_of("next day"), "next morning", "house 1", 87400.0)
 
@@ -30,24 +28,14 @@ class MakeStop(Protocol):
     def __call__(self, step: int = ..., /, fruit: int = ..., **changes: Any) -> StopRecord: ...
 
 
-def _benchmark(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="session")
 def cluster() -> Iterator[Any]:
     """A real PostgreSQL server of our own."""
     pytest.importorskip("psycopg")
-    server = _benchmark("throwaway_postgres")
-    reason = server.missing_reason()
+    reason = missing_reason()
     if reason:
         pytest.skip(reason)
-    with server.throwaway_cluster(durable=False) as running:
+    with throwaway_cluster(durable=False) as running:
         yield running
 
 

@@ -7,12 +7,14 @@ OpenID Connect provider by Streamlit's `st.login` with a list of whom it may adm
 from __future__ import annotations
 
 import ipaddress
+import math
 import os
 import re
 import secrets
 import threading
 import time
 import tomllib
+from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -22,9 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 from argon2 import PasswordHasher, extract_parameters
 from argon2.exceptions import InvalidHashError, VerificationError
-from limits import parse
-from limits.storage import MemoryStorage
-from limits.strategies import MovingWindowRateLimiter
 
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.errors import AccessError
@@ -41,6 +40,7 @@ __all__ = [
     "accounts_file",
     "configured_login",
     "decide_login",
+    "delay_s",
     "is_loopback",
     "read_accounts",
     "read_openid_connect",
@@ -49,7 +49,10 @@ __all__ = [
 
 SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
 SHORTEST = 10  # characters of a password
-ATTEMPTS = parse("5 per 15 minutes")
+FREE_ATTEMPTS = 3  # wrong passwords in a row before the first delay
+LONGEST_DELAY_S = 60.0
+_FORGOTTEN_S = 15 * 60.0  # after this time without one, wrong passwords no longer count
+_MOST_NAMES = 10_000  # of accounts, real or invented, whose wrong passwords are remembered
 ACCOUNTS_VARIABLE = "CUCUMBERVISION_ACCOUNTS_FILE"
 _SET_UP = (
     "run `cucumbervision dashboard set-password NAME`, or set up [auth] in Streamlit's secrets.toml"
@@ -328,7 +331,8 @@ def set_password(path: Path, account: str, password: str) -> None:
 class Session:
     """A viewer who logged in with a password.
 
-    It ends after `SESSION_S`, and when the account's password changes or the account is removed.
+    It ends after `SESSION_S`, by a clock that nobody can set back, and when the account's password
+    changes or the account is removed.
     """
 
     account: str
@@ -337,13 +341,16 @@ class Session:
 
     def holds(self, accounts: Mapping[str, str]) -> bool:
         """Return whether the session still holds, given the accounts that there are now."""
-        return time.time() < self.until_s and accounts.get(self.account) == self.password_hash
+        return time.monotonic() < self.until_s and accounts.get(self.account) == self.password_hash
 
 
 class PasswordChecker:
     """Checks passwords for the whole server; any number of threads may use it.
 
-    Each account allows `ATTEMPTS`, whoever makes them; the right password clears the count.
+    After `FREE_ATTEMPTS` wrong passwords in a row an account takes no other for 1 s, then for 2 s,
+    4 s and so on up to `LONGEST_DELAY_S`, whoever tries. An attempt within that time is not looked
+    at and lengthens nothing, so that nobody can keep an account's owner out for long. The right
+    password clears the count.
 
     Examples
     --------
@@ -356,7 +363,8 @@ class PasswordChecker:
     """
 
     def __init__(self) -> None:
-        self._limiter = MovingWindowRateLimiter(MemoryStorage())
+        self._wrong: OrderedDict[str, tuple[int, float]] = OrderedDict()
+        self._counting = threading.Lock()
         self._verifying = threading.Lock()  # one at a time: each takes 64 MiB
 
     def log_in(self, accounts: Mapping[str, str], account: str, password: str) -> Session | None:
@@ -365,22 +373,50 @@ class PasswordChecker:
         Raises
         ------
         AccessError
-            If the account had too many attempts: the password is then not looked at.
+            If the account waits after wrong passwords: this one is then not looked at.
         """
         account = account.strip()[:64]
-        # Counted before it is verified, so that many attempts at once gain nothing.
-        if not self._limiter.hit(ATTEMPTS, account):
-            raise AccessError(
-                "too many wrong passwords for this account", remedy="wait 15 minutes and try again"
-            )
+        self._count(account)
         password_hash = accounts.get(account)
         with self._verifying:
             # An unknown account takes as long as a known one.
             right = _verifies(password_hash or _hash_of_nothing(), password)
         if not right or password_hash is None:
             return None
-        self._limiter.clear(ATTEMPTS, account)
-        return Session(account, password_hash, time.time() + SESSION_S)
+        with self._counting:
+            self._wrong.pop(account, None)
+        return Session(account, password_hash, time.monotonic() + SESSION_S)
+
+    def _count(self, account: str) -> None:
+        """Count an attempt before it is verified: many at once gain nothing."""
+        now = time.monotonic()
+        with self._counting:
+            wrong, last_s = self._wrong.pop(account, (0, now))
+            if now - last_s > _FORGOTTEN_S:
+                wrong = 0
+            left_s = last_s + delay_s(wrong) - now
+            self._wrong[account] = (wrong, last_s) if left_s > 0 else (wrong + 1, now)
+            while len(self._wrong) > _MOST_NAMES:
+                self._wrong.popitem(last=False)
+        if left_s > 0:
+            seconds = math.ceil(left_s)
+            raise AccessError(
+                "too many wrong passwords for this account",
+                remedy=f"wait {seconds} second{'s' * (seconds > 1)} and try again",
+            )
+
+
+def delay_s(wrong: int) -> float:
+    """Return how long an account waits after this many wrong passwords in a row, seconds.
+
+    Examples
+    --------
+    >>> [delay_s(wrong) for wrong in (0, 3, 4, 5, 6, 9, 10, 1000)]
+    [0.0, 1.0, 2.0, 4.0, 8.0, 60.0, 60.0, 60.0]
+    """
+    if wrong < FREE_ATTEMPTS:
+        return 0.0
+    return min(2.0 ** min(wrong - FREE_ATTEMPTS, 30), LONGEST_DELAY_S)
 
 
 def _verifies(password_hash: str, password: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import streamlit as st
+from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
@@ -18,6 +19,8 @@ from cucumbervision.dashboard.access import (
     read_accounts,
     read_openid_connect,
 )
+from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.uploaders import note_viewer
 from cucumbervision.dashboard.views import (
     accuracy,
     capture,
@@ -30,6 +33,8 @@ from cucumbervision.dashboard.views import (
 from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from streamlit.navigation.page import StreamlitPage
 
 __all__ = ["footer", "keep_inputs", "main"]
@@ -78,7 +83,7 @@ def main() -> None:
         else:
             _draw_login(login)
     except CucumberVisionError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(plain(error), icon=":material/error:")
     footer()
 
 
@@ -120,14 +125,29 @@ def footer() -> None:
 
 
 def _is_inside(login: Login) -> bool:
-    """Return whether the viewer may see the pages."""
+    """Return whether the viewer may see the pages; uploads are let in by the same answer."""
+    holds = _who(login)
+    inside = holds()
+    context = get_script_run_ctx()
+    if context is not None:
+        note_viewer(context.session_id, holds if inside else None)
+    return inside
+
+
+def _who(login: Login) -> Callable[[], bool]:
+    """Return what says whether the viewer is inside, at any later time and in any thread."""
     if login is Login.PASSWORD:
         session: Session | None = st.session_state.get("session")
-        return session is not None and session.holds(read_accounts(accounts_file()))
+        return lambda: session is not None and session.holds(read_accounts(accounts_file()))
     if login is Login.OIDC:
-        oidc = read_openid_connect()
-        return bool(st.user.is_logged_in and oidc and oidc.admits(st.user.to_dict()))
-    return True
+        logged_in, claims = bool(st.user.is_logged_in), st.user.to_dict()
+
+        def admitted() -> bool:
+            oidc = read_openid_connect()
+            return logged_in and oidc is not None and oidc.admits(claims)
+
+        return admitted
+    return lambda: True
 
 
 def _draw_login(login: Login) -> None:
@@ -135,9 +155,9 @@ def _draw_login(login: Login) -> None:
     if login is Login.PASSWORD or oidc is None:
         _draw_password_form()
     elif st.user.is_logged_in:
+        name = plain(st.user.get("email") or st.user.get("sub"))
         st.error(
-            f"The login as {st.user.get('email') or st.user.get('sub')} is not admitted, or older "
-            "than 12 hours.",
+            f"The login as {name} is not admitted, or older than 12 hours.",
             icon=":material/lock:",
         )
         st.button("Log out", icon=":material/logout:", on_click=st.logout)

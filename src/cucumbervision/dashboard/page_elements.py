@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
@@ -142,7 +143,11 @@ def progress(job: Job | None) -> None:
     def _bar() -> None:
         if job.finished:
             st.rerun()
-        words = f"{job.title}: {job.done} of {job.total}" if job.total else f"{job.title} …"
+        words = (
+            f"{plain(job.title)}: {job.done} of {job.total}"
+            if job.total
+            else f"{plain(job.title)} …"
+        )
         st.progress(job.share, text=words + (" (waiting)" if job.is_waiting else ""))
 
     _bar()

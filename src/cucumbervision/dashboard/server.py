@@ -23,7 +23,7 @@ STORE_VARIABLE = "CUCUMBERVISION_STORE"
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
-APP = Path(__file__).with_name("app.py")
+APP = Path(__file__).with_name("guarded_app.py")
 
 
 def default_store() -> str:
@@ -41,7 +41,7 @@ def default_store() -> str:
 
 def require_extra() -> None:
     """Raise MissingExtraError if a package of the extra 'dashboard' is not installed."""
-    for package in ("streamlit", "argon2", "limits"):
+    for package in ("streamlit", "argon2"):
         if find_spec(package) is None:
             raise MissingExtraError(package, "dashboard")
 

@@ -174,10 +174,14 @@ def load_data_yaml(path: Path) -> dict[str, Any]:
         If it is no YAML or describes no data set.
     """
     with refusing(path, DataSetError, "correct it"):
-        # Lists of lists of lists, named and repeated, are small here and endless written out.
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(read_bytes(path))):
-            raise DataSetError("repeats a part by its name", source=path, remedy="write it out")
-        data = yaml.safe_load(read_bytes(path))
+        text = read_bytes(path)
+        try:
+            # Lists of lists of lists, named and repeated, are small here and endless written out.
+            if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+                raise DataSetError("repeats a part by its name", source=path, remedy="write it out")
+            data = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise DataSetError(f"is no YAML ({error})", source=path, remedy="correct it") from None
     if not isinstance(data, dict):
         raise DataSetError("is no data set's YAML", source=path, remedy="name train, val, names")
     return data

@@ -298,4 +298,5 @@ DOORS: tuple[Door, ...] = (
     Door("trainings", seeds.training, _training, 100),
     Door("model cards", seeds.model_card, _card, 100),
     Door("uploads", seeds.uploads, _uploads, 15),
+    Door("recordings", seeds.recording, _recording, 1),
 )

@@ -7,7 +7,7 @@ import json
 import shutil
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -17,6 +17,18 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.perception.masks import encode_rle
+from cucumbervision.store.records import (
+    ArtifactRecord,
+    CaptureRecord,
+    DetectionRecord,
+    MethodRecord,
+    RoundRecord,
+    StopRecord,
+    key_of,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision.store.repository import Store
 
 __all__ = [
     "bop",
@@ -33,9 +45,11 @@ __all__ = [
     "pairs",
     "poses",
     "published",
+    "recording",
     "records",
     "run",
     "settings",
+    "stop_of",
     "store",
     "training",
     "truth",
@@ -252,52 +266,108 @@ def calibration(folder: Path) -> None:
 
 
 def store(folder: Path) -> None:
-    """Write a store of one round with a stop, fruit, pictures and a correction."""
-    from cucumbervision.store.records import (
-        ArtifactRecord,
-        CaptureRecord,
-        DetectionRecord,
-        MethodRecord,
-        RoundRecord,
-        StopRecord,
-        key_of,
-    )
+    """Write a store of one round with a stop, fruit and pictures."""
     from cucumbervision.store.repository import open_store
 
+    with open_store(folder / "house.db", images=folder / "pictures") as opened:
+        walk, stop = stop_of(opened)
+        opened.save_round(walk)
+        opened.save_stop(stop)
+
+
+def stop_of(opened: Store) -> tuple[RoundRecord, StopRecord]:
+    """Return a round and a stop of it, whose pictures are written."""
     walk = RoundRecord(key_of("walk"), "morning", "house 1", 1000.0)
-    method = MethodRecord(
-        "M6", 0.25, thread_m=0.27, path_m=((0.0, 0.1, 0.5), (0.2, 0.1, 0.5)), diameter_m=(0.04,)
+    path = ((0.0, 0.1, 0.5), (0.2, 0.1, 0.5))
+    methods = (
+        MethodRecord("M1", 0.2),
+        MethodRecord("M6", 0.25, thread_m=0.27, path_m=path, diameter_m=(0.04, 0.05)),
     )
-    placed = {"offset_m": 0.1, "offset_sd_m": 0.03, "view_score": 0.5, "mask": "123"}
     found = tuple(
         DetectionRecord(
             k,
             method="M6",
             length_m=0.2 + 0.01 * k,
+            offset_m=0.1,
+            offset_sd_m=0.03,
+            view_score=0.5,
             keypoints=((1.0, 2.0, 0.9),),
-            methods=(MethodRecord("M1", 0.2), method),
-            **placed,  # type: ignore[arg-type]
+            mask="123",
+            methods=methods,
         )
         for k in (1, 2)
     )
-    with open_store(folder / "house.db", images=folder / "pictures") as opened:
-        opened.save_round(walk)
-        color = opened.images.put_color(_color())
-        depth = opened.images.put_depth((_depth_mm() * 0.001).astype(np.float32))
-        stop = StopRecord(
-            key_of("stop"),
-            walk.key,
-            row="3",
-            side="left",
-            position_m=0.4,
-            position_sd_m=0.04,
-            captures=(
-                CaptureRecord("a", camera={"fx_px": 600.0}, color=color, depth=depth, fruit=found),
-            ),
-            artifacts=(ArtifactRecord("model", "detector", "ab", {"runtime": "x"}),),
-            failures=({"capture": "b", "error": "CaptureError"},),
-        )
-        opened.save_stop(stop)
+    color = opened.images.put_color(_color())
+    depth = opened.images.put_depth((_depth_mm() * 0.001).astype(np.float32))
+    capture = CaptureRecord("a", camera={"fx_px": 600.0}, color=color, depth=depth, fruit=found)
+    return walk, StopRecord(
+        key_of("stop"),
+        walk.key,
+        row="3",
+        side="left",
+        position_m=0.4,
+        position_sd_m=0.04,
+        captures=(capture,),
+        artifacts=(ArtifactRecord("model", "detector", "ab", {"runtime": "x"}),),
+        failures=({"capture": "b", "error": "CaptureError"},),
+    )
+
+
+def recording(folder: Path, frames: int = 22) -> None:
+    """Record frames of the SDK's own software camera, as a D435 at a quarter of its size."""
+    from cucumbervision.capture.realsense import import_realsense
+
+    rs = import_realsense()
+    device = rs.software_device()
+    inlets = [device.add_sensor(name) for name in ("Stereo Module", "RGB Camera")]
+    streams = (
+        (rs.stream.depth, rs.format.z16, 2, 160.0),
+        (rs.stream.color, rs.format.rgb8, 3, 227.0),
+    )
+    profiles = [
+        inlet.add_video_stream(_stream(rs, uid, *said)).as_video_stream_profile()
+        for uid, (inlet, said) in enumerate(zip(inlets, streams, strict=True), 1)
+    ]
+    inlets[0].add_read_only_option(rs.option.depth_units, 0.001)
+    moved = rs.extrinsics()
+    moved.rotation, moved.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0.015, 0.0, 0.0]
+    profiles[0].register_extrinsics_to(profiles[1], moved)
+    device.create_matcher(rs.matchers.dlr_c)
+    recorder = rs.recorder(str(folder / "walk.db3"), device)
+    sensors, syncer = recorder.query_sensors(), rs.syncer(10)
+    for sensor, profile in zip(sensors, profiles, strict=True):
+        sensor.open(profile)
+        sensor.start(syncer)
+    depth = np.full((180, 320), 600, np.uint16)
+    depth[80:100, 100:200] = 450
+    for number in range(1, frames + 1):
+        for inlet, profile, image in zip(
+            inlets, profiles, (depth, np.full((180, 320, 3), 90, np.uint8)), strict=True
+        ):
+            frame = rs.software_video_frame()
+            frame.pixels, frame.profile = np.ascontiguousarray(image), profile
+            frame.bpp = 2 if image.ndim == 2 else 3
+            frame.stride = 320 * frame.bpp
+            frame.timestamp, frame.frame_number = 33.3 * number, number
+            frame.domain = rs.timestamp_domain.system_time
+            if image.ndim == 2:
+                frame.depth_units = 0.001
+            inlet.on_video_frame(frame)
+        syncer.wait_for_frames(2000)
+    for sensor in sensors:
+        sensor.stop()
+        sensor.close()
+
+
+def _stream(rs: Any, uid: int, kind: Any, pixels: Any, size: int, focal_px: float) -> Any:
+    lens, stream = rs.intrinsics(), rs.video_stream()
+    lens.width, lens.height, lens.ppx, lens.ppy = 320, 180, 160.3, 89.7
+    lens.fx = lens.fy = focal_px
+    lens.model, lens.coeffs = rs.distortion.brown_conrady, [0.0] * 5
+    stream.type, stream.index, stream.uid, stream.fps = kind, 0, uid, 30
+    stream.width, stream.height, stream.bpp, stream.fmt = 320, 180, size, pixels
+    stream.intrinsics = lens
+    return stream
 
 
 def network(folder: Path) -> None:

@@ -38,7 +38,10 @@ def _fails(error: type[BaseException], when: bytes = b"") -> Door:
         if (folder / "a.txt").read_bytes() != b"1 2 3\n":
             raise error("broken")
 
-    return Door("made here", lambda folder: (folder / "a.txt").write_text("1 2 3\n") and None, read)
+    def seed(folder: Path) -> None:
+        (folder / "a.txt").write_text("1 2 3\n")
+
+    return Door("made here", seed, read)
 
 
 @pytest.mark.parametrize(

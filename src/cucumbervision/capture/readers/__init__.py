@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from cucumbervision.capture.readers.bop import SCENE_CAMERAS, open_bop
@@ -9,7 +14,7 @@ from cucumbervision.capture.readers.native import MANIFEST, open_native
 from cucumbervision.capture.readers.pair import find_pairs, open_pair_file, open_pairs
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
-from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
 
 __all__ = ["RECORDING_SUFFIXES", "CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
@@ -51,10 +56,13 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
         return open_source(path.parent, options)
     if path.is_file():
         return open_pair_file(path, options)
-    if folders := _folders_with(path, MANIFEST):
-        return open_native(path, folders, options)
+    closed: list[CaptureError] = []
+    if folders := _folders_with(path, MANIFEST, closed):
+        return _with_faults(open_native(path, folders, options), closed)
     if scenes := _folders_with(path, SCENE_CAMERAS):
-        return open_bop(path, scenes, options)
+        return _with_faults(open_bop(path, scenes, options), closed)
+    if closed:
+        raise closed[0]
     if snapshots := find_snapshots(path):
         return open_viewer(path, snapshots, options)
     if pairs := find_pairs(path):
@@ -67,6 +75,35 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     )
 
 
-def _folders_with(path: Path, name: str) -> list[Path]:
-    # The folder itself, or every one below it that holds such a file, in order.
-    return [path] if (path / name).is_file() else sorted(p.parent for p in path.rglob(name))
+def _folders_with(path: Path, name: str, closed: list[CaptureError] | None = None) -> list[Path]:
+    """Return the folder itself, or every one below it that holds such a file, in order.
+
+    Folders that may not be read are noted in `closed`.
+    """
+
+    def note(error: OSError) -> None:
+        if closed is not None:
+            fault = f"cannot be read ({error.strerror})"
+            closed.append(
+                CaptureError(fault, source=error.filename, remedy="check who may read it")
+            )
+
+    if (path / name).is_file():
+        return [path]
+    found = []
+    for folder, _, files in os.walk(path, onerror=note):
+        if name in files:
+            found.append(Path(folder))
+        elif not os.access(folder, os.X_OK):
+            note(PermissionError(errno.EACCES, os.strerror(errno.EACCES), folder))
+    return sorted(found)
+
+
+def _with_faults(source: CaptureSource, faults: list[CaptureError]) -> CaptureSource:
+    """Add what could not be opened as captures that fail, after those that can."""
+    if not faults:
+        return source
+    names = (safe_name(Path(fault.source).name) for fault in faults)
+    refs = [CaptureRef(n, -1, partial(fail, f)) for n, f in zip(names, faults, strict=True)]
+    total = None if source.total is None else source.total + len(refs)
+    return replace(source, refs=lambda: chain(source.refs(), refs), total=total)

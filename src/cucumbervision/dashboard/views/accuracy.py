@@ -16,6 +16,7 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.settings import replace_text
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
@@ -293,7 +294,7 @@ def _scores(one: RoundView, lists: RoundLists, path: Path) -> None:
     ]
     page_elements.table(lines)
     for note in found.notes:
-        st.caption(note)
+        st.caption(plain(note))
     st.subheader("Calibrate this site")
     name = st.text_input("Name of the calibration", "my house")
     if st.button("Calibrate with these lengths", icon=":material/target:"):
@@ -302,8 +303,9 @@ def _scores(one: RoundView, lists: RoundLists, path: Path) -> None:
             out = path.with_name(f"{path.stem}.calibration.json")
             write_site_calibration(out, site)
         except CucumberVisionError as error:
-            st.error(str(error), icon=":material/error:")
+            st.error(plain(error), icon=":material/error:")
         else:
             st.success(
-                f"Written to {out}. Name it in 'Settings' to use it.", icon=":material/check:"
+                f"Written to {plain(out)}. Name it in 'Settings' to use it.",
+                icon=":material/check:",
             )

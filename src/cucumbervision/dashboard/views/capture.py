@@ -11,6 +11,7 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
 from cucumbervision.dashboard.measuring import TakenStop
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import grade_name
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.measurement.result import Selector
@@ -166,9 +167,9 @@ def _preview(kind: str) -> None:
 
 def _absent(kind: str, preview: Preview) -> None:
     if kind == "replay":
-        st.error(f"The replay cannot be shown. {preview.message}", icon=":material/error:")
+        st.error(f"The replay cannot be shown. {plain(preview.message)}", icon=":material/error:")
         return
-    st.warning(f"No camera was found. {preview.message}", icon=":material/videocam_off:")
+    st.warning(f"No camera was found. {plain(preview.message)}", icon=":material/videocam_off:")
     st.write("Connect a RealSense camera to a USB 3 port, or choose 'Replay' to try without one.")
     if st.button("Search for the camera again", icon=":material/refresh:"):
         resources.camera().retry()
@@ -188,7 +189,7 @@ def _quality(preview: Preview) -> None:
     advice.badge(quality.advice, color=color, width="stretch")
     state = "Replay" if preview.state == "replay" else "Live"
     simulated = ", simulated" if preview.capture.simulated else ""
-    advice.caption(f"{state}: {preview.capture.name}{simulated}")
+    advice.caption(f"{state}: {plain(preview.capture.name)}{simulated}")
 
 
 def _result(one: RoundView) -> TakenStop | None:
@@ -198,18 +199,20 @@ def _result(one: RoundView) -> TakenStop | None:
     if job is None:
         return None
     if job.error:
-        st.error(f"Nothing was captured. {job.error}", icon=":material/error:")
+        st.error(f"Nothing was captured. {plain(job.error)}", icon=":material/error:")
         return None
     taken: TakenStop = job.result
     if taken.note:
-        st.warning(f"Saved, but not measured: {taken.note}", icon=":material/warning:")
+        st.warning(f"Saved, but not measured: {plain(taken.note)}", icon=":material/warning:")
     _lengths(one, taken)
     return taken
 
 
 def _lengths(one: RoundView, taken: TakenStop) -> None:
     units, stop = resources.settings().units, taken.result.capture.stop
-    st.markdown(f"**Row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m: saved**")
+    st.markdown(
+        f"**Row {plain(stop.row or '?')}, {plain(stop.side)}, {stop.position_m:.2f} m: saved**"
+    )
     _, profile = resources.profile_of(one)
     lines = []
     for seen in taken.result.seen:

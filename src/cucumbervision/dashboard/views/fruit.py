@@ -19,6 +19,7 @@ from cucumbervision.dashboard.fruit_view import (
 )
 from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
@@ -82,9 +83,9 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
         delta_color="off",
         delta_arrow="off",
     )
-    st.markdown(f"**{grade_name(found).capitalize()}**")
+    st.markdown(f"**{plain(grade_name(found).capitalize())}**")
     for rule in found.rules:
-        st.caption(rule)
+        st.caption(plain(rule))
     traits = {
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
@@ -94,7 +95,7 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
     }
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
     if record.flags:
-        st.caption(f"Remarks: {record.flags.replace('-', ' ')}")
+        st.caption(f"Remarks: {plain(record.flags.replace('-', ' '))}")
     with st.expander("All figures", icon=":material/list:"):
         page_elements.table(figure_lines(record))
 
@@ -122,7 +123,7 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     button(picked, "Not picked" if is_picked else "Picked", "shopping_basket", pick)
     button(undo, "Undo", "undo", _undo, one)
     if fault := st.session_state.pop("undo_fault", None):
-        st.info(fault)
+        st.info(plain(fault))
 
 
 def _undo(one: RoundView) -> None:
@@ -136,7 +137,7 @@ def _pictures(detail: DetectionDetail) -> None:
     try:
         capture = _capture(detail)
     except CucumberVisionError as error:
-        st.warning(str(error), icon=":material/broken_image:")
+        st.warning(plain(error), icon=":material/broken_image:")
         return
     seen, turned = st.tabs(["Picture", "3D"])
     with seen:
@@ -178,7 +179,7 @@ def _picture(detail: DetectionDetail, capture: Capture) -> None:
         title=f"Fruit {record.number} of {detail.view.capture}",
     )
     simulated = ", simulated capture" if capture.simulated else ""
-    st.caption(f"{detail.view.capture}{simulated}. Depth: {words}.")
+    st.caption(f"{plain(detail.view.capture)}{simulated}. Depth: {words}.")
     if drawn.ruler:
         x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
         length_m = ruler_m(capture, (x1, y1), (x2, y2))
@@ -271,7 +272,7 @@ def show_correction() -> None:
         return
     st.session_state.pop("correction")
     if job.error:
-        st.warning(job.error, icon=":material/error:")
+        st.warning(plain(job.error), icon=":material/error:")
     else:
         done = "Added to the round" if isinstance(job.result, str) else "Measured with this mask"
         st.success(f"{done}. 'Undo' takes it back.")
@@ -294,7 +295,7 @@ def _methods(detail: DetectionDetail) -> None:
     with st.expander("All methods", expanded=True, icon=":material/straighten:"):
         page_elements.table(lines)
         if record.fallback:
-            st.caption(f"Tried before: {record.fallback}")
+            st.caption(f"Tried before: {plain(record.fallback)}")
     if detail.log:
         with st.expander("Changes by hand", icon=":material/history:"):
             for action in detail.log:

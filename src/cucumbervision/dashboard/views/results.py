@@ -13,6 +13,7 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
 from cucumbervision.dashboard.page_elements import button
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import RoundLists, grade_name
 from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.exports import ExportFormat
@@ -53,7 +54,7 @@ def _files(one: RoundView) -> None:
     button(make, "Make the files", "archive", _make, one, formats, disabled=not formats)
     job = page_elements.finished_job(f"export_{one.key}")
     if job is not None and job.error:
-        st.error(job.error, icon=":material/error:")
+        st.error(plain(job.error), icon=":material/error:")
     elif job is not None:
         path: Path = job.result
         load.download_button(

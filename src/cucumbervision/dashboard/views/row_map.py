@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import map_chart, map_lines
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def page(one: RoundView) -> None:
         return
     shown = [line for line in lines if line["row"] in chosen]
     for row in [row for row in rows if row in chosen]:
-        st.markdown(f"**{row}**")
+        st.markdown(f"**{plain(row)}**")
         here = [line for line in shown if line["row"] == row]
         st.altair_chart(map_chart(here, shown, units, by_length=colored == "Length"))
     st.caption(

@@ -9,6 +9,7 @@ import streamlit as st
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -29,7 +30,7 @@ def page() -> None:
     with measuring:
         _measuring()
     _models()
-    st.caption(f"Store: {resources.store().name}")
+    st.caption(f"Store: {plain(resources.store().name)}")
 
 
 def _crop() -> None:
@@ -59,10 +60,10 @@ def _crop() -> None:
         ]
         st.dataframe(lines, hide_index=True)
         for rule in profile.rules.values():
-            st.caption(rule)
+            st.caption(plain(rule))
     for entry in entries.values():
         if entry.fault:
-            st.warning(entry.fault, icon=":material/error:")
+            st.warning(plain(entry.fault), icon=":material/error:")
 
 
 def _measuring() -> None:
@@ -95,10 +96,10 @@ def _measuring() -> None:
         try:
             site = read_site_calibration(Path(calibration))
         except CucumberVisionError as error:
-            st.error(str(error), icon=":material/error:")
+            st.error(plain(error), icon=":material/error:")
             calibration = now.calibration
         else:
-            st.success(f"Calibration {site.tag}", icon=":material/verified:")
+            st.success(f"Calibration {plain(site.tag)}", icon=":material/verified:")
     resources.change_settings(
         length=length, fruit_from=finder, full_precision=exact, calibration=calibration
     )

@@ -9,6 +9,7 @@ import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.measuring import measure_uploads
+from cucumbervision.dashboard.plain_text import plain
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
@@ -39,12 +40,12 @@ def page(one: RoundView) -> None:
     if job is None:
         return
     if job.error:
-        st.error(job.error, icon=":material/error:")
+        st.error(plain(job.error), icon=":material/error:")
     else:
         many = "capture" if job.result == 1 else "captures"
         st.success(f"{job.result} {many} saved; see 'Results'.", icon=":material/check:")
     for note in job.notes:
-        st.warning(note, icon=":material/error:")
+        st.warning(plain(note), icon=":material/error:")
 
 
 def _measure(round_key: str, files: list[tuple[str, bytes]], spacing_m: float) -> None:

@@ -1,6 +1,8 @@
 """A PostgreSQL server of one's own, in a temporary folder, for tests and benchmarks.
 
-    python benchmarks/throwaway_postgres.py    # prints its URL, and stops it at the end of input
+    python -m cucumbervision_lab.robustness.throwaway_postgres
+
+prints its URL, and stops it at the end of input.
 
 It listens on a Unix socket alone, in a folder that nobody else may enter. PostgreSQL refuses to
 run as root; where the caller is root, the server runs as the user `postgres` or `nobody`.
@@ -148,7 +150,8 @@ def throwaway_cluster(*, durable: bool = True) -> Iterator[Cluster]:
 def main() -> None:
     """Run a server until the input ends."""
     with throwaway_cluster() as cluster:
-        print(cluster.new_database(), flush=True)
+        sys.stdout.write(f"{cluster.new_database()}\n")
+        sys.stdout.flush()
         sys.stdin.read()
 
 

@@ -431,7 +431,7 @@ def parse_model(
 
     try:
         with refusing(source, error):
-            return cast("ModelT", _adapter(model).validate_python(data))
+            return cast("ModelT", _adapter(cast("Any", model)).validate_python(data))
     except error as refused:
         invalid = refused.__cause__
         if not isinstance(invalid, ValidationError):

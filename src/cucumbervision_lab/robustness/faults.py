@@ -288,7 +288,8 @@ def kill_rounds(
     from cucumbervision.store.repository import open_store
 
     random, source = Random(seed), _captures(folder / "in", 8)
-    killed, lost, rounds = 0, [], 0
+    killed, rounds = 0, 0
+    lost: list[str] = []
     while killed < kills and not lost:
         rounds += 1
         store = folder / f"house{rounds}.db"

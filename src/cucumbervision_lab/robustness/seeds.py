@@ -340,10 +340,9 @@ def recording(folder: Path, frames: int = 22) -> None:
         sensor.start(syncer)
     depth = np.full((180, 320), 600, np.uint16)
     depth[80:100, 100:200] = 450
+    images: tuple[np.ndarray[Any, Any], ...] = depth, np.full((180, 320, 3), 90, np.uint8)
     for number in range(1, frames + 1):
-        for inlet, profile, image in zip(
-            inlets, profiles, (depth, np.full((180, 320, 3), 90, np.uint8)), strict=True
-        ):
+        for inlet, profile, image in zip(inlets, profiles, images, strict=True):
             frame = rs.software_video_frame()
             frame.pixels, frame.profile = np.ascontiguousarray(image), profile
             frame.bpp = 2 if image.ndim == 2 else 3

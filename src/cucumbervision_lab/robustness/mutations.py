@@ -103,7 +103,7 @@ def _cut(data: bytes, random: Random) -> bytes:
 
 def _boundary(data: bytes, random: Random) -> bytes:
     value, size = random.choice(_BOUNDARIES), random.choice((1, 2, 4, 4, 8))
-    number = (value & (256**size - 1)).to_bytes(size, random.choice(("big", "little")))
+    number = int(value & ((1 << 8 * size) - 1)).to_bytes(size, random.choice(("big", "little")))
     at = _place(data, random, size)
     return data[:at] + number + data[at + size :]
 

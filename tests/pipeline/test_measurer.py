@@ -35,6 +35,7 @@ from cucumbervision.measurement.result import (
     Method,
 )
 from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.registry import Registry
 from cucumbervision.pipeline.measurer import (
     Boundary,
     Failure,
@@ -261,3 +262,13 @@ def test_exit_codes() -> None:
     assert [exit_code(*x) for x in ((2, []), (2, [bad]), (0, [bad]), (2, [bad, defect]))] == [
         0, 1, 2, 70,
     ]  # fmt: skip
+
+
+def test_warming_up_loads_the_networks_that_find_fruit(own_registry: Registry) -> None:
+    measurer = Measurer(MeasureOptions(segmenter="none"), own_registry)
+    assert measurer.models == []
+    measurer.warm_up()
+    assert measurer.models
+    masks = Measurer(MeasureOptions(instances="dataset"), own_registry)
+    masks.warm_up()
+    assert masks.models == []

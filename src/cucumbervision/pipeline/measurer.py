@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.calibration.corrections import Form, corrected
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CalibrationError, InternalError, named_error
 from cucumbervision.measurement.result import (
     Choice,
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
     from cucumbervision.calibration.calibration_file import SiteCalibration
-    from cucumbervision.capture.frames import Capture
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
@@ -46,6 +47,7 @@ __all__ = [
 ]
 
 RANGE_MARGIN = 0.10
+WARM_UP_PX = (640, 480)
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,23 @@ class Measurer:
                 self.site = read_site_calibration(self.options.calibration)
             self._finder = make_finder(self.options, self._registry)
         return self._finder
+
+    def warm_up(self) -> None:
+        """Load the networks that find fruit, by looking at a grey picture; SAM still waits.
+
+        Raises
+        ------
+        CucumberVisionError
+            As `load`.
+        """
+        finder = self.load()
+        instances = self.options.instances
+        if instances not in ("auto", "models") and not instances.lower().endswith(".onnx"):
+            return  # masks of a data set or a file need none
+        lens = Intrinsics(*WARM_UP_PX, float(WARM_UP_PX[0]), float(WARM_UP_PX[0]), 320.0, 240.0)
+        shape = WARM_UP_PX[::-1]
+        color = np.full((*shape, 3), 90, np.uint8)
+        finder.find(Capture(color, np.zeros(shape, np.float32), lens, "warm-up"))
 
     def measure(self, capture: Capture) -> CaptureResult:
         """Find and measure the fruit of one capture.

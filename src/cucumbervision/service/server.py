@@ -56,6 +56,6 @@ def serve(
     from cucumbervision.service.app import create_app
 
     measurer = Measurer(options)
-    measurer.load()
+    measurer.warm_up()
     app = create_app(measurer, settings)
     uvicorn.run(app, host=address, port=port, log_level="warning", server_header=False)

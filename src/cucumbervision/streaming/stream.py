@@ -224,7 +224,8 @@ class FruitStream:
         StreamedFrame or Failure
             A frame, or why one could not be read or measured; the stream goes on.
         """
-        self.measurer.load()
+        # Before the first frame is asked for: none is dropped while networks are loaded.
+        self.measurer.warm_up()
         for arrival in arrivals:
             item = arrival.item
             if isinstance(item, Failure):

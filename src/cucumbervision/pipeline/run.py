@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureSource, ReadOptions
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.options import MeasureOptions
+
+_log = logging.getLogger(__name__)
 
 __all__ = [
     "Folder",
@@ -100,7 +103,7 @@ def read_captures(
     Capture or Failure
         A capture, or why one or a whole input cannot be read.
     """
-    for path in inputs:
+    for path in _once(inputs, say=True):
         failures: list[Failure] = []
         refs = None
         with Boundary(failures, str(path)):
@@ -120,6 +123,20 @@ def read_captures(
         yield from failures
 
 
+def _once(inputs: Iterable[Path], *, say: bool = False) -> Iterator[Path]:
+    """Yield each input once, by whatever way it is named; say which were left out."""
+    seen = set[Path]()
+    for path in inputs:
+        whole = path.absolute()
+        with suppress(OSError, RuntimeError):  # a loop of links is its reader's to name
+            whole = path.resolve()
+        if whole not in seen:
+            yield path
+        elif say:
+            _log.warning("%s is given twice: it is measured once", path)
+        seen.add(whole)
+
+
 def _named_apart(captures: Iterable[Capture | Failure]) -> Iterator[Capture | Failure]:
     taken: set[str] = set()
     for one in captures:
@@ -134,7 +151,7 @@ def count_captures(
 ) -> int | None:
     """Return how many captures the inputs hold; None where only reading them would tell."""
     total = 0
-    for path in inputs:
+    for path in _once(inputs):
         source = None
         with Boundary([], str(path)):
             source = opener(path, reading)

@@ -1,0 +1,127 @@
+"""The site made of `docs/`: it builds strictly, shows every public name, and fetches nothing."""
+
+from __future__ import annotations
+
+import doctest
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import cucumbervision
+
+ROOT = Path(__file__).parents[2]
+WRITTEN = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+PHONE = {"width": 390, "height": 844}
+
+
+def load_script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "website" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    for package in ("mkdocs", "material", "mkdocstrings_handlers"):
+        pytest.importorskip(package, reason="the extra docs is not installed")
+    out = tmp_path_factory.mktemp("site")
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        str(out),
+    ]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_every_public_name_is_in_the_reference(site: Path) -> None:
+    pages = "".join(page.read_text() for page in (site / "reference").rglob("*.html"))
+    described = set(re.findall(r'id="cucumbervision\.(?:errors\.)?(\w+)"', pages))
+    assert {name for name in dir(cucumbervision) if name != "__version__"} <= described
+
+
+@pytest.mark.parametrize("page", WRITTEN, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_work_in_the_repository_too(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    links = re.findall(r"\]\((?!\w+:|#)([^)\s#]+)", text)
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@pytest.fixture
+def address(site: Path) -> Iterator[str]:
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=site)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_pages_fit_a_phone_and_fetch_nothing_from_elsewhere(site: Path, address: str) -> None:
+    sync_playwright = pytest.importorskip("playwright.sync_api").sync_playwright
+    asked: list[str] = []
+    wrong: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        page = browser.new_page(viewport=PHONE)
+        page.on("request", lambda request: asked.append(request.url))
+        for file in sorted(site.rglob("index.html")):
+            page.goto(f"{address}{file.parent.relative_to(site).as_posix()}/")
+            if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+                wrong.append(f"{file}: wider than the phone")
+            broken = "[...document.images].some(one => !one.complete || !one.naturalWidth)"
+            if page.evaluate(broken):
+                wrong.append(f"{file}: a picture is missing")
+        browser.close()
+    assert wrong == []
+    assert [url for url in asked if not url.startswith((address, "data:", "blob:"))] == []
+    assert len(asked) > 30
+
+
+def test_table_of_methods_is_what_they_read() -> None:
+    pytest.importorskip("matplotlib", reason="the extra report is not installed")
+    figures = load_script("method_figures")
+    text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
+    assert figures.reading_table(figures.load_example()) in text
+
+
+@pytest.mark.parametrize("page", ["camera.md", "python.md"])
+def test_examples(page: str, run_page: Callable[[Path], doctest.TestResults]) -> None:
+    result = run_page(ROOT / "docs" / page)
+    assert result.attempted > 2
+    assert result.failed == 0
+
+
+def test_examples_of_the_links() -> None:
+    pytest.importorskip("mkdocs", reason="the extra docs is not installed")
+    result = doctest.testmod(load_script("source_pages"))
+    assert result.attempted > 3
+    assert result.failed == 0

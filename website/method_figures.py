@@ -1,0 +1,291 @@
+"""Draw how each method measures one fruit of a bundled capture.
+
+    python website/method_figures.py            # writes docs/images/m1.png … m6.png and lengths.png
+    python website/method_figures.py --table    # prints the table of docs/methods.md
+
+Every point, line and length is what the methods made of the capture; nothing is sketched. The left
+picture is what the camera saw; the right one shows the same fruit from the side, with the body that
+was drawn in grey.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from PIL import Image
+
+from cucumbervision.accuracy.plots import STYLES
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.geometry.axis import align_near
+from cucumbervision.measurement.m1 import WINDOW_PX, _reference_depth, _sample_grid, window_depths
+from cucumbervision.measurement.m2_m3 import GATE_M
+from cucumbervision.measurement.m4 import WINDOW_PX as KEYPOINT_PX
+from cucumbervision.measurement.m6 import TubeView, view_tube
+from cucumbervision.measurement.methods import Region, run_methods
+from cucumbervision.measurement.result import Measurement, Method
+from cucumbervision.measurement.traits import TubeTraits
+from cucumbervision.perception.masks import box_of_mask
+from cucumbervision_lab.synthesis.bodies import Tube
+from cucumbervision_lab.synthesis.demo import CAMERA, SCENES, build_scene
+from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+SCENE, FRUIT, BENT = "simulated-row-b", 1, 0
+MARGIN_PX = 30
+GREY, DARK, REFUSED = "#d4d4d4", "#222222", "#c0392b"
+SMALL = 9.0  # dots larger than this stand for single samples, and get an edge
+SIDE_CM = 5.0  # room before and behind the fruit in the view from the side
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """The fruit of the figures: as captured, as drawn, as measured."""
+
+    color: NDArray[np.uint8]
+    region: Region
+    body: Tube
+    truth: FruitTruth
+
+    @cached_property
+    def measured(self) -> dict[Method, Measurement]:
+        """Every method's measurement."""
+        return run_methods(self.region)
+
+
+def load_example() -> Example:
+    """Read the capture, and build its scene again for the truth."""
+    (ref,) = open_source(bundled_captures() / SCENE)
+    capture = ref.load()
+    scene = build_scene(next(demo for demo in SCENES if demo.name == SCENE))[0]
+    truth = truth_of(scene, CAMERA)[FRUIT]
+    keypoints = np.column_stack([truth.keypoints_px, truth.keypoint_visibility / 2])
+    mask = capture.masks[FRUIT]
+    region = Region(capture.depth_m, capture.intrinsics, box_of_mask(mask), mask, keypoints)
+    return Example(capture.color, region, scene.fruit[FRUIT], truth)
+
+
+def reading_table(example: Example) -> str:
+    """Return what each method reads, and of what, as Markdown."""
+    read: list[tuple[Method, float | None, str | None]] = [
+        (method, one.length_m, one.kind) for method, one in example.measured.items()
+    ]
+    tube = example.measured[Method.M6].tube
+    if tube is not None:
+        read += [(Method.M6, tube.thread_m, "thread"), (Method.M6, tube.chord_m, "chord")]
+    rows = [f"| {method} | {_cm(length)} | `{kind}` |" for method, length, kind in read]
+    true = example.truth
+    for kind, length in (
+        ("centreline", true.centreline_m),
+        ("thread", true.thread_m),
+        ("chord", true.chord_m),
+    ):
+        rows.append(f"| *as drawn* | {_cm(length)} | `{kind}` |")
+    return "\n".join(["| method | length | kind |", "|---|--:|---|", *rows])
+
+
+def _cm(length_m: float | None) -> str:
+    return "–" if length_m is None else f"{100 * length_m:.1f} cm"
+
+
+@dataclass(frozen=True, eq=False)
+class Used:
+    """What a method looks at: points in space, those that it refuses, and its gate in depth."""
+
+    points_m: NDArray[np.float64]
+    refused_m: NDArray[np.float64]
+    gate_m: float | None = None  # its middle
+
+
+NOTHING = np.empty((0, 3))
+
+
+def used_by(method: Method, region: Region) -> Used:
+    """Return what a method looks at on the fruit."""
+    if method is Method.M1:
+        return _samples(region)
+    if method is Method.M4:
+        assert region.keypoints is not None
+        u, v, _ = region.keypoints.T
+        depths = window_depths(region.depth_m, u, v, KEYPOINT_PX, region.mask)
+        return Used(_lifted(region, u, v, depths), NOTHING)
+    if method is Method.M6:
+        return Used(_tube_view(region).evidence.points_m, NOTHING)
+    points = region.box_points_m if method is Method.M2 else region.mask_points_m
+    assert points is not None
+    middle = float(np.median(points[:, 2]))
+    off = np.abs(points[:, 2] - middle) > GATE_M
+    return Used(align_near(points, GATE_M).points_m, points[off], middle)
+
+
+def _samples(region: Region) -> Used:
+    u, v = (grid.ravel() for grid in _sample_grid(region.box))
+    depths = window_depths(region.depth_m, u, v, WINDOW_PX)
+    middle = _reference_depth(region.depth_m, region.box)
+    assert middle is not None
+    points = _lifted(region, u, v, depths)
+    counts = np.abs(depths - middle) <= GATE_M
+    return Used(points[counts], points[~counts & np.isfinite(depths)], middle)
+
+
+def _lifted(region: Region, u: Any, v: Any, depths_m: Any) -> NDArray[np.float64]:
+    x, y = region.intrinsics.rays(u, v)
+    return np.stack([x * depths_m, y * depths_m, depths_m], axis=-1)
+
+
+def draw_method(example: Example, method: Method) -> Figure:
+    """Return the figure of one method: the picture, and the fruit from the side."""
+    figure = Figure(figsize=(7.2, 5.6), dpi=110, layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.5))
+    used, one = used_by(method, example.region), example.measured[method]
+    _draw_picture(left, example, method, used)
+    _draw_side(right, example, method, used)
+    truth = example.truth.centreline_m
+    figure.suptitle(
+        f"{method}: {_cm(one.length_m)} ({one.kind}); centreline as drawn: {_cm(truth)}"
+    )
+    return figure
+
+
+def _draw_picture(axes: Axes, example: Example, method: Method, used: Used) -> None:
+    region, colour = example.region, STYLES[str(method)][0]
+    axes.imshow(example.color)
+    dot = 26.0 if method in (Method.M1, Method.M4) else 1.5
+    for points, tint, mark in ((used.refused_m, REFUSED, "x"), (used.points_m, colour, "o")):
+        u, v = _pixels(region, points)
+        if dot > SMALL and mark == "o":
+            axes.scatter(u, v, s=dot, c=tint, marker=mark, edgecolors="black", linewidths=0.6)
+        else:
+            axes.scatter(u, v, s=dot, c=tint, marker=mark)
+    if method is Method.M6:
+        u, v = _pixels(region, _tube_view(region).evidence.rays)
+        axes.scatter(u, v, s=5, c="white", marker="s")
+    path = example.measured[method].path_m
+    if path is not None:
+        for width, tint in ((3.6, "black"), (1.8, "white")):
+            axes.plot(*region.intrinsics.project(path).T, color=tint, lw=width)
+    x1, y1, x2, y2 = region.box
+    if method in (Method.M1, Method.M2):
+        axes.plot([x1, x2, x2, x1, x1], [y1, y1, y2, y2, y1], color="white", lw=1)
+    axes.set(xlim=(x1 - MARGIN_PX, x2 + MARGIN_PX), ylim=(y2 + MARGIN_PX, y1 - MARGIN_PX))
+    axes.set(xticks=[], yticks=[], title="picture")
+
+
+def _pixels(region: Region, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    return region.intrinsics.project(points_m).T if len(points_m) else np.empty((2, 0))
+
+
+def _tube_view(region: Region) -> TubeView:
+    view = (
+        None if region.mask is None else view_tube(region.depth_m, region.mask, region.intrinsics)
+    )
+    assert view is not None
+    return view
+
+
+def _side(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    # From the side: distance to the right, up upwards, in cm.
+    return 100 * np.stack([points_m[:, 2], -points_m[:, 1]])
+
+
+def _draw_side(axes: Axes, example: Example, method: Method, used: Used) -> None:
+    colour, one = STYLES[str(method)][0], example.measured[method]
+    centres, radii = _side(example.body.centres_m), 100 * example.body.radii_m
+    for x, y, radius in zip(*centres, radii, strict=True):
+        axes.add_patch(Circle((x, y), radius, color=GREY, lw=0))
+    if used.gate_m is not None:
+        low, high = (100 * (used.gate_m + side * GATE_M) for side in (-1, 1))
+        axes.axvspan(low, high, color="#ffe9a8", alpha=0.5, zorder=0, label="gate, ± 3.5 cm")
+    dot = 22.0 if method in (Method.M1, Method.M4) else 3.0
+    if len(used.refused_m):
+        z, up = _side(used.refused_m)
+        axes.scatter(z, up, s=dot, c=REFUSED, marker="x", label="refused")
+    named = {Method.M1: "samples", Method.M4: "keypoints with depth"}.get(method, "depth readings")
+    z, up = _side(used.points_m)
+    axes.scatter(z, up, s=dot, c=colour, label=named, zorder=5 if dot > SMALL else 3)
+    if one.fit is not None:
+        for number, edge in enumerate(_edges(one.fit.traits)):
+            axes.plot(
+                *edge, color=colour, lw=1.6, label=None if number else "fitted tube", zorder=4
+            )
+    if one.path_m is not None:
+        axes.plot(*_side(one.path_m), color=DARK, lw=2, label="measured line", zorder=4)
+    (near, far), (low, high) = (
+        ((a - radii).min() - SIDE_CM / 2, (a + radii).max() + SIDE_CM / 2) for a in centres
+    )
+    axes.set(xlim=(near - SIDE_CM / 2, far + SIDE_CM / 2), ylim=(low, high), aspect="equal")
+    axes.set(xlabel="distance from the camera, cm", ylabel="up, cm", title="from the side")
+    axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
+
+
+def _edges(tube: TubeTraits) -> NDArray[np.float64]:
+    # The tube's two edges as seen from the side, shape (2, 2, 101), cm.
+    walked = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(tube.axis_m, axis=0), axis=1))]
+    )
+    axis = np.stack([np.interp(tube.along_m, walked, c) for c in _side(tube.axis_m)])
+    ahead = np.gradient(axis, axis=1)
+    across = np.stack([-ahead[1], ahead[0]]) / np.linalg.norm(ahead, axis=0)
+    out = across * (50 * tube.diameter_m)
+    return np.stack([axis + out, axis - out])
+
+
+def draw_lengths() -> Figure:
+    """Return the figure of the three lengths of a fruit, in the plane of its bend."""
+    body = build_scene(next(demo for demo in SCENES if demo.name == SCENE))[0].fruit[BENT]
+    start, end = body.poles_m
+    along = (end - start) / np.linalg.norm(end - start)
+    outward = body.outward - (body.outward @ along) * along
+    plane = 100 * np.stack([along, outward / np.linalg.norm(outward)])
+    figure = Figure(figsize=(7.2, 1.9), dpi=110, layout="constrained")
+    axes = figure.subplots()
+    for centre, radius in zip((body.centres_m - start) @ plane.T, body.radii_m, strict=True):
+        axes.add_patch(Circle((centre[0], centre[1]), 100 * radius, color=GREY, lw=0))
+    for (name, length, path), style in zip(
+        (
+            ("thread", body.thread_m, body.thread_path_m),
+            ("centreline", body.centreline_m, body.axis_m),
+            ("chord", body.chord_m, body.poles_m),
+        ),
+        (STYLES["M6"][0], STYLES["M5"][0], DARK),
+        strict=True,
+    ):
+        axes.plot(*((path - start) @ plane.T).T, color=style, lw=2, label=f"{name}: {_cm(length)}")
+    axes.set(aspect="equal", xlabel="cm", ylabel="cm")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return figure
+
+
+def save(figure: Figure, name: str) -> None:
+    """Write a figure with 256 colours, which is a third of its size."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png")
+    picture = Image.open(drawn).convert("RGB")
+    picture.quantize(256, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
+
+
+def main() -> None:
+    """Write the figures, or print the table."""
+    example = load_example()
+    if "--table" in sys.argv[1:]:
+        print(reading_table(example))
+        return
+    save(draw_lengths(), "lengths")
+    for method in Method:
+        save(draw_method(example, method), str(method).lower())
+
+
+if __name__ == "__main__":
+    main()

@@ -110,6 +110,18 @@ def test_a_fruit_seen_from_the_same_place_waits_when_one_is_measured_a_frame(
     assert sum(one.fruit.reason is not Choice.WAITING for one in frame.fruit) == 1
 
 
+def test_frames_without_a_time_are_not_forgotten_because_networks_loaded(
+    walk: list[Capture],
+) -> None:
+    stream = by_masks(fits=0)
+    for capture, received_s in zip(walk, (0.0, 60.0, 60.1, 60.2), strict=True):
+        frame = stream.take(replace(capture, timestamp_s=None), received_s=received_s)
+        assert [one.track for one in frame.fruit] == [1, 2, 3]
+    # With times of their own, a minute is a minute.
+    late = replace(walk[0], timestamp_s=1e9)
+    assert [one.track for one in stream.take(late).fruit] == [4, 5, 6]
+
+
 def test_a_frame_that_fails_does_not_end_the_stream(folder: Path) -> None:
     (folder / "walk_1" / "depth_000000.png").write_bytes(b"\x89PNG no more")
     given = list(by_masks().follow(open_stream(folder)))

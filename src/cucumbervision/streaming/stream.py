@@ -39,6 +39,7 @@ __all__ = [
 
 FAST_SIZE_PX = 640
 FAST_FITS = 1
+LONGEST_GAP_S = 1.0
 AGAIN_AFTER = 10  # frames: until then a fruit seen from the same place is not measured again
 
 
@@ -203,6 +204,8 @@ class FruitStream:
         self._fits = fits
         self._tracker = Tracker(keep_s)
         self._known: dict[int, _Known] = {}
+        self._received_s: float | None = None
+        self._own_s = 0.0
 
     @classmethod
     def fast(cls, options: MeasureOptions | None = None, *, keep_s: float = 2.0) -> FruitStream:
@@ -253,7 +256,8 @@ class FruitStream:
         capture : Capture
             The frame; frames come in their order.
         at_s : float, optional
-            When it was taken; by default its own time, or where it has none that of arrival.
+            When it was taken; by default its own time, or where it has none by its arrival, at most a
+        second after the one before.
         received_s : float, optional
             When it arrived, by `time.monotonic`; now by default.
         dropped : int
@@ -266,7 +270,9 @@ class FruitStream:
         """
         received_s = time.monotonic() if received_s is None else received_s
         if at_s is None:
-            at_s = received_s if capture.timestamp_s is None else capture.timestamp_s
+            at_s = capture.timestamp_s
+        if at_s is None:
+            at_s = self._own_time(received_s)
         looked = self.measurer.look(capture)
         instances = looked.found.instances
         views = [frame_view(looked.capture, one) for one in instances]
@@ -279,6 +285,16 @@ class FruitStream:
             for k, one in enumerate(result.fruit)
         )
         return StreamedFrame(result, fruit, time.monotonic() - received_s, dropped)
+
+    def _own_time(self, received_s: float) -> float:
+        """Return when a frame without a time was taken, by the arrivals.
+
+        A wait of more than a second says that this program was slow, not that much has moved.
+        """
+        before_s = received_s if self._received_s is None else self._received_s
+        self._received_s = received_s
+        self._own_s += min(max(received_s - before_s, 0.0), LONGEST_GAP_S)
+        return self._own_s
 
     def _choose(self, numbers: list[int], views: list[FrameView]) -> frozenset[int]:
         """Return which detections are measured now."""

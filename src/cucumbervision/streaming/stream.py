@@ -256,8 +256,8 @@ class FruitStream:
         capture : Capture
             The frame; frames come in their order.
         at_s : float, optional
-            When it was taken; by default its own time, or where it has none by its arrival, at most a
-        second after the one before.
+            When it was taken; by default its own time, or where it has none by its arrival, at
+            most a second after the one before.
         received_s : float, optional
             When it arrived, by `time.monotonic`; now by default.
         dropped : int

@@ -1,20 +1,16 @@
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.jobs import Job
-from cucumbervision.dashboard.measuring import SharedMeasurer, measure_uploads, stored_capture
+from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import decode_rle
@@ -22,6 +18,7 @@ from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
+from cucumbervision.store.views import Verdict
 from cucumbervision_lab.synthesis.demo import SCENES, place
 
 if TYPE_CHECKING:
@@ -150,33 +147,21 @@ def test_a_fruit_that_was_not_found_is_added_by_a_box(
     assert store.detections(one.key) == []
 
 
-def test_uploads_become_stops_and_faults_become_notes(
+def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted(
     store: Store, measurer: SharedMeasurer
 ) -> None:
-    packed, folder = io.BytesIO(), bundled_captures() / "simulated-row-a"
-    with zipfile.ZipFile(packed, "w") as archive:
-        for name in ("a", "b"):
-            for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-                data = path.read_bytes()
-                if path.name == "capture.json":
-                    manifest = json.loads(data)
-                    manifest["stop"]["position_m"] = None
-                    data = json.dumps(manifest).encode()
-                archive.writestr(f"{name}/{path.relative_to(folder)}", data)
-    packed.seek(0)
-    pair = [  # without intrinsics: refused when it is opened
-        (
-            f"{part}_1.png",
-            io.BytesIO(cv2.imencode(".png", np.full((48, 64), 200, dtype))[1].tobytes()),
-        )
-        for part, dtype in (("color", np.uint8), ("depth", np.uint16))
-    ]
-    one, job = RoundRecord(key_of("uploads")), Job(1, "uploads")
-    store.save_round(one)
-    files = [("row.zip", packed), ("odd.png", io.BytesIO(b"MZ")), *pair]
-    assert measure_uploads(files, measurer, store, one.key, OPTIONS, 0.5, job) == 2
-    assert (job.total, job.done) == (4, 4)
-    assert [stop.position_m for stop in store.stops(one.key)] == [0.0, 0.5]
-    assert len(job.notes) == 2
-    assert "odd.png: is of no kind" in job.notes[0]
-    assert "intrinsics" in job.notes[1]
+    first, second, *_ = (store.detection(view.key) for view in store.detections(WALK))
+    assert first.stop.key == second.stop.key
+    mask = decode_rle(
+        second.view.record.mask or "", second.capture.height_px, second.capture.width_px
+    )
+    with pytest.raises(InstancesError, match=f"that is fruit {second.view.record.number}"):
+        measurer.correct(store, first, mask, OPTIONS)
+    capture = stored_capture(store.images, first.capture, first.stop)
+    with pytest.raises(InstancesError, match="there already"):
+        measurer.add(store, first.stop, capture, mask, OPTIONS)
+    store.set_verdict([second.view.key], Verdict.REJECTED)
+    measurer.correct(store, first, mask, OPTIONS)
+    now = store.detection(first.view.key).view.record
+    assert now.mask == second.view.record.mask
+    assert not now.keypoints  # they were another outline's

@@ -3,6 +3,7 @@ from __future__ import annotations
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,16 @@ pytest.importorskip("streamlit")
 import streamlit as st
 from streamlit.testing.v1 import AppTest
 
+from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
-from cucumbervision.store.records import StopRecord, key_of
+from cucumbervision.dashboard.shutter import Press
+from cucumbervision.rounds.walking import DEMONSTRATION, NextPlace, next_place
+from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
 
 WALK, LONG = key_of("walk"), key_of("long walk")
-PAGES = ("capture", "upload", "results", "row_map", "forecast", "accuracy", "settings")
+PAGES = ("today", "capture", "upload", "results", "row_map", "forecast", "accuracy", "settings")
 
 
 @pytest.fixture(autouse=True)
@@ -138,19 +142,83 @@ def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
     assert any(metric.label == "Mean length" for metric in test.metric)
 
 
-def test_a_capture_from_the_replay_becomes_a_stop(house: Path) -> None:
+def test_presses_become_stops_that_go_on_from_the_last_one(house: Path) -> None:
     resources.change_settings(fruit_from="dataset")
-    test = app("capture", source="replay", row="9", side="right", position_m=2.0, step_m=0.4)
-    next(button for button in test.button if button.label == "Capture").click().run()
+    feed, shutter = resources.feed("replay"), resources.shutter()
+    place = next_place([Stop("9", "right", 1.6, 4), Stop("9", "right", 2.0, 5)])
+    for number in range(3):
+        stop = Stop(place.row, place.side, place.position_m)
+        assert shutter.press(feed, 1, WALK, stop, Press(str(number), time.time()))
+        place = place.onward()
+    shutter.close()
     wait_for_jobs()
-    test.run()
-    assert test.session_state["position_m"] == 2.4
+    test = app("capture", source="replay")
+    # Drawn captures are the demonstration's, whatever round is open.
     with open_store(house) as store:
-        taken = [stop for stop in store.stops(WALK) if stop.row == "9"]
-        assert [(stop.side, stop.position_m, stop.fruit) for stop in taken] == [("right", 2.0, 3)]
-    assert "Row 9, right, 2.00 m: saved" in said(test)
-    lengths = test.dataframe[-1].value["Length"]
-    assert all(text.endswith(" cm") for text in lengths)
+        assert all(stop.row != "9" for stop in store.stops(WALK))
+        taken = [one for one in store.stops(DEMONSTRATION) if one.row == "9"]
+    places = [(one.step, one.side, one.position_m, one.fruit) for one in taken]
+    assert [one[:3] for one in places] == [(1, "right", 2.4), (2, "right", 2.8), (3, "right", 3.2)]
+    assert sum(one[3] for one in places) == 8
+    assert "never into yours" in said(test)
+    assert "Stop 3: row 9, right, 3.20 m: saved" in said(test)
+    assert test.session_state["place"] == NextPlace("9", "right", 3.6, 0.4)
+    assert all(text.endswith(" cm") for text in test.dataframe[-1].value["Length"])
+
+
+def test_the_row_map_tells_two_fruit_from_one_and_takes_that_back(house: Path) -> None:
+    with open_store(house) as store:
+        first, second, *_ = store.detections(WALK)
+    test = app("row_map", round=WALK, map_fruit=first.key)
+    assert not test.exception
+    assert "90 %" in said(test)
+
+    def groups() -> int:
+        with open_store(house) as store:
+            return sum(view.best for view in store.detections(WALK))
+
+    before = groups()
+    test.button(key=f"This one too_{second.key}").click().run()
+    assert groups() == before - 1
+    test.button(key=f"Not the same_{second.key}").click().run()
+    assert groups() == before
+    for left in (before - 1, before):
+        next(button for button in test.button if button.label == "Undo").click().run()
+        assert groups() == left
+    next(button for button in test.button if button.label == "No fruit").click().run()
+    with open_store(house) as store:
+        assert store.detection(first.key).view.verdict is Verdict.REJECTED
+
+
+def test_an_old_round_says_nothing_of_today(house: Path) -> None:
+    with open_store(house) as store:
+        template = store.stop(store.stops(WALK)[0].key)
+        past = RoundRecord(name="past", started_s=1_700_000_000.0)
+        store.save_round(past)
+        stop = replace(template, key=new_key(), round_key=past.key, taken_s=past.started_s)
+        store.save_stop(stop)
+    test = app("today", round=past.key)
+    assert "it says nothing about today" in said(test)
+    assert not test.metric
+
+
+def test_today_counts_what_is_ready(house: Path) -> None:
+    with open_store(house) as store:
+        template = store.stop(store.stops(WALK)[1].key)
+        fresh = RoundRecord(name="today", house="house 9", profile="long-cucumber")
+        store.save_round(fresh)
+        store.save_stop(
+            replace(template, key=new_key(), round_key=fresh.key, taken_s=fresh.started_s)
+        )
+        ready = [
+            view
+            for view in store.detections(fresh.key)
+            if 0.25 < (view.record.length_m or 0) < 0.40
+        ]
+    test = app("today", round=fresh.key)
+    shown = {metric.label: metric.value for metric in test.metric}
+    assert "of today" in said(test)
+    assert int(shown["Ready today"]) + int(shown.get("Too long", 0)) >= len(ready) > 0
 
 
 def test_the_absent_camera_is_told_and_the_replay_offered(
@@ -201,15 +269,6 @@ def test_inches_are_shown_where_chosen(house: Path) -> None:
     assert resources.settings().unit == "in"
     shown = {metric.label: metric.value for metric in app("results").metric}
     assert shown["Mean length"].endswith(" in")
-
-
-def test_the_pick_list_marks_its_fruit_as_picked(house: Path) -> None:
-    test = app("forecast")
-    ready = next(text.value for text in test.markdown if "ready today" in text.value)
-    assert "4 fruit" in ready  # the profile picks class I
-    next(b for b in test.button if b.label == "Mark all as picked").click().run()
-    with open_store(house) as store:
-        assert sum(view.picked_s is not None for view in store.detections(WALK)) == 4
 
 
 def test_the_source_is_offered_on_every_page(house: Path) -> None:

@@ -559,7 +559,11 @@ def _counts(
         # where plain quantiles of small counts would hold far more.
         spread = counts + rng.uniform(-0.5, 0.5, counts.shape)
         low, high = np.quantile(spread, ends, axis=0)
-        found.append(Counts(counts.mean(axis=0), np.ceil(low) + 0.0, np.floor(high)))
+        mean = counts.mean(axis=0)
+        # Whole numbers, that have the mean between them.
+        low, high = np.minimum(np.ceil(low), np.floor(mean)), np.maximum(high, mean)
+        high = np.maximum(np.floor(high), np.ceil(mean))
+        found.append(Counts(mean, low + 0.0, high))
     return found[0], found[1]
 
 

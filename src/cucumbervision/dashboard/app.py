@@ -28,6 +28,7 @@ from cucumbervision.dashboard.views import (
     results,
     row_map,
     settings,
+    today,
     upload,
 )
 from cucumbervision.errors import CucumberVisionError
@@ -41,16 +42,16 @@ __all__ = ["footer", "keep_inputs", "main"]
 
 # Streamlit forgets the input of a page that is left; these are kept for its return.
 KEPT_INPUTS = (
-    *("round", "row", "side", "position_m", "step_m"),
-    *("source", "fruit", "color_by", "list_page"),
+    "round",
+    *("source", "fruit", "color_by", "list_page", "pick_row"),
 )
 SESSION_CHECK_S = 30.0
 
 _STYLE = """<style>
 .stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
   min-height: 3rem; }
-.st-key-take button { min-height: 5.5rem; }
-.st-key-take button p { font-size: 1.6rem; font-weight: 600; }
+.st-key-live [data-testid="stHorizontalBlock"] { flex-wrap: nowrap; gap: 6px; }
+.st-key-live [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
 .stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
 [data-testid="stButtonGroup"] button { min-height: 2.75rem; }
 .stNumberInput button { min-width: 2.75rem; }
@@ -74,7 +75,9 @@ def main() -> None:
         login = configured_login(st.get_option("server.address") or "")
         inside = _is_inside(login)
         # Without a login too, so that each page's address leads to the form.
-        chosen = st.navigation(_pages(), position="top" if inside else "hidden")
+        pages = _pages()
+        st.session_state["pages"] = {page.url_path or "today": page for page in pages}
+        chosen = st.navigation(pages, position="top" if inside else "hidden")
         if inside:
             _draw_log_out(login)
             keep_inputs()
@@ -89,6 +92,7 @@ def main() -> None:
 
 def _pages() -> list[StreamlitPage]:
     modules = [
+        ("Today", today, ":material/today:"),
         ("Capture", capture, ":material/photo_camera:"),
         ("Upload", upload, ":material/upload:"),
         ("Results", results, ":material/straighten:"),
@@ -103,7 +107,7 @@ def _pages() -> list[StreamlitPage]:
             title=title,
             icon=icon,
             url_path=title.split()[-1].lower(),
-            default=module is results,
+            default=module is today,
         )
         for title, module, icon in modules
     ]

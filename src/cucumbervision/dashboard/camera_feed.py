@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
-from cucumbervision.capture.frames import fuse_burst
+from cucumbervision.capture.frames import Stop, fuse_burst
 from cucumbervision.capture.quality import DepthQuality, depth_quality
 from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
@@ -20,10 +21,11 @@ from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cucumbervision.capture.frames import Capture, Stop
+    from cucumbervision.capture.frames import Capture
 
-__all__ = ["CameraFeed", "Feed", "Preview", "Replay"]
+__all__ = ["PREVIEW_FPS", "Burst", "CameraFeed", "Feed", "Preview", "Replay"]
 
+HELD_S = 1.5  # how late a press may reach us: frames of so long are held
 UNWATCHED_S = 6.0  # viewers ask several times a second
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
 
@@ -35,7 +37,7 @@ class Preview:
     Parameters
     ----------
     state : str
-        'opening', 'live', 'replay' or 'absent'.
+        'opening', 'live', 'playing' (a recording), 'replay' or 'absent'.
     capture : Capture, optional
         The newest frame.
     quality : DepthQuality, optional
@@ -53,6 +55,70 @@ class Preview:
     message: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A frame, and when it was taken, seconds since 1970."""
+
+    at_s: float
+    capture: Capture
+
+
+class CameraBurst:
+    """A burst about a moment, of which the last frames may still be on their way."""
+
+    def __init__(
+        self, feed: CameraFeed, wanted: int, pressed_s: float, frames: list[_Held]
+    ) -> None:
+        self._feed = feed
+        self.wanted = wanted
+        self.pressed_s = pressed_s
+        self.frames = frames
+
+    @property
+    def farthest_s(self) -> float:
+        """How far in time the farthest frame lies from the press, seconds."""
+        return max(abs(one.at_s - self.pressed_s) for one in self.frames)
+
+    def capture(self) -> Capture:
+        """Wait for the last frames, and return the capture that all make together.
+
+        Raises
+        ------
+        CameraError
+            If the camera is not there, or sends nothing in time.
+        """
+        self._feed.wait_for(self)
+        frames = [one.capture for one in self.frames]
+        color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
+        return replace(
+            frames[kept],
+            color=color,
+            depth_m=depth_m,
+            name=f"capture_{frames[0].frame:06d}",
+            frame=frames[0].frame,
+            burst_frame=kept,
+            burst_size=len(frames),
+        )
+
+
+class ReplayBurst:
+    """What a replay shows when the button is pressed."""
+
+    def __init__(self, replay: Replay, shown: Capture | None) -> None:
+        self._replay = replay
+        self._shown = shown
+
+    def capture(self) -> Capture:
+        """Return the capture.
+
+        Raises
+        ------
+        CaptureError
+            If nothing of the replay can be read.
+        """
+        return self._shown or self._replay.take(1, Stop())
+
+
 class CameraFeed:
     """A camera in a thread of its own.
 
@@ -63,20 +129,28 @@ class CameraFeed:
         its `burst` does not count.
     unwatched_s : float
         The camera is released when nobody has looked for so long.
+    paced : bool
+        Play a recording at `config.fps`, as a camera would send it, not as fast as it is read.
     """
 
     def __init__(
-        self, config: CameraConfig | None = None, unwatched_s: float = UNWATCHED_S
+        self,
+        config: CameraConfig | None = None,
+        unwatched_s: float = UNWATCHED_S,
+        *,
+        paced: bool = False,
     ) -> None:
         self._config = replace(config or CameraConfig(fps=PREVIEW_FPS), burst=1)
+        self._paced = paced
+        self._state = "live" if self._config.playback is None else "playing"
         self._unwatched_s = unwatched_s
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._newest: Preview = Preview("opening")
         self._watched_s = 0.0
         self._stopping = False
-        self._filling: list[Capture] = []
-        self._wanted = 0
+        self._filling: list[CameraBurst] = []
+        self._held: deque[_Held] = deque()
 
     @property
     def open(self) -> bool:
@@ -97,6 +171,31 @@ class CameraFeed:
             if not self.open:
                 self._newest = Preview("opening", number=self._newest.number)
 
+    def grab(self, burst: int, pressed_s: float) -> CameraBurst:
+        """Begin a burst about a moment: the frames just before it are there, the others come.
+
+        Parameters
+        ----------
+        burst : int
+            Frames, half of them before the moment: those that lie nearest to it.
+        pressed_s : float
+            The moment, seconds since 1970: up to `HELD_S` ago.
+        """
+        with self._changed:
+            self._watched_s = time.monotonic()
+            if not self.open and self._newest.state != "absent":
+                self._begin()
+            before = [one for one in self._held if one.at_s < pressed_s]
+            # An odd burst has its middle frame where the moment is nearest to one.
+            near = bool(before) and pressed_s - before[-1].at_s < 0.5 / self._config.fps
+            wanted = burst // 2 + (burst % 2 if near else 0)
+            frames = before[len(before) - min(wanted, len(before)) :]
+            frames += [one for one in self._held if one.at_s >= pressed_s][: burst - len(frames)]
+            grabbed = CameraBurst(self, burst, pressed_s, frames)
+            if len(frames) < burst:
+                self._filling.append(grabbed)
+            return grabbed
+
     def take(self, burst: int, stop: Stop) -> Capture:
         """Return a capture fused from the next frames.
 
@@ -105,30 +204,27 @@ class CameraFeed:
         CameraError
             If the camera is not there, or sends nothing in time.
         """
-        frames: list[Capture] = []
-        until = time.monotonic() + self._config.timeout_s + burst
         with self._changed:
-            self._filling, self._wanted = frames, burst
-            self._watched_s = time.monotonic()
-            if not self.open and self._newest.state != "absent":
-                self._begin()
-            while len(frames) < burst:
+            self._held.clear()
+        return replace(self.grab(burst, 0.0).capture(), stop=stop)
+
+    def wait_for(self, grabbed: CameraBurst) -> None:
+        """Wait until a burst has all its frames.
+
+        Raises
+        ------
+        CameraError
+            If the camera is not there, or sends nothing in time.
+        """
+        until = time.monotonic() + self._config.timeout_s + grabbed.wanted
+        with self._changed:
+            while len(grabbed.frames) < grabbed.wanted:
+                self._watched_s = time.monotonic()
                 if self._newest.state == "absent" or time.monotonic() > until:
+                    self._filling = [one for one in self._filling if one is not grabbed]
                     message = self._newest.message or "the camera sends nothing"
                     raise CameraError(message, remedy="check its cable and try again")
                 self._changed.wait(0.2)
-        color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
-        chosen = frames[kept]
-        return replace(
-            chosen,
-            color=color,
-            depth_m=depth_m,
-            name=f"capture_{frames[0].frame:06d}",
-            frame=frames[0].frame,
-            burst_frame=kept,
-            burst_size=burst,
-            stop=stop,
-        )
 
     def close(self) -> None:
         """Release the camera."""
@@ -145,24 +241,54 @@ class CameraFeed:
 
     def _stream(self) -> None:
         try:
-            with RealSenseCamera(self._config) as camera:
-                while not self._stopping:
-                    if time.monotonic() - self._watched_s > self._unwatched_s:
-                        break
-                    capture = camera.capture_burst()
-                    self._show(
-                        Preview("live", capture, depth_quality(capture), self._newest.number + 1)
-                    )
+            while not self._stream_once():
+                pass  # a recording is over: it begins again
             self._show(Preview("opening", number=self._newest.number + 1))
         except CucumberVisionError as error:
             self._show(Preview("absent", number=self._newest.number + 1, message=str(error)))
 
+    def _stream_once(self) -> bool:
+        """Show frames; return True where nobody looks any more, False at a recording's end."""
+        shown = 0
+        with RealSenseCamera(self._config) as camera:
+            begun_s = time.monotonic()
+            while not self._stopping:
+                if time.monotonic() - self._watched_s > self._unwatched_s:
+                    return True
+                try:
+                    capture = camera.capture_burst()
+                except CameraError:
+                    if self._config.playback is None or not shown:
+                        raise
+                    return False
+                number = self._newest.number + 1
+                self._show(Preview(self._state, capture, depth_quality(capture), number))
+                shown += 1
+                if self._paced:
+                    time.sleep(max(0.0, begun_s + shown / self._config.fps - time.monotonic()))
+        return True
+
     def _show(self, preview: Preview) -> None:
         with self._changed:
             self._newest = preview
-            if preview.capture is not None and len(self._filling) < self._wanted:
-                self._filling.append(preview.capture)
+            if preview.capture is not None:
+                self._hold(preview.capture)
             self._changed.notify_all()
+
+    def _hold(self, capture: Capture) -> None:
+        """Keep a frame for presses that are still on their way, and give it to open bursts."""
+        now = time.time()
+        own = capture.timestamp_s
+        # The camera's own time where its clock is this machine's, else the time of arrival.
+        live = own is not None and 0 <= now - own < HELD_S
+        held = _Held(own if live and own is not None else now, capture)
+        self._held.append(held)
+        while self._held and now - self._held[0].at_s > HELD_S:
+            self._held.popleft()
+        for grabbed in self._filling:
+            if held.at_s >= grabbed.pressed_s:
+                grabbed.frames.append(held)
+        self._filling = [one for one in self._filling if len(one.frames) < one.wanted]
 
 
 class Replay:
@@ -214,6 +340,15 @@ class Replay:
             self._start()
         return replace(preview.capture, stop=stop)
 
+    def grab(self, burst: int, pressed_s: float) -> ReplayBurst:  # noqa: ARG002, as a camera's
+        """Take what is shown now, and load the next."""
+        with self._lock:
+            shown = self._newest.capture if self._newest.state == "replay" else None
+            if shown is not None:
+                self._newest = Preview("opening", shown, None, self._newest.number)
+                self._start()
+        return ReplayBurst(self, shown)
+
     def _start(self) -> None:
         self._loader = threading.Thread(target=self._load, name="replay", daemon=True)
         self._loader.start()
@@ -233,6 +368,9 @@ class Replay:
             self._refs = iter(self._source)
         self._newest = Preview("absent", number=number, message=f"{self._source.path}: {fault}")
 
+
+Burst: TypeAlias = CameraBurst | ReplayBurst
+"""What a press of the button takes."""
 
 Feed: TypeAlias = CameraFeed | Replay
 """A source of frames to show and of captures to measure."""

@@ -13,20 +13,25 @@ import pydeck
 import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.dashboard.round_tables import class_color, length_words
 from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.perception.masks import decode_rle, mask_window
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.store.records import DetectionRecord, MethodRecord
+    from cucumbervision.store.records import CaptureRecord, DetectionRecord, MethodRecord
+    from cucumbervision.store.views import DetectionView
 
 __all__ = [
     "CLOUD_HEIGHT_PX",
     "as_data_url",
+    "component",
     "crop",
     "depth_picture",
     "fruit_layers",
@@ -34,6 +39,7 @@ __all__ = [
     "point_cloud",
     "ruler_m",
     "scale_bar",
+    "stop_layers",
 ]
 
 # Okabe and Ito's palette, told apart by colour-blind people too.
@@ -47,6 +53,7 @@ METHOD_COLORS = {
 }
 MASK_COLOR, KEYPOINT_COLOR, BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
 QUALITY = 85
+MARKS = ("ruler", "point", "box", "stroke")
 THUMBNAIL_PX = 96
 RULER_PX = 7
 BAR_M = {"cm": 0.10, "in": 0.1016}
@@ -128,10 +135,7 @@ def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, 
         mask = decode_rle(record.mask, camera.height, camera.width)
         areas = [{"kind": "area", "points": line} for line in _mask_outline(mask)]
         layers.append(layer("Mask", MASK_COLOR, True, areas))
-    box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
-    x1, y1, x2, y2 = (round(edge, 1) for edge in box)
-    frame = {"kind": "line", "points": [x1, y1, x2, y1, x2, y2, x1, y2, x1, y1]}
-    layers.append(layer("Box", BOX_COLOR, record.mask is None, [frame]))
+    layers.append(layer("Box", BOX_COLOR, record.mask is None, [_box_line(record)]))
     if record.keypoints:
         seen = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
         dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in seen]
@@ -142,6 +146,47 @@ def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, 
             chosen = method.method == record.method
             layers.append(layer(name, METHOD_COLORS[method.method], chosen, shapes))
     return layers
+
+
+def stop_layers(
+    capture: CaptureRecord,
+    fruit: Sequence[DetectionView],
+    grades: Mapping[str, str],
+    units: Units,
+) -> list[dict[str, Any]]:
+    """Return all fruit of a capture as layers, one a class, each fruit with its length.
+
+    Parameters
+    ----------
+    capture : CaptureRecord
+        With the masks, as `Store.stop` gives it.
+    fruit : sequence of DetectionView
+        Its fruit as they stand now.
+    grades : mapping of str to str
+        Names of their classes, by the fruit's keys.
+    """
+    masks = {one.number: one.mask for one in capture.fruit}
+    layers: dict[str, dict[str, Any]] = {}
+    for view in fruit:
+        record, name = view.record, grades[view.key]
+        color = class_color(name)
+        shapes = layers.setdefault(name, {"name": name, "color": color, "on": True, "shapes": []})
+        rle = record.mask or masks.get(record.number)
+        if rle is None:
+            lines = [_box_line(record)]
+        else:
+            mask = decode_rle(rle, capture.height_px, capture.width_px)
+            lines = [{"kind": "area", "points": line} for line in _mask_outline(mask)]
+        at = [(record.box_x1_px + record.box_x2_px) / 2, (record.box_y1_px + record.box_y2_px) / 2]
+        text = length_words(record, units)
+        shapes["shapes"] += [*lines, {"kind": "label", "points": at, "text": text}]
+    return list(layers.values())
+
+
+def _box_line(record: DetectionRecord) -> dict[str, Any]:
+    edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+    x1, y1, x2, y2 = (round(edge, 1) for edge in edges)
+    return {"kind": "line", "points": [x1, y1, x2, y1, x2, y2, x1, y2, x1, y1]}
 
 
 def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any]]:
@@ -213,15 +258,25 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
     return float(np.linalg.norm(points[1] - points[0]))
 
 
-def crop(thumbnail: NDArray[np.uint8], record: DetectionRecord, width_px: int) -> NDArray[np.uint8]:
-    """Return a fruit cut out of its capture's thumbnail, as a square.
+def crop(
+    thumbnail: NDArray[np.uint8],
+    record: DetectionRecord,
+    width_px: int,
+    side_px: int = THUMBNAIL_PX,
+    half_share: float = 0.58,
+) -> NDArray[np.uint8]:
+    """Return a fruit cut out of its capture's picture, as a square.
 
     Parameters
     ----------
     thumbnail : ndarray of uint8, shape (h, w, 3)
-        The capture's thumbnail.
+        The capture's picture, or a smaller one of it.
     width_px : int
         Width of the capture itself.
+    side_px : int
+        Of the square.
+    half_share : float
+        Half of the square's side, as a share of the fruit's box: 0.5 and more.
 
     Examples
     --------
@@ -234,24 +289,25 @@ def crop(thumbnail: NDArray[np.uint8], record: DetectionRecord, width_px: int) -
     scale = thumbnail.shape[1] / max(width_px, 1)
     x1, y1 = record.box_x1_px * scale, record.box_y1_px * scale
     x2, y2 = record.box_x2_px * scale, record.box_y2_px * scale
-    half = max(x2 - x1, y2 - y1, 8.0) * 0.58
+    half = max(x2 - x1, y2 - y1, 8.0) * half_share
     left, top = round((x1 + x2) / 2 - half), round((y1 + y2) / 2 - half)
     side = max(round(2 * half), 8)
     reach = side + max(thumbnail.shape[:2])
     padded = cv2.copyMakeBorder(thumbnail, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
     left, top = np.clip([left + reach, top + reach], 0, 2 * reach).tolist()
     cut = padded[top : top + side, left : left + side]
-    small = cv2.resize(cut, (THUMBNAIL_PX, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(cut, (side_px, side_px), interpolation=cv2.INTER_AREA)
     return cast("NDArray[np.uint8]", small)
 
 
 @st.cache_resource(show_spinner=False)
-def _picture_component() -> Any:
+def component(name: str) -> Any:
+    """Return an element of ours, made of the files of that name in `static`."""
     folder = Path(__file__).with_name("static")
     html, css, js = (
-        (folder / f"picture.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+        (folder / f"{name}.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
     )
-    return st.components.v2.component("cucumbervision_picture", html=html, css=css, js=js)
+    return st.components.v2.component(f"cucumbervision_{name}", html=html, css=css, js=js)
 
 
 def picture(
@@ -264,6 +320,8 @@ def picture(
     tools: tuple[str, ...] = (),
     ruler_text: str = "",
     title: str = "",
+    focus_px: tuple[float, float, float, float] | None = None,
+    zooms: bool = False,
 ) -> Any:
     """Draw a picture that takes clicks, which Streamlit's own does not.
 
@@ -280,16 +338,21 @@ def picture(
     bar : dict
         As `scale_bar` gives it.
     tools : tuple of str
-        Of 'ruler', 'point' and 'box'.
+        Of 'ruler', 'point', 'box', 'brush' and 'erase'.
     ruler_text : str
         What is written on the ruler.
     title : str
         What the picture shows, for screen readers.
+    focus_px : tuple of float, optional
+        Box that the picture opens on.
+    zooms : bool
+        Whether it can be zoomed, moved and shown on the full screen.
 
     Returns
     -------
     ComponentResult
-        `ruler`, `point` and `box`: the numbers that were drawn, once.
+        `ruler`, `point` and `box`: the numbers that were drawn, once; `stroke`: the 'points' of a
+        brush, its 'radius', and whether it takes away ('erase').
     """
     width, height = size_px
     data = {
@@ -301,10 +364,12 @@ def picture(
         "tools": list(tools),
         "rulerText": ruler_text,
         "title": title,
+        "focus": focus_px and list(focus_px),
+        "zooms": zooms,
     }
     # The page reads the values itself; a callback makes the component send them.
-    callbacks = {f"on_{name}_change": lambda: None for name in ("ruler", "point", "box")}
-    return _picture_component()(key=key, data=data, **callbacks)
+    callbacks = {f"on_{name}_change": lambda: None for name in MARKS}
+    return component("picture")(key=key, data=data, **callbacks)
 
 
 def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None:

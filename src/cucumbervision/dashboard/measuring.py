@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import CucumberVisionError, InstancesError
-from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.masks import box_of_mask, decode_rle
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit
@@ -23,25 +20,30 @@ from cucumbervision.rounds.poses import stored_pose
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import new_key
 from cucumbervision.store.results import AS_READ, fruit_record
+from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.source import CaptureRef
     from cucumbervision.dashboard.jobs import Job
-    from cucumbervision.intake.staging import AcceptedUploads
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
-    from cucumbervision.store.records import CaptureRecord, DetectionRecord, StopRecord
+    from cucumbervision.store.records import CaptureRecord, DetectionRecord, Point, StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
+    from cucumbervision.store.waiting import WaitingCaptures
 
-__all__ = ["SharedMeasurer", "TakenStop", "measure_uploads", "stored_capture"]
+__all__ = [
+    "SharedMeasurer",
+    "TakenStop",
+    "measure_waiting",
+    "stored_capture",
+]
 
 SEGMENTER = "mobile-sam"
 
@@ -151,10 +153,17 @@ class SharedMeasurer:
         mask: NDArray[np.bool_],
         options: MeasureOptions,
     ) -> int:
-        """Measure a fruit of the store anew with this mask, and let that stand; logged."""
+        """Measure a fruit of the store anew with this mask, and let that stand; logged.
+
+        Raises
+        ------
+        InstancesError
+            If the mask is another fruit's.
+        """
         capture = stored_capture(store.images, detail.capture, detail.stop)
         record = detail.view.record
-        keypoints = np.array(record.keypoints, np.float64) if record.keypoints else None
+        refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
+        keypoints = kept_keypoints(record.keypoints, mask)
         instance = Instance(
             box_of_mask(mask), record.score, record.label, mask, MaskSource.SAM, None, keypoints
         )
@@ -183,7 +192,14 @@ class SharedMeasurer:
             The fruit.
         options : MeasureOptions
             How to measure.
+
+        Raises
+        ------
+        InstancesError
+            If the mask is another fruit's.
         """
+        taken = next(one for one in stop.captures if one.name == capture.name)
+        refuse_copy(store, stop, taken, mask)
         instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
         fruit = self._placed(capture, stop, instance, 1, options)
         return store.add_fruit(stop.key, capture.name, fruit)
@@ -211,56 +227,44 @@ class SharedMeasurer:
             return self._segmenter
 
 
-def measure_uploads(
-    files: Sequence[tuple[str, BinaryIO | Path]],
+def measure_waiting(
+    waiting: WaitingCaptures,
     measurer: SharedMeasurer,
     store: Store,
-    round_key: str,
     options: MeasureOptions,
-    spacing_m: float,
+    settle: Callable[[str], str],
     job: Job,
 ) -> int:
-    """Check uploads and save their captures as stops of a round; return how many were saved.
+    """Measure what waits until nothing does; return how many captures became stops.
+
+    A capture is let go once its stop is in the store, so that it is there at every moment.
 
     Parameters
     ----------
-    files : sequence of (name, stream or Path)
-        As for `intake.uploads.accept_uploads`.
-    spacing_m : float
-        From one capture to the next, for captures that bring no position.
+    waiting : WaitingCaptures
+        The captures.
+    settle : callable
+        Given a round's key when none of its captures waits any more; says what went wrong.
     job : Job
-        Gets a step a file, and a note for each file or capture that could not be measured.
+        Gets a step a capture, and a note for each that could not be measured.
     """
-    job.total, saved = len(files), 0
-    with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
-        accepted = accept_uploads(
-            files, Path(folder), burst=options.reading.burst, report=lambda *_: job.step()
-        )
-        job.notes += [str(refused.error) for refused in accepted.refused]
-        for ref in _references(accepted, options, job):
-            try:
-                capture = ref.load()
-            except CucumberVisionError as error:
-                job.notes.append(str(error))
-                continue
-            stop = capture.stop
-            if stop.position_m is None:
-                stop = replace(stop, position_m=round(saved * spacing_m, 2), step=saved + 1)
-            taken = measurer.take_stop(store, round_key, replace(capture, stop=stop), options)
-            saved += 1
-            if taken.note:
-                job.notes.append(f"{capture.name}: {taken.note}")
-    return saved
-
-
-def _references(
-    accepted: AcceptedUploads, options: MeasureOptions, job: Job
-) -> Iterator[CaptureRef]:
-    for source in accepted.sources:
+    done = 0
+    while left := waiting.captures():
+        one, job.total = left[0], done + len(left)
+        waiting.begin(one)
         try:
-            yield from source.open(options.reading)
+            if all(stop.key != one.key for stop in store.stops(one.round_key)):
+                taken = measurer.take_stop(store, one.round_key, one.load(), options, key=one.key)
+                job.step(taken.note)
+            waiting.done(one)
+            done += 1
         except CucumberVisionError as error:
-            job.notes.append(str(error))
+            job.step(str(error))
+            continue
+        last_of_round = all(other.round_key != one.round_key for other in left[1:])
+        if last_of_round and (fault := settle(one.round_key)):
+            job.notes.append(fault)
+    return done
 
 
 def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:
@@ -289,6 +293,55 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
         provenance=dict[str, Any](record.provenance),
         **{name: getattr(record, name) for name in AS_READ},
     )
+
+
+COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit
+
+
+def refuse_copy(
+    store: Store,
+    stop: StopRecord,
+    capture: CaptureRecord,
+    mask: NDArray[np.bool_],
+    but: int | None = None,
+) -> None:
+    """Refuse a mask that is that of another fruit of the same picture; deleted ones do not count.
+
+    Raises
+    ------
+    InstancesError
+        Naming that fruit.
+    """
+    views = store.detections(stop.round_key, DetectionFilter(stop_key=stop.key))
+    corrected = store.corrected(stop.round_key)
+    masks = {one.number: one.mask for one in capture.fruit}
+    for view in views:
+        number = view.record.number
+        if view.capture != capture.name or number == but or view.verdict is Verdict.REJECTED:
+            continue
+        rle = corrected[view.key].mask if view.key in corrected else masks.get(number)
+        if rle is None:
+            continue
+        other = decode_rle(rle, *mask.shape)
+        shared, smaller = int((mask & other).sum()), min(int(mask.sum()), int(other.sum()))
+        if shared > COPY_SHARE * max(smaller, 1):
+            raise InstancesError(
+                f"that is fruit {number}, which is there already",
+                remedy="tap the fruit itself, or delete one of the two",
+            )
+
+
+def kept_keypoints(
+    keypoints: Sequence[Point], mask: NDArray[np.bool_]
+) -> NDArray[np.float64] | None:
+    """Return a fruit's keypoints where its new mask still holds them; else None: they are stale."""
+    if not keypoints:
+        return None
+    points = np.array(keypoints, np.float64)
+    u, v = points[:, :2].round().astype(np.int64).T
+    height, width = mask.shape
+    inside = mask[v.clip(0, height - 1), u.clip(0, width - 1)]
+    return points if inside.mean() >= 0.5 else None
 
 
 def _some(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from functools import wraps
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import streamlit as st
 
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.rounds.walking import is_demonstration
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
+    from cucumbervision.agronomy.picking import Rates
     from cucumbervision.dashboard.jobs import Job, Work
     from cucumbervision.store.views import RoundView
 
@@ -25,11 +28,13 @@ __all__ = [
     "choose_page",
     "finished_job",
     "halves",
+    "link",
     "of_round",
     "page_of",
     "progress",
     "start_job",
     "table",
+    "work_words",
 ]
 
 
@@ -85,8 +90,33 @@ def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
     return page
 
 
+def link(page: str, label: str) -> None:
+    """Draw a way to another page, by the name that its address ends on."""
+    found = st.session_state.get("pages", {}).get(page)
+    if found is not None:
+        st.page_link(found, label=label, icon=found.icon, width="stretch")
+
+
+def work_words(fruit: int, rows: int, rates: Rates) -> str:
+    """Return the work and crates that picking takes, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.picking import Rates
+    >>> work_words(70, 1, Rates(350.0, 2.0, 12)), work_words(900, 4, Rates(350.0, 2.0, 12))
+    ('14 minutes and 6 crates', '2.7 hours and 75 crates')
+    """
+    hours = fruit / rates.fruit_per_hour + rows * rates.minutes_per_row / 60
+    time = f"{hours:.1f} hours" if hours >= 1.5 else f"{math.ceil(60 * hours - 1e-9)} minutes"
+    crates = math.ceil(fruit / rates.fruit_per_crate)
+    return f"{time} and {crates} {'crate' if crates == 1 else 'crates'}"
+
+
 def _pick_round() -> RoundView | None:
-    rounds = {one.key: one for one in resources.store().rounds()}
+    every = resources.store().rounds()
+    # The grower's own first: the demonstration is no work of anybody's.
+    every.sort(key=lambda one: is_demonstration(one.key))
+    rounds = {one.key: one for one in every}
     if st.session_state.get("round") not in rounds:
         st.session_state["round"] = next(iter(rounds), None)
     chosen, new = st.columns([4, 1], vertical_alignment="bottom")
@@ -105,7 +135,8 @@ def _pick_round() -> RoundView | None:
 def _round_name(one: RoundView) -> str:
     day = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.record.started_s))
     house = f", {one.record.house}" if one.record.house else ""
-    return f"{one.record.name or 'Round'}{house} · {day} · {one.stops} stops"
+    stops = "1 stop" if one.stops == 1 else f"{one.stops} stops"
+    return f"{one.record.name or 'Round'}{house} · {day} · {stops}"
 
 
 def _new_round() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,13 @@ import streamlit as st
 
 from cucumbervision.agronomy.forecast import Forecast
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
-from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.readers import RECORDING_SUFFIXES, ReadOptions, open_source
+from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.camera_feed import CameraFeed, Feed, Replay
+from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, Replay
 from cucumbervision.dashboard.fruit_view import as_data_url, crop
 from cucumbervision.dashboard.jobs import Job, Worker
-from cucumbervision.dashboard.measuring import SharedMeasurer
+from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.round_tables import RoundLists, read_lists
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
@@ -31,17 +34,23 @@ from cucumbervision.dashboard.settings import (
     settings_file,
     write_settings,
 )
+from cucumbervision.dashboard.shutter import Shutter
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.forecasting import forecast_for
-from cucumbervision.rounds.service import merge_round
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.service import DAY_S, RowReport, row_reports
+from cucumbervision.rounds.settling import settle
+from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
+from cucumbervision.rounds.walking import DEMONSTRATION, home_of
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
+from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
 __all__ = [
     "camera",
     "change_settings",
+    "cutout_of",
     "feed",
     "forecast_of",
     "fruit_detail",
@@ -52,14 +61,19 @@ __all__ = [
     "profile_of",
     "registry",
     "replay_named",
+    "rows_of",
     "settings",
+    "shutter",
     "store",
     "thumbnail_of",
+    "today_of",
+    "waiting",
+    "wake",
     "where",
     "worker",
 ]
 
-DEMONSTRATION = "Demonstration (simulated captures)"
+CUT_PX, CUT_SHARE = 320, 0.8
 KEPT = 8  # rounds, forecasts or fruit that are held at once
 
 
@@ -102,9 +116,50 @@ def camera() -> CameraFeed:
 
 
 @st.cache_resource(show_spinner=False)
-def _replay(burst: int) -> Replay:
-    chosen = os.environ.get(REPLAY_VARIABLE)
-    return Replay(Path(chosen) if chosen else bundled_captures(), burst)
+def _replay(burst: int) -> Feed:
+    chosen = Path(os.environ.get(REPLAY_VARIABLE) or bundled_captures())
+    if chosen.suffix.lower() in RECORDING_SUFFIXES:
+        # As a camera would send it, so that a walk can be tried.
+        playing = CameraConfig(playback=chosen, warm_up=0, fps=PREVIEW_FPS)
+        return CameraFeed(playing, paced=True)
+    return Replay(chosen, burst)
+
+
+@st.cache_resource(show_spinner=False)
+def waiting() -> WaitingCaptures:
+    """Return the captures that wait to be measured."""
+    return WaitingCaptures(waiting_folder(where()))
+
+
+@st.cache_resource(show_spinner=False)
+def shutter() -> Shutter:
+    """Return what takes the pictures of all viewers."""
+    return Shutter(store(), waiting(), wake)
+
+
+@st.cache_resource(show_spinner=False)
+def _measuring() -> list[Job]:
+    return []
+
+
+def wake() -> Job | None:
+    """Let what waits be measured; return the job that does so, None where nothing waits."""
+    jobs = _measuring()
+    if jobs and not jobs[0].finished:
+        return jobs[0]
+    if not waiting().captures():
+        return jobs[0] if jobs else None
+    parts = waiting(), measurer(), store(), settings().options, _settle
+    # With these it is no page's function any more, and may run when no page is open.
+    jobs[:] = [worker().submit("Measuring what waits", partial(measure_waiting, *parts))]
+    return jobs[0]
+
+
+def _settle(round_key: str) -> str:
+    one = next((x for x in store().rounds() if x.key == round_key), None)
+    fault = settle(store(), round_key, profile_of(one)[1] if one else None)
+    _mergings()[round_key] += 1
+    return fault
 
 
 def replay_named() -> bool:
@@ -162,9 +217,8 @@ def _mergings() -> Counter[str]:
 def merge(round_key: str) -> None:
     """Find the views of a round that are one fruit, beside the pages."""
 
-    def work(_: Job) -> None:
-        merge_round(store(), round_key)
-        _mergings()[round_key] += 1
+    def work(job: Job) -> None:
+        job.notes += filter(None, [_settle(round_key)])
 
     worker().submit("Merging views of the same fruit", work)
 
@@ -185,10 +239,36 @@ def lists_of(one: RoundView) -> RoundLists:
     return read_lists(store(), one.key, profile_of(one)[1])
 
 
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def rows_of(one: RoundView) -> list[RowReport]:
+    """Return a round's rows with their counts; read again only when something changed."""
+    return row_reports(read_round(store(), one.key))
+
+
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def forecast_of(one: RoundView) -> Forecast:
-    """Return a round's forecast; computed again only when something changed."""
-    return forecast_for(store(), one.key, profile_of(one)[1])
+    """Return a round's forecast from today on; computed again only when something changed."""
+    days, _ = age_of(one.last_s or one.record.started_s, time.time())
+    today_s = one.record.started_s + days * DAY_S
+    return forecast_for(store(), one.key, profile_of(one)[1], today_s=today_s)
+
+
+def _unpicked_version(one: RoundView) -> tuple[object, ...]:
+    """Return what changes whenever a round's list of picks would, but for what is picked of it."""
+    newest = store().newest_action(one.key, without=("pick", "unpick"))
+    counts = one.stops, one.fruit, one.last_s, newest
+    return (one.key, *counts, _mergings()[one.key], profile_of(one)[0], midnight_s(time.time()))
+
+
+@st.cache_resource(
+    show_spinner="Forecasting …",
+    max_entries=KEPT,
+    ttl=3600,
+    hash_funcs={RoundView: _unpicked_version},
+)
+def today_of(one: RoundView) -> Today:
+    """Return what a round says of today; fruit that are picked today stay in it."""
+    return read_today(store(), one, profile_of(one)[1], time.time())
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
@@ -215,19 +295,36 @@ def thumbnail_of(view: DetectionView) -> str | None:
     return as_data_url(crop(small, view.record, _capture_widths(view.stop_key)[view.capture]))
 
 
+@st.cache_data(
+    show_spinner=False,
+    max_entries=400,
+    hash_funcs={DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px)},
+)
+def cutout_of(view: DetectionView) -> str | None:
+    """Return a fruit cut out of its picture as a data URL; None where none was kept."""
+    captures = {one.name: one for one in store().stop(view.stop_key).captures}
+    taken = captures[view.capture]
+    if taken.color is None:
+        return None
+    color = store().images.read_color(taken.color)
+    return as_data_url(crop(color, view.record, taken.width_px, CUT_PX, CUT_SHARE))
+
+
 @st.cache_resource(show_spinner=False)
 def prepare() -> Job | None:
     """Load the networks before the first capture; measure the bundled ones into an empty store."""
+    waiting().clean()
+    if wake() is not None:
+        return None
     if store().rounds():
         return worker().submit("Loading the networks", _warm_up)
-    record = RoundRecord(key_of("demonstration"), DEMONSTRATION, profile=settings().profile)
-    store().save_round(record)
+    home_of(store(), "", simulated=True, profile=settings().profile)
     return worker().submit("Measuring the bundled captures", _demonstrate)
 
 
 def _demonstrate(job: Job) -> None:
     source = open_source(bundled_captures(), ReadOptions(burst=settings().burst))
-    job.total, key = source.total or 0, key_of("demonstration")
+    job.total, key = source.total or 0, DEMONSTRATION
     for ref in source:
         job.step(measurer().take_stop(store(), key, ref.load(), settings().options).note)
     merge(key)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -21,29 +22,46 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.agronomy.grades import Grade
+    from cucumbervision.agronomy.picking import Span
     from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
+    from cucumbervision.rounds.row_fruit import CountEstimate
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView
+    from cucumbervision.store.views import DetectionView, StopView
 
 __all__ = [
     "RoundLists",
+    "class_color",
     "class_colors",
     "class_name",
+    "count_words",
+    "counted",
     "day_name",
+    "expected_classes",
     "figure_lines",
     "forecast_chart",
     "grade_name",
     "histogram",
+    "hours_words",
     "length_lines",
+    "length_words",
     "map_chart",
     "map_lines",
     "method_chart",
     "method_lines",
+    "name_of_class",
     "read_lists",
+    "round_day",
+    "row_name",
+    "span_words",
     "statistics",
+    "stop_name",
 ]
+
+
+DOUBT = 0.45  # confidence under which a fruit that is seen once may be none
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +85,15 @@ class RoundLists:
     methods: Mapping[str, tuple[MethodRecord, ...]]
     detections: int
 
+    @property
+    def doubtful(self) -> tuple[DetectionView, ...]:
+        """Fruit that one view alone shows, with little confidence, and nobody has looked at."""
+        return tuple(
+            view
+            for view in self.fruit
+            if view.views == 1 and view.verdict is None and view.record.score < DOUBT
+        )
+
 
 def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists:
     """Return a round's fruit with their grades."""
@@ -89,6 +116,58 @@ def grade_name(grade: Grade) -> str:
     if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):
         return "not graded"
     return grade.name if grade.name == "out of grade" else f"class {grade.name}"
+
+
+def length_words(record: DetectionRecord, units: Units) -> str:
+    """Return a length as people say it: a lower bound as such, and 'not measured' for none.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> length_words(DetectionRecord(1, length_m=0.241, flags="end-hidden"), Units("cm"))
+    'at least 24.1 cm'
+    """
+    if record.length_m is None:
+        return "not measured"
+    return ("at least " if record.partial else "") + units.text(record.length_m)
+
+
+def counted(number: int, one: str, many: str) -> str:
+    """Return a number with its word.
+
+    Examples
+    --------
+    >>> counted(1, "stop", "stops"), counted(2, "stop", "stops")
+    ('1 stop', '2 stops')
+    """
+    return f"{number} {one if number == 1 else many}"
+
+
+def round_day(at_s: float) -> str:
+    """Return a moment as the day and time of this place.
+
+    Examples
+    --------
+    >>> len(round_day(1_700_000_000.0))
+    17
+    """
+    return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
+
+
+def stop_name(stop: Stop | StopView) -> str:
+    """Return where a stop is, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> stop_name(Stop("3", "left", 1.2, 4))
+    'Stop 4: row 3, left, 1.20 m'
+    """
+    number = "Stop" if stop.step is None else f"Stop {stop.step}"
+    at = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
+    where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, at)))
+    return f"{number}: {where or 'no place given'}"
 
 
 def statistics(lists: RoundLists) -> dict[str, float | int | None]:
@@ -153,11 +232,40 @@ def method_lines(lists: RoundLists, keys: set[str], units: Units) -> list[dict[s
     ]
 
 
+def row_name(row: str | None) -> str:
+    """Return what a row is called in a sentence.
+
+    Examples
+    --------
+    >>> row_name("3"), row_name("")
+    ('Row 3', 'Row ?')
+    """
+    return f"Row {row or '?'}"
+
+
+def count_words(count: CountEstimate) -> str:
+    """Return how many fruit a row has, with its interval, and how many were found.
+
+    Examples
+    --------
+    >>> from cucumbervision.rounds.row_fruit import CountEstimate
+    >>> count_words(CountEstimate.of_nothing())
+    'no fruit found'
+    """
+    if not len(count.seen):
+        return "no fruit found"
+    low, high = count.interval()
+    there = f"{low} to {high}" if low < high else f"{low}"
+    found = counted(len(count.seen), "was", "were")
+    return f"{count.expected:.0f} fruit ({there}, 90 %), of which {found} found"
+
+
 def map_lines(lists: RoundLists, units: Units) -> list[dict[str, Any]]:
     """Return a line for each fruit with a position: along the row, height, class, length."""
     return [
         {
-            "row": f"Row {view.row or '?'}" + (f", {view.side}" if view.side else ""),
+            "key": view.key,
+            "row": row_name(view.row) + (f", {view.side}" if view.side else ""),
             "along": round(view.along_m, 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
@@ -198,6 +306,17 @@ def class_colors(names: Iterable[str]) -> alt.Scale:
     return alt.Scale(
         domain=[*classes, *others], range=[*greens, *(OTHERS[name] for name in others)]
     )
+
+
+def class_color(name: str) -> str:
+    """Return the colour of a class: greens for classes, the best darkest.
+
+    Examples
+    --------
+    >>> class_color("class I"), class_color("too long")
+    ('#1B7837', '#D55E00')
+    """
+    return OTHERS.get(name) or GREENS[min(name.count("I"), len(GREENS)) - 1]
 
 
 def day_name(day: int) -> str:
@@ -295,8 +414,9 @@ def map_chart(
     ]
     chart: alt.Chart = (
         alt.Chart(_data(lines))
-        .mark_point(filled=True, size=90, opacity=0.85)
+        .mark_point(filled=True, size=160, strokeWidth=2.5)
         .encode(
+            fillOpacity=alt.condition("datum.views > 1", alt.value(0.85), alt.value(0.25)),
             x=alt.X("along:Q", title="Along the row [m]", scale=_scale(shown, "along")),
             y=alt.Y("height:Q", title="Height [m]", scale=_scale(shown, "height")),
             color=color,
@@ -307,7 +427,8 @@ def map_chart(
             ),
             tooltip=tooltip,
         )
-        .properties(height=200)
+        .properties(height=220)
+        .add_params(alt.selection_point(name="fruit", fields=["key"], toggle=False))
     )
     return chart
 
@@ -329,6 +450,7 @@ def _scale(lines: list[dict[str, Any]], name: str) -> alt.Scale:
 
 def forecast_chart(found: Forecast) -> alt.LayerChart:
     """Return the expected number in each class on each day, with its interval."""
+    drawn = expected_classes(found)
     lines = [
         {
             "day": day_name(day),
@@ -338,10 +460,10 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
             "high": float(found.house.high[day, k]),
         }
         for day in found.days.tolist()
-        for k in range(len(found.classes))
+        for k in drawn
     ]
     table = _data(lines)
-    names = [class_name(found, k) for k in range(len(found.classes))]
+    names = [class_name(found, k) for k in drawn]
     order = [day_name(day) for day in found.days.tolist()]
     base = alt.Chart(table).encode(
         x=alt.X("day:N", sort=order, title="Day", axis=alt.Axis(labelAngle=0)),
@@ -358,12 +480,65 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
             alt.Tooltip("high:Q", title="to", format=".0f"),
         ],
     )
-    whiskers = base.mark_bar(width=2).encode(y="low:Q", y2="high:Q", color=alt.value("#222"))
+    # A band of its own width, so that it stands in the middle of its bar.
+    whiskers = base.mark_rule(strokeWidth=2).encode(
+        y="low:Q",
+        y2="high:Q",
+        color=alt.value("#222"),
+        xOffset=alt.XOffset("class:N", sort=names, bandPosition=0.5),
+    )
     chart: alt.LayerChart = (bars + whiskers).properties(height=320)
     return chart
 
 
+def expected_classes(found: Forecast) -> list[int]:
+    """Return which classes any fruit may be in on any of the days."""
+    return [k for k in range(len(found.classes)) if found.house.high[:, k].max() >= 1]
+
+
+def span_words(of: Span) -> str:
+    """Return a number of fruit with its interval, both whole.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.picking import Span
+    >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(0.2, 0.0, 1.0)), span_words(Span(0, 0, 0))
+    ('4 (3 to 5)', '0 to 1', '–')
+    """
+    if of.high < 0.5:
+        return "–"
+    if of.expected < 0.5:
+        return f"0 to {of.high:.0f}"
+    words = f"{of.expected:.0f}"
+    return words if of.low == of.high else f"{words} ({of.low:.0f} to {of.high:.0f})"
+
+
+def hours_words(of: Span) -> str:
+    """Return hours of work with their interval: in minutes where they are few.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.picking import Span
+    >>> hours_words(Span(0.31, 0.2, 0.5)), hours_words(Span(3.24, 2.9, 4.0))
+    ('20 min (15 to 30)', '3.2 h (2.9 to 4.0)')
+    """
+    if of.expected >= 1.5:
+        return f"{of.expected:.1f} h ({of.low:.1f} to {of.high:.1f})"
+    low, at, high = (5 * math.ceil(12 * x - 1e-9) for x in (of.low, of.expected, of.high))
+    return f"{at} min" if low == high else f"{at} min ({low} to {high})"
+
+
 def class_name(found: Forecast, k: int) -> str:
     """Return the name of a forecast's class for people."""
-    name = found.classes[k]
+    return name_of_class(found.classes[k])
+
+
+def name_of_class(name: str) -> str:
+    """Return the name of a class for people.
+
+    Examples
+    --------
+    >>> name_of_class("I"), name_of_class("too long")
+    ('class I', 'too long')
+    """
     return name if name in OTHERS else f"class {name}"

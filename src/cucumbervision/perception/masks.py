@@ -24,6 +24,7 @@ __all__ = [
     "mask_ious",
     "mask_of_segmentation",
     "mask_window",
+    "painted_mask",
     "polygon_points",
 ]
 
@@ -436,3 +437,39 @@ class Rle:
     def area_px(self) -> int:
         """Number of pixels set."""
         return int(np.count_nonzero(self.decode()))
+
+
+def painted_mask(
+    mask: NDArray[np.bool_], points_px: NDArray[np.float64], radius_px: float, *, erase: bool
+) -> NDArray[np.bool_]:
+    """Return a mask with a brush's stroke added to it, or taken away.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        The mask.
+    points_px : ndarray of float64, shape (N, 2)
+        The stroke: x and y.
+    radius_px : float
+        Of the brush.
+    erase : bool
+        Whether it takes away.
+
+    Examples
+    --------
+    >>> mask = np.zeros((20, 20), bool)
+    >>> line = np.array([[5.0, 10.0], [15.0, 10.0]])
+    >>> painted = painted_mask(mask, line, 2.0, erase=False)
+    >>> bool(painted[10, 10]), bool(painted[4, 10])
+    (True, False)
+    >>> int(painted_mask(painted, line, 4.0, erase=True).sum())
+    0
+    """
+    import cv2
+
+    ink = np.zeros(mask.shape, np.uint8)
+    line = np.rint(points_px).astype(np.int32).reshape(-1, 1, 2)
+    cv2.polylines(ink, [line], False, 1, thickness=max(round(2 * radius_px), 1))
+    for x, y in line[[0, -1], 0].tolist():
+        cv2.circle(ink, (x, y), max(round(radius_px), 1), 1, thickness=-1)
+    return mask & (ink == 0) if erase else mask | (ink > 0)

@@ -36,7 +36,14 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord, StopRecord
     from cucumbervision.store.repository import Store
 
-__all__ = ["Added", "Place", "add_captures", "measured_stop", "placed_fruit"]
+__all__ = [
+    "Added",
+    "Place",
+    "add_captures",
+    "capture_sha256",
+    "measured_stop",
+    "placed_fruit",
+]
 
 Report: TypeAlias = Callable[["Added"], None]
 
@@ -138,7 +145,7 @@ def add_captures(
         if isinstance(read, Failure):
             added = Added(read.capture or read.input, failure=read)
         else:
-            added = Added(read.name, key_of(round_key, read.name, _content(read)))
+            added = Added(read.name, key_of(round_key, read.name, capture_sha256(read)))
             if added.stop_key not in there:
                 measurer.load()
                 failures: list[Failure] = []
@@ -157,7 +164,8 @@ def add_captures(
     return done
 
 
-def _content(capture: Capture) -> str:
+def capture_sha256(capture: Capture) -> str:
+    """Return the SHA-256 of a capture's colour and depth, hexadecimal."""
     digest = hashlib.sha256(np.ascontiguousarray(capture.color).tobytes())
     digest.update(np.ascontiguousarray(capture.depth_m).tobytes())
     return digest.hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecast
@@ -57,6 +58,9 @@ def forecast_for(
     profile: CropProfile,
     days: int = 7,
     content: RoundContent | None = None,
+    *,
+    today_s: float | None = None,
+    picked_before_s: float = math.inf,
 ) -> Forecast:
     """Forecast a round: growth from its links to earlier rounds, classes from a profile.
 
@@ -76,6 +80,10 @@ def forecast_for(
         Days ahead; 0 for today alone.
     content : RoundContent, optional
         What `from_store.read_round` gave of the round, where it was read already.
+    today_s : float, optional
+        Day 0, seconds since 1970: fruit are aged to it. By default the day of the round.
+    picked_before_s : float
+        Fruit that were picked later than that still count, as on the morning of a day.
 
     Raises
     ------
@@ -85,11 +93,13 @@ def forecast_for(
     content = content or read_round(store, round_key)
     table = fruit_table(content)
     day = find_round(store, round_key).record.started_s / DAY_S
+    states = fruit_states(table, day, profile, picked_before_s)
     return forecast(
-        fruit_states(table, day, profile),
+        states,
         fit_growth(growth_links(store, round_key), GrowthPrior.of(profile)),
         profile,
         days,
+        today=None if today_s is None else max(today_s / DAY_S, day),
         detection=detection_rates(row_reports(content), table),
         scale_sd=shared_scale_sd(store.artifacts(round_key).values()),
     )
@@ -140,8 +150,16 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
     return max(found, default=SCALE_SD)
 
 
-def fruit_states(table: Sequence[RoundFruit], day: float, profile: CropProfile) -> list[FruitState]:
-    """Return a round's measured fruit as the forecast takes them; picked ones are marked."""
+def fruit_states(
+    table: Sequence[RoundFruit],
+    day: float,
+    profile: CropProfile,
+    picked_before_s: float = math.inf,
+) -> list[FruitState]:
+    """Return a round's measured fruit as the forecast takes them; picked ones are marked.
+
+    Those that were picked at `picked_before_s` or later count as hanging.
+    """
     states = []
     for view in (line.view for line in table):
         if view.record.length_m is None or not view.record.length_m > 0:
@@ -157,7 +175,7 @@ def fruit_states(table: Sequence[RoundFruit], day: float, profile: CropProfile) 
                 day,
                 view.side or "",
                 grade_of(view.record, profile).best_class,
-                view.picked_s is not None,
+                view.picked_s is not None and view.picked_s < picked_before_s,
             )
         )
     return states

@@ -10,6 +10,7 @@ import numpy as np
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
+from cucumbervision.rounds.row_fruit import USUAL, FalseFinds
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.views import LinkKind, Verdict
@@ -17,7 +18,7 @@ from cucumbervision.store.views import LinkKind, Verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision.rounds.row_views import Ints
+    from cucumbervision.rounds.row_views import Bools, Ints
     from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import CameraAt, DetectionView, LinkRecord, StopView
@@ -57,6 +58,10 @@ class StoredRow:
         Names of the sides: 0, and 1 where there is one.
     unplaced : int
         Detections that cannot be merged: no position, or no depth.
+    accepted : ndarray of bool
+        Views that a person said to show a fruit.
+    false : FalseFinds
+        How often the house's finds are none, as people said.
     """
 
     name: str
@@ -66,6 +71,8 @@ class StoredRow:
     fruit_keys: tuple[str, ...]
     sides: tuple[str, ...]
     unplaced: int
+    accepted: Bools
+    false: FalseFinds
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +89,15 @@ class RoundContent:
         Its detections, in groups.
     cameras : mapping
         Poses and cameras by the stops' keys.
+    false : FalseFinds
+        How often the house's finds are none, as people said.
     """
 
     key: str
     stops: tuple[StopView, ...]
     views: tuple[DetectionView, ...]
     cameras: Mapping[str, CameraAt]
+    false: FalseFinds = USUAL
 
 
 def read_round(store: Store, round_key: str) -> RoundContent:
@@ -99,7 +109,8 @@ def read_round(store: Store, round_key: str) -> RoundContent:
         If it is not there.
     """
     stops, views = store.stops(round_key), store.detections(round_key)
-    return RoundContent(round_key, tuple(stops), tuple(views), store.cameras(round_key))
+    cameras, judged = store.cameras(round_key), store.judged(round_key)
+    return RoundContent(round_key, tuple(stops), tuple(views), cameras, FalseFinds.learnt(*judged))
 
 
 def load_rows(content: RoundContent) -> list[StoredRow]:
@@ -116,7 +127,8 @@ def load_rows(content: RoundContent) -> list[StoredRow]:
     for name in sorted({stop.row or "" for stop in content.stops}):
         stops = [stop for stop in content.stops if (stop.row or "") == name]
         views = [view for view in kept if (view.row or "") == name]
-        found.append(_row(name, stops, views, content.cameras))
+        row = _row(name, stops, views, content.cameras)
+        found.append(replace(row, false=content.false))
     return found
 
 
@@ -175,7 +187,11 @@ def _row(
     )
     keys = tuple(view.key for view in known)
     stops_of_row = RowStops(at_m, sd_m, side, reach)
-    return StoredRow(name, stops_of_row, views, tuple(index), keys, sides, len(fruit) - len(known))
+    accepted = np.array([view.verdict is Verdict.ACCEPTED for view in known], bool)
+    unplaced = len(fruit) - len(known)
+    return StoredRow(
+        name, stops_of_row, views, tuple(index), keys, sides, unplaced, accepted, USUAL
+    )
 
 
 def _length(record: DetectionRecord) -> tuple[float, float]:

@@ -8,7 +8,9 @@ priors, so that a short row does not run away.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +24,9 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
 __all__ = [
+    "USUAL",
     "CountEstimate",
+    "FalseFinds",
     "RowFruit",
     "best_views",
     "combined_length",
@@ -147,7 +151,43 @@ def combined_length(
 MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
 SEEN, SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
 FALSE, FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
+MOST_LEARNT = 500  # views; a house changes
 STEPS = 400  # where much is hidden, it converges slowly
+
+
+@dataclass(frozen=True)
+class FalseFinds:
+    """What is known of invented fruit before a row is looked at.
+
+    Parameters
+    ----------
+    share : float
+        Of all views.
+    weight : float
+        How many views that is worth.
+    """
+
+    share: float = FALSE
+    weight: float = FALSE_WEIGHT
+
+    @classmethod
+    def learnt(cls, rejected: int, views: int) -> FalseFinds:
+        """Return what a house's own verdicts say: so many of so many views were no fruit.
+
+        Examples
+        --------
+        >>> FalseFinds.learnt(0, 0) == FalseFinds()
+        True
+        >>> round(FalseFinds.learnt(30, 500).share, 3)
+        0.056
+        """
+        weight = FALSE_WEIGHT + min(views, MOST_LEARNT)
+        share = rejected / views if views else 0.0
+        return cls((FALSE * FALSE_WEIGHT + share * min(views, MOST_LEARNT)) / weight, weight)
+
+
+USUAL = FalseFinds()
+"""What is known of a house of which nobody has said anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +219,26 @@ class CountEstimate:
         none: Ints = np.zeros(0, np.int64)
         return cls(0.0, 0.0, none, none, np.zeros(0), SEEN)
 
+    def interval(self, level: float = 0.9) -> tuple[int, int]:
+        """Return whole numbers between which the number of fruit lies with that probability.
+
+        Examples
+        --------
+        >>> seen = np.repeat([3, 2, 1], [90, 10, 6])
+        >>> found = estimate_count(seen, np.full(106, 3), np.full(106, 0.8), np.zeros(0))
+        >>> low, high = found.interval()
+        >>> low <= found.expected <= high
+        True
+        """
+        z = NormalDist().inv_cdf(0.5 + level / 2)
+        reach = z * math.sqrt(self.sd**2 + self.expected_variance())
+        low, high = math.floor(self.expected - reach), math.ceil(self.expected + reach)
+        return max(low, 0), high
+
+    def doubt(self) -> Floats:
+        """Return by how much an answer to 'is this a fruit?' moves the count, shape (F,)."""
+        return np.asarray(np.sqrt(self.real * (1 - self.real)), np.float64)
+
     def expected_variance(self) -> float:
         """Return the variance of `expected` that the uncertainty of q gives it.
 
@@ -194,8 +254,23 @@ class CountEstimate:
         return float(slope**2 / information)
 
 
-def count_fruit(merged: Merged, stops: RowStops, views: RowViews) -> CountEstimate:
+def count_fruit(
+    merged: Merged,
+    stops: RowStops,
+    views: RowViews,
+    accepted: Bools | None = None,
+    false: FalseFinds = USUAL,
+) -> CountEstimate:
     """Count the fruit of a merged row.
+
+    Parameters
+    ----------
+    merged, stops, views : Merged, RowStops, RowViews
+        The row.
+    accepted : ndarray of bool, shape (N,), optional
+        Views that a person said to show a fruit.
+    false : FalseFinds
+        What is known of invented ones beforehand.
 
     Examples
     --------
@@ -210,7 +285,11 @@ def count_fruit(merged: Merged, stops: RowStops, views: RowViews) -> CountEstima
     shown = np.maximum(times_shown(merged, stops, views), seen)
     score = np.zeros(len(seen))
     np.maximum.at(score, merged.cluster, views.score)
-    return estimate_count(seen, shown, score, views.score[seen[merged.cluster] > 1])
+    known = np.zeros(len(seen), bool)
+    if accepted is not None:
+        known[merged.cluster[accepted]] = True
+    sure = views.score[(seen > 1)[merged.cluster] | known[merged.cluster]]
+    return estimate_count(seen, shown, score, sure, known, false)
 
 
 def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
@@ -270,7 +349,14 @@ def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> Ints:
     return shown
 
 
-def estimate_count(seen: Ints, shown: Ints, score: Floats, sure_scores: Floats) -> CountEstimate:
+def estimate_count(
+    seen: Ints,
+    shown: Ints,
+    score: Floats,
+    sure_scores: Floats,
+    known: Bools | None = None,
+    false: FalseFinds = USUAL,
+) -> CountEstimate:
     """Estimate how many fruit there are from how often each was seen.
 
     Parameters
@@ -282,6 +368,10 @@ def estimate_count(seen: Ints, shown: Ints, score: Floats, sure_scores: Floats) 
     sure_scores : ndarray of float64, shape (V,)
         Its confidence in views of fruit that were seen twice or more. What is invented is taken
         to have any confidence from the least to the highest alike.
+    known : ndarray of bool, shape (F,), optional
+        Which a person said to be a fruit.
+    false : FalseFinds
+        What is known of invented ones beforehand.
 
     Examples
     --------
@@ -296,14 +386,14 @@ def estimate_count(seen: Ints, shown: Ints, score: Floats, sure_scores: Floats) 
     if not len(seen):
         return CountEstimate.of_nothing()
     likelier = _score_ratio(score, sure_scores)
-    once = seen == 1
+    once = (seen == 1) if known is None else (seen == 1) & ~known
     q, real = SEEN, np.where(once, 0.5, 1.0)
     for _ in range(STEPS):
         nothing = (1 - q) ** shown
         single = shown * q * (1 - q) ** (shown - 1) / (1 - nothing)
-        false = (1 - real).sum() + FALSE * FALSE_WEIGHT
-        false *= seen.sum() / (seen.sum() + FALSE_WEIGHT)
-        odds = real.sum() / max(float(false), 1e-9) * single * likelier
+        invented = (1 - real).sum() + false.share * false.weight
+        invented *= seen.sum() / (seen.sum() + false.weight)
+        odds = real.sum() / max(float(invented), 1e-9) * single * likelier
         real = np.where(once, odds / (1 + odds), 1.0)
         unseen = real * nothing / (1 - nothing)
         hits = (real * seen).sum() + SEEN * SEEN_WEIGHT

@@ -201,7 +201,7 @@ def _report(row: StoredRow, merged: Merged, *, done: bool = True) -> RowReport:
         row.name,
         len(row.stops),
         len(row.views),
-        count_fruit(merged, row.stops, row.views),
+        count_fruit(merged, row.stops, row.views, row.accepted, row.false),
         done,
         float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
         merged.across_m,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.engine import Database
 
-__all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "ImageStore", "check_store"]
+__all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "ImageStore", "check_store", "sync_folder"]
 
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
@@ -231,10 +231,11 @@ def _write_whole(path: Path, data: bytes) -> None:
             temporary.unlink(missing_ok=True)
         raise
     for folder in (path.parent, *(new.parent for new in new_folders)):
-        _sync_folder(folder)
+        sync_folder(folder)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Bring a folder's names to the disk."""
     if os.name != "posix":  # elsewhere a folder cannot be opened, and names are written at once
         return
     handle = os.open(folder, os.O_RDONLY)

@@ -156,6 +156,55 @@ class Queries(Database):
             tuple(action for action in log if key in action.fruit),
         )
 
+    def picked(self, round_key: str) -> dict[str, float]:
+        """Return when detections were marked as picked, by their keys."""
+        with self.reading() as connection:
+            marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
+        return {key: float(own["picked"]) for key, own in marks.items()}
+
+    def judged(self, round_key: str) -> tuple[int, int]:
+        """Return what people said of the finds of a round's house.
+
+        Returns
+        -------
+        rejected, detections : int
+            Finds that are no fruit, and all finds of the rounds in which anything was judged.
+        """
+        own, other = aliased(Round), aliased(Round)
+        kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
+        with self.reading() as connection:
+            house = select(own.house).where(own.id == round_id_of(connection, round_key))
+            counts = (
+                select(DetectionLine.round_id, Mark.value, func.count())
+                .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
+                .join(other, other.id == DetectionLine.round_id)
+                .where(other.house == house.scalar_subquery(), *kept)
+                .group_by(DetectionLine.round_id, Mark.value)
+            )
+            rows = cells_of(connection, counts)
+            rounds = {row[0] for row in rows}
+            finds = select(func.count(DetectionLine.id)).where(
+                DetectionLine.round_id.in_(rounds), STANDS
+            )
+            every = int(connection.execute(finds).scalar() or 0)
+        return sum(row[2] for row in rows if row[1] == Verdict.REJECTED), every
+
+    def newest_action(self, round_key: str, without: Sequence[str] = ()) -> int:
+        """Return the number of a round's newest line in the log; 0 where it has none.
+
+        Parameters
+        ----------
+        round_key : str
+            The round.
+        without : sequence of str
+            Kinds of action that do not matter.
+        """
+        with self.reading() as connection:
+            found = select(func.max(Action.id)).where(
+                Action.round_id == round_id_of(connection, round_key), Action.kind.not_in(without)
+            )
+            return int(connection.execute(found).scalar() or 0)
+
     def measurements(self, round_key: str) -> dict[str, tuple[MethodRecord, ...]]:
         """Return every method's first measurement by the detections' keys, without the paths."""
         found: dict[str, list[MethodRecord]] = {}
@@ -383,13 +432,20 @@ def _detection_view(
     )
 
 
-def _marks_of(connection: Connection, round_id: int) -> dict[str, dict[str, Any]]:
-    """Return verdict, time of picking and corrected record by the detections' keys."""
+def _marks_of(
+    connection: Connection, round_id: int, slot: str | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return verdict, time of picking and corrected record by the detections' keys.
+
+    `slot` gives that alone.
+    """
     query = (
         select(DetectionLine.key, Mark.slot, Mark.value, Mark.details)
         .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
         .where(DetectionLine.round_id == round_id, Mark.ended_by_id.is_(None))
     )
+    if slot is not None:
+        query = query.where(Mark.slot == slot)
     verdicts = {str(verdict): verdict for verdict in Verdict}
     marks: dict[str, dict[str, Any]] = {}
     for key, slot, value, details in cells_of(connection, query):

@@ -1,11 +1,16 @@
 // A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with.
 const SVG = "http://www.w3.org/2000/svg";
 const HINTS = {
+  "": "Pinch, wheel or + and − to zoom, drag to move.",
   ruler: "Tap two points: the straight distance between them is measured in depth.",
   point: "Tap the middle of the fruit: its outline is drawn anew.",
   box: "Drag a box around the fruit: its outline is drawn anew.",
+  brush: "Paint what belongs to the fruit as well; two fingers move the picture.",
+  erase: "Paint what does not belong to the fruit; two fingers move the picture.",
 };
-const NAMES = { ruler: "Ruler", point: "Correct by a tap", box: "Correct by a box" };
+const NAMES = { ruler: "Ruler", point: "By a tap", box: "By a box", brush: "Brush", erase: "Rubber" };
+const DRAGGED = ["box", "brush", "erase"];
+const NEAREST = 20, BRUSH = 13;
 const state = new WeakMap();
 
 function make(name, attributes, parent) {
@@ -45,6 +50,10 @@ function drawLayer(svg, layer, unit) {
       make("circle", { cx: points[0], cy: points[1], r: 4 * unit, fill: layer.color, stroke: "#000", "stroke-width": 1.5 * unit }, svg);
       continue;
     }
+    if (shape.kind === "label") {
+      text(svg, shape.text, points[0], points[1], 18 * unit, "middle");
+      continue;
+    }
     const place = { points: points.join(" "), "stroke-linejoin": "round", "stroke-linecap": "round" };
     if (shape.kind === "area") {
       make("polygon", { ...place, fill: layer.color, "fill-opacity": 0.22, stroke: layer.color, "stroke-width": 2 * unit }, svg);
@@ -65,8 +74,8 @@ function drawRuler(svg, ends, words, unit) {
   for (const [x, y] of ends) make("circle", { cx: x, cy: y, r: 6 * unit, fill: "#ff0", stroke: "#000", "stroke-width": 2 * unit }, svg);
 }
 
-function drawBar(svg, bar, data, unit) {
-  const x = 16 * unit, y = data.height - 18 * unit;
+function drawBar(svg, bar, view, unit) {
+  const x = view.x + 16 * unit, y = view.y + view.h - 18 * unit;
   make("line", { x1: x, y1: y, x2: x + bar.px, y2: y, stroke: "#000", "stroke-width": 8 * unit }, svg);
   make("line", { x1: x, y1: y, x2: x + bar.px, y2: y, stroke: "#fff", "stroke-width": 4 * unit }, svg);
   text(svg, bar.label, x, y - 10 * unit, 20 * unit);
@@ -74,8 +83,10 @@ function drawBar(svg, bar, data, unit) {
 
 function draw(root, data, own) {
   const svg = root.querySelector("svg");
-  const unit = data.width / 900;
-  svg.setAttribute("viewBox", `-0.5 -0.5 ${data.width} ${data.height}`);
+  const { x, y, w } = own.view, h = (w * data.height) / data.width;
+  const unit = w / 900;
+  svg.setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
+  svg.style.touchAction = own.tool || w < data.width ? "none" : "pan-y";
   svg.setAttribute("aria-label", data.title);
   svg.classList.toggle("drawing", own.tool !== "");
   svg.replaceChildren();
@@ -88,7 +99,33 @@ function draw(root, data, own) {
     const [x1, y1, x2, y2] = own.drag;
     make("rect", { x: Math.min(x1, x2), y: Math.min(y1, y2), width: Math.abs(x2 - x1), height: Math.abs(y2 - y1), fill: "none", stroke: "#ff0", "stroke-width": 3 * unit }, svg);
   }
-  if (data.bar) drawBar(svg, data.bar, data, unit);
+  if (own.stroke) {
+    const ink = own.tool === "brush" ? "#0f0" : "#f00";
+    make("polyline", { points: own.stroke.join(" "), fill: "none", stroke: ink, "stroke-opacity": 0.5, "stroke-width": 2 * BRUSH * unit, "stroke-linecap": "round", "stroke-linejoin": "round" }, svg);
+  }
+  if (data.bar) drawBar(svg, data.bar, { x, y, w, h }, unit);
+}
+
+// Where the picture opens: on the fruit, with as much about it as is needed to know where it is.
+function opening(data) {
+  const whole = { x: -0.5, y: -0.5, w: data.width };
+  if (!data.focus) return whole;
+  const [x1, y1, x2, y2] = data.focus;
+  const w = Math.min(data.width, Math.max(1.7 * (x2 - x1), (1.7 * (y2 - y1) * data.width) / data.height, data.width / 6));
+  return held({ x: (x1 + x2) / 2 - w / 2, y: (y1 + y2) / 2 - (w * data.height) / data.width / 2, w }, data);
+}
+
+function held(view, data) {
+  const w = Math.min(Math.max(view.w, data.width / NEAREST), data.width);
+  const inside = (value, size, part) => Math.min(Math.max(value, -0.5), size - part - 0.5);
+  return { x: inside(view.x, data.width, w), y: inside(view.y, data.height, (w * data.height) / data.width), w };
+}
+
+// Zoom so that a point of the picture stays where it is on the screen.
+function zoomed(view, data, factor, [u, v]) {
+  const w = Math.min(Math.max(view.w / factor, data.width / NEAREST), data.width);
+  const share = w / view.w;
+  return held({ x: u - (u - view.x) * share, y: v - (v - view.y) * share, w }, data);
 }
 
 function chips(root, data, own, again) {
@@ -110,38 +147,90 @@ function chips(root, data, own, again) {
       again();
     });
   }
-  root.querySelector(".hint").textContent = HINTS[own.tool] || "";
+  const middle = () => [own.view.x + own.view.w / 2, own.view.y + (own.view.w * data.height) / data.width / 2];
+  const look = (label, view) => chip(tools, label, false, "", () => { own.view = view(); again(); });
+  if (data.zooms) {
+    look("+", () => zoomed(own.view, data, 1.5, middle()));
+    look("−", () => zoomed(own.view, data, 1 / 1.5, middle()));
+    look("Whole", () => ({ x: -0.5, y: -0.5, w: data.width }));
+    chip(tools, "Full screen", false, "", () => {
+      if (document.fullscreenElement) document.exitFullscreen();
+      else root.host.requestFullscreen?.();
+    });
+  }
+  root.querySelector(".hint").textContent = data.zooms || own.tool ? HINTS[own.tool] : "";
 }
 
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
-  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null };
+  const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, stroke: null, fingers: new Map(), moved: false };
   state.set(root, own);
+  own.view = own.view || opening(data);
   for (const layer of data.layers) if (!(layer.name in own.on)) own.on[layer.name] = layer.on;
   const svg = root.querySelector("svg");
   const again = () => { draw(root, data, own); chips(root, data, own, again); };
+  const raw = (event) => {
+    const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+    return [point.x, point.y];
+  };
   const at = (event) => {
-    const matrix = svg.getScreenCTM().inverse();
-    const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix);
     const inside = (value, size) => Math.round(10 * Math.min(Math.max(value, 0), size - 1)) / 10;
-    return [inside(point.x, data.width), inside(point.y, data.height)];
+    const [x, y] = raw(event);
+    return [inside(x, data.width), inside(y, data.height)];
   };
   svg.onpointerdown = (event) => {
-    if (own.tool !== "box") return;
-    svg.setPointerCapture(event.pointerId);
-    own.drag = [...at(event), ...at(event)];
+    own.fingers.set(event.pointerId, raw(event));
+    own.moved = false;
+    if (own.fingers.size > 1) {
+      own.drag = own.stroke = null;
+      draw(root, data, own);
+      return;
+    }
+    if (DRAGGED.includes(own.tool)) svg.setPointerCapture(event.pointerId);
+    if (own.tool === "box") own.drag = [...at(event), ...at(event)];
+    if (own.tool === "brush" || own.tool === "erase") own.stroke = at(event);
   };
   svg.onpointermove = (event) => {
-    if (own.tool !== "box" || !own.drag || !event.buttons) return;
-    own.drag = [own.drag[0], own.drag[1], ...at(event)];
+    const before = own.fingers.get(event.pointerId);
+    if (!before || !event.buttons) return;
+    const now = raw(event);
+    if (own.fingers.size === 1 && own.drag) own.drag = [own.drag[0], own.drag[1], ...at(event)];
+    else if (own.fingers.size === 1 && own.stroke) own.stroke = [...own.stroke, ...at(event)];
+    else if (data.zooms && (own.fingers.size > 1 || own.tool === "")) {
+      const other = [...own.fingers].find(([id]) => id !== event.pointerId)?.[1];
+      const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
+      // Points are kept in the picture's own frame: what lies under a finger stays under it.
+      if (other && apart(before) > 1) own.view = zoomed(own.view, data, apart(now) / apart(before), other);
+      else own.view = held({ x: own.view.x + before[0] - now[0], y: own.view.y + before[1] - now[1], w: own.view.w }, data);
+      if (Math.hypot(before[0] - now[0], before[1] - now[1]) > own.view.w / 200) own.moved = true;
+      draw(root, data, own);
+      own.fingers.set(event.pointerId, raw(event));
+      return;
+    } else return;
     draw(root, data, own);
   };
-  svg.onpointerup = () => {
-    if (own.tool !== "box" || !own.drag) return;
-    const [x1, y1, x2, y2] = own.drag;
-    if (Math.abs(x2 - x1) > 8 && Math.abs(y2 - y1) > 8) setTriggerValue("box", own.drag);
+  const lift = (event) => {
+    own.fingers.delete(event.pointerId);
+    if (own.drag) {
+      const [x1, y1, x2, y2] = own.drag;
+      if (Math.abs(x2 - x1) > 8 && Math.abs(y2 - y1) > 8) setTriggerValue("box", own.drag);
+    }
+    if (own.stroke) {
+      const radius = Math.round((10 * BRUSH * own.view.w) / 900) / 10;
+      setTriggerValue("stroke", { points: own.stroke, radius, erase: own.tool === "erase" });
+      own.stroke = null;
+    }
+  };
+  svg.onpointerup = lift;
+  svg.onpointercancel = lift;
+  svg.onpointerleave = (event) => { if (!own.drag && !own.stroke) own.fingers.delete(event.pointerId); };
+  svg.onwheel = !data.zooms ? null : (event) => {
+    event.preventDefault();
+    own.view = zoomed(own.view, data, Math.exp(-event.deltaY / 400), raw(event));
+    draw(root, data, own);
   };
   svg.onclick = (event) => {
+    if (own.moved) return;
     if (own.tool === "point") setTriggerValue("point", at(event));
     if (own.tool !== "ruler") return;
     own.ends = own.ends.length === 1 ? [own.ends[0], at(event)] : [at(event)];

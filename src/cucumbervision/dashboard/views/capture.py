@@ -1,31 +1,45 @@
-"""Capture: the camera's picture, the quality of its depth, and one large button."""
+"""Capture: the camera's picture and depth, and one large button whose presses are kept at once."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+import time
+from typing import TYPE_CHECKING, Any, Literal
 
 import streamlit as st
 
-from cucumbervision.agronomy.grades import GradingTraits, grade
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.fruit_view import as_data_url, picture, scale_bar
-from cucumbervision.dashboard.measuring import TakenStop
+from cucumbervision.dashboard.fruit_view import (
+    as_data_url,
+    component,
+    depth_picture,
+    picture,
+    scale_bar,
+    stop_layers,
+)
+from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import grade_name
+from cucumbervision.dashboard.round_tables import grade_name, length_words, stop_name
+from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.measurement.result import Selector
-from cucumbervision.pipeline.fields import si_values
-from cucumbervision.pipeline.overlay import draw_overlay
+from cucumbervision.rounds.forecasting import grade_of
+from cucumbervision.rounds.walking import (
+    DEMONSTRATION,
+    NextPlace,
+    is_demonstration,
+    next_place,
+)
+from cucumbervision.store.views import DetectionFilter
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.camera_feed import Preview
-    from cucumbervision.dashboard.jobs import Job
-    from cucumbervision.store.views import RoundView
+    from cucumbervision.store.views import RoundView, StopView
 
 __all__ = ["page"]
 
-PREVIEW_PX = 960
+PREVIEW_PX = 800
+PANEL_S = 1.0  # how often what waits is looked at
 
 INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
@@ -36,15 +50,20 @@ def page(one: RoundView) -> None:
     left, right = page_elements.halves()
     with right:
         kind = _source()
-        _place()
-        take = {"type": "primary", "key": "take", "shortcut": "Enter"}
-        page_elements.button(st, "Capture", "photo_camera", _take, one, kind, **take)
-        taken = _result(one)
+    drawn = _preview_is_drawn(kind)
+    home = DEMONSTRATION if drawn else one.key
+    with right:
+        if drawn and not is_demonstration(one.key):
+            st.info(
+                "These pictures are drawn, not taken. What you capture of them goes into the round "
+                "'Demonstration', never into yours.",
+                icon=":material/draw:",
+            )
+        _panel(one, home, kind)
         _how()
     with left:
         _preview(kind)
-        if taken is not None:
-            _picture(taken)
+    _last_stop(one, home)
 
 
 def _source() -> str:
@@ -70,37 +89,140 @@ def _source_chosen() -> None:
     resources.camera().retry()
 
 
+def _preview_is_drawn(kind: str) -> bool:
+    shown = resources.feed(kind).preview().capture
+    return shown is not None and shown.simulated
+
+
+def _panel(one: RoundView, home: str, kind: str) -> None:
+    """Draw what a walker needs: the button, where the next stop is, what waits."""
+
+    @st.fragment(run_every=PANEL_S)
+    def _draw() -> None:
+        _begin_place(one.key, home)
+        button, waits, place = st.container(), st.container(), st.container()
+        with button:
+            for press in _presses():
+                _take(one, kind, press)
+        with place:
+            _place()
+        with waits:
+            _waits(one, home)
+
+    _draw()
+
+
+def _begin_place(opened: str, home: str) -> None:
+    """Go on from the round's last stop, measured or not; what was typed since stands."""
+    state = st.session_state
+    if state.get("place_of") == home:
+        _read_typed()
+        return
+    waiting = [one.stop for one in resources.waiting().captures() if one.round_key == home]
+    stops = resources.store().stops(home) if _is_round(home) else []
+    taken = [one.stop for one in resources.shutter().pressed(opened) if not one.kept.done()]
+    state["place_of"] = home
+    _set_place(next_place([*stops, *waiting, *taken]))
+
+
+def _is_round(key: str) -> bool:
+    return any(one.key == key for one in resources.store().rounds())
+
+
+def _set_place(place: NextPlace) -> None:
+    # Fields of new names: those on the page keep what was typed, whatever they are told.
+    st.session_state["place"] = place
+    st.session_state["place_number"] = st.session_state.get("place_number", 0) + 1
+
+
+def _read_typed() -> None:
+    """Take over what was typed into the fields since they were drawn."""
+    state, place = st.session_state, st.session_state["place"]
+
+    def typed(name: str, known: Any) -> Any:
+        found = state.get(f"{name}_{state['place_number']}")
+        return known if found is None else found
+
+    state["place"] = NextPlace(
+        typed("row", place.row).strip(),
+        typed("side", place.side),
+        float(typed("position", place.position_m)),
+        float(typed("step", place.step_m)),
+        typed("way", "back" if place.back else "onward") == "back",
+    )
+
+
 def _place() -> None:
-    for name, value in {"row": "1", "side": "left", "position_m": 0.0, "step_m": 0.4}.items():
-        st.session_state.setdefault(name, value)
+    place, number = st.session_state["place"], st.session_state["place_number"]
     row, side = st.columns(2)
-    row.text_input("Row", key="row")
+    row.text_input("Row", place.row, key=f"row_{number}")
     side.segmented_control(
-        "Side", ["left", "right"], format_func=str.capitalize, key="side", required=True
+        "Side",
+        ["left", "right"],
+        default=place.side,
+        format_func=str.capitalize,
+        key=f"side_{number}",
+        required=True,
     )
     position, step = st.columns(2)
-    position.number_input("Position [m]", min_value=0.0, step=0.1, format="%.2f", key="position_m")
-    step.number_input(
-        "Step [m]", min_value=0.0, max_value=5.0, step=0.1, format="%.2f", key="step_m"
+    position.number_input(
+        "Next stop at [m]", 0.0, None, place.position_m, 0.1, "%.2f", key=f"position_{number}"
+    )
+    step.number_input("Step [m]", 0.0, 5.0, place.step_m, 0.1, "%.2f", key=f"step_{number}")
+    st.segmented_control(
+        "Along the row",
+        ["onward", "back"],
+        default="back" if place.back else "onward",
+        format_func={"onward": "Positions grow", "back": "Positions fall"}.__getitem__,
+        key=f"way_{number}",
+        required=True,
+        width="stretch",
     )
 
 
-def _take(one: RoundView, kind: str) -> None:
-    state, feed = st.session_state, resources.feed(kind)
-    options = resources.settings().options
-    stop = Stop(
-        state["row"].strip() or None, state["side"], float(state["position_m"]), one.stops + 1
-    )
-    burst, store, measurer = options.reading.burst, resources.store(), resources.measurer()
+def _presses() -> list[Press]:
+    """Draw the button; return its presses, those that were returned before among them."""
+    waiting = len(resources.waiting().captures())
+    words = f"{waiting} waiting to be measured" if waiting else "press as fast as you walk"
+    data = {"label": "Capture", "words": words, "now_s": time.time(), "disabled": False}
+    made = component("shutter")(key="take", data=data, on_presses_change=lambda: None)
+    return [Press(str(one["number"]), float(one["at_s"])) for one in made.presses or ()]
 
-    def work(job: Job) -> TakenStop:
-        job.total = 2
-        capture = feed.take(burst, stop)
-        job.step()
-        return measurer.take_stop(store, one.key, capture, options)
 
-    page_elements.start_job("capture_job", "Measuring", work)
-    state["position_m"] = round(float(state["position_m"]) + float(state["step_m"]), 2)
+def _take(one: RoundView, kind: str, press: Press) -> None:
+    place = st.session_state["place"]
+    stop = Stop(place.row or None, place.side, place.position_m)
+    burst, feed = resources.settings().burst, resources.feed(kind)
+    if resources.shutter().press(feed, burst, one.key, stop, press):
+        _set_place(place.onward())
+
+
+def _waits(one: RoundView, home: str) -> None:
+    """Say what became of the presses, and draw the page anew when a stop was measured."""
+    pressed = resources.shutter().pressed(one.key)
+    for taken in pressed[-3:][::-1]:
+        if taken.error:
+            st.error(f"Nothing was captured. {plain(taken.error)}", icon=":material/error:")
+    waiting, measuring = resources.waiting(), resources.wake()
+    left = waiting.captures()
+    busy = sum(not taken.kept.done() for taken in pressed)
+    if left or busy:
+        is_measuring = measuring is not None and not measuring.finished
+        last = f" Last kept: {plain(stop_name(left[-1].stop))}." if left else ""
+        st.markdown(
+            f":material/hourglass: **{len(left) + busy} waiting.** "
+            f"{'Measuring' if is_measuring else 'Keeping'} …{last}"
+        )
+    if aside := waiting.set_aside():
+        st.warning(
+            f"{len(aside)} captures could not be measured three times; they are kept in "
+            f"{plain(aside[0].folder.parent)}.",
+            icon=":material/error:",
+        )
+    stops = len(resources.store().stops(home)) if _is_round(home) else 0
+    if stops != st.session_state.setdefault("stops_shown", stops):
+        st.session_state["stops_shown"] = stops
+        st.rerun()
 
 
 def _how() -> None:
@@ -141,25 +263,33 @@ def _preview(kind: str) -> None:
         _absent(kind, seen)
         return
 
-    still = seen.state == "replay"  # it changes only with a capture, which draws the page anew
-
-    @st.fragment(run_every=None if still else 0.5)
+    @st.fragment(run_every=0.5)
     def _live() -> None:
         preview = resources.feed(kind).preview()
-        if preview.state == "absent" or (preview.state == "replay" and not still):
+        if preview.state == "absent":
             st.rerun()
         if preview.capture is None:
             st.info("Opening …", icon=":material/hourglass:")
             return
         shown = preview.capture
         near = preview.quality.distance_m if preview.quality else None
-        picture(
-            f"preview_{kind}",
-            {"live": as_data_url(shown.color, PREVIEW_PX)},
-            (shown.width, shown.height),
-            bar=scale_bar(shown.intrinsics, near, resources.settings().units),
-            title="The camera's picture",
-        )
+        small = shown.depth_m[::2, ::2]  # it is only looked at
+        depth, words = depth_picture(small)
+        with st.container(key="live"):
+            color_at, depth_at = st.columns(2)
+        with color_at:
+            picture(
+                f"preview_{kind}",
+                {"live": as_data_url(shown.color, PREVIEW_PX)},
+                (shown.width, shown.height),
+                bar=scale_bar(shown.intrinsics, near, resources.settings().units),
+                title="The camera's picture",
+            )
+        with depth_at:
+            size = (small.shape[1], small.shape[0])
+            title = "The camera's depth"
+            picture(f"depth_{kind}", {"depth": as_data_url(depth)}, size, title=title)
+        st.caption(f"Depth: {words}.")
         _quality(preview)
 
     _live()
@@ -187,66 +317,56 @@ def _quality(preview: Preview) -> None:
     colors: dict[str, Literal["green", "orange", "red"]] = {"good": "green", "none": "red"}
     color = colors.get(quality.verdict, "orange")
     advice.badge(quality.advice, color=color, width="stretch")
-    state = "Replay" if preview.state == "replay" else "Live"
+    states = {"replay": "Replay", "playing": "Recording"}
+    state = states.get(preview.state, "Live")
     simulated = ", simulated" if preview.capture.simulated else ""
     advice.caption(f"{state}: {plain(preview.capture.name)}{simulated}")
 
 
-def _result(one: RoundView) -> TakenStop | None:
-    if st.session_state.get("capture_job") is None:
-        st.caption(f"{one.stops} stops in this round. Each capture's result is shown here.")
-    job = page_elements.finished_job("capture_job")
-    if job is None:
-        return None
-    if job.error:
-        st.error(f"Nothing was captured. {plain(job.error)}", icon=":material/error:")
-        return None
-    taken: TakenStop = job.result
-    if taken.note:
-        st.warning(f"Saved, but not measured: {plain(taken.note)}", icon=":material/warning:")
-    _lengths(one, taken)
-    return taken
+def _last_stop(one: RoundView, home: str) -> None:
+    """Draw the stop that was measured last, and its fruit."""
+    stops = resources.store().stops(home) if _is_round(home) else []
+    if not stops:
+        st.caption("No stops yet. Each capture's result is shown here.")
+        return
+    last = stops[-1]
+    st.markdown(f"**{plain(stop_name(last))}: saved**")
+    if last.failures:
+        found = resources.store().stop(last.key).failures[0]
+        st.warning(f"Saved, but not measured: {plain(found['message'])}", icon=":material/warning:")
+    _picture(one, last)
 
 
-def _lengths(one: RoundView, taken: TakenStop) -> None:
-    units, stop = resources.settings().units, taken.result.capture.stop
-    st.markdown(
-        f"**Row {plain(stop.row or '?')}, {plain(stop.side)}, {stop.position_m:.2f} m: saved**"
-    )
-    _, profile = resources.profile_of(one)
-    lines = []
-    for seen in taken.result.seen:
-        fruit = seen.fruit
-        least = "at least " if fruit.at_least else ""
-        found = grade(GradingTraits.from_si(si_values(seen)), profile)
-        lines.append(
-            {
-                "Fruit": seen.number,
-                "Length": f"{least}{units.text(fruit.length.value_m)}"
-                if fruit.length
-                else "not measured",
-                "Class": grade_name(found),
-                "Method": fruit.method or fruit.reason,
-                "Mask by": fruit.mask_source.words if fruit.mask_source else "no mask",
-            }
+def _picture(one: RoundView, last: StopView) -> None:
+    store, units = resources.store(), resources.settings().units
+    record = store.stop(last.key)
+    views = store.detections(last.round_key, DetectionFilter(stop_key=last.key))
+    profile = resources.profile_of(one)[1]
+    for taken in record.captures:
+        own = [view for view in views if view.capture == taken.name]
+        grades = {view.key: grade_name(grade_of(view.record, profile)) for view in own}
+        capture = stored_capture(store.images, taken, record)
+        tapped = picture(
+            f"result_{last.key}_{taken.name}",
+            {"measured": as_data_url(capture.color)},
+            (capture.width, capture.height),
+            layers=stop_layers(taken, own, grades, units),
+            tools=("point", "box"),
+            title="The measured fruit; a tap or a box adds one that was not found",
+            zooms=True,
         )
-    if lines:
-        page_elements.table(lines)
-    elif not taken.note:
-        st.info("No fruit was found in this capture.", icon=":material/search_off:")
-
-
-def _picture(taken: TakenStop) -> None:
-    capture = taken.result.capture
-    drawn = draw_overlay(capture, taken.result.fruit)
-    size = (capture.width, capture.height)
-    tapped = picture(
-        f"result_{taken.key}",
-        {"measured": as_data_url(drawn)},
-        size,
-        tools=("point", "box"),
-        title="The measured fruit; a tap or a box adds one that was not found",
-    )
-    if tapped.point or tapped.box:
-        add_fruit(resources.store().stop(taken.key), capture, tapped.point, tapped.box)
-    show_correction()
+        if tapped.point or tapped.box:
+            add_fruit(record, capture, tapped.point, tapped.box)
+        show_correction()
+        lines = [
+            {
+                "Fruit": view.record.number,
+                "Length": length_words(view.record, units),
+                "Class": grades[view.key],
+            }
+            for view in own
+        ]
+        if lines:
+            page_elements.table(lines)
+        elif not last.failures:
+            st.info("No fruit was found in this capture.", icon=":material/search_off:")

@@ -1,14 +1,24 @@
-"""Forecast: how many fruit will be in which class, what to pick today, and the work it takes."""
+"""Forecast: how many fruit will be in which class, and the work that picking them takes."""
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.picking import Span, pick_list, plan_work
+from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.round_tables import class_name, day_name, forecast_chart
+from cucumbervision.dashboard.round_tables import (
+    class_name,
+    day_name,
+    expected_classes,
+    forecast_chart,
+    hours_words,
+    round_day,
+    span_words,
+)
+from cucumbervision.rounds.today import Age, age_of, age_words
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
@@ -27,13 +37,24 @@ def page(one: RoundView) -> None:
             icon=":material/calendar_month:",
         )
         return
-    days, picks, work = st.tabs(["Next days", "Pick today", "Work and crates"])
+    _age(one)
+    days, work = st.tabs(["Next days", "Work and crates"])
     with days:
         _days(found)
-    with picks:
-        _picks(found)
     with work:
         _work(found)
+
+
+def _age(one: RoundView) -> None:
+    walked = one.last_s or one.record.started_s
+    days, age = age_of(walked, time.time())
+    if age is not Age.FRESH:
+        st.warning(
+            f"This round is {age_words(days)} (walked on {round_day(walked)}): what follows holds "
+            "only if nothing was picked since. Walk again.",
+            icon=":material/history:",
+        )
+    page_elements.link("today", "Today's pick list")
 
 
 def _days(found: Forecast) -> None:
@@ -43,48 +64,17 @@ def _days(found: Forecast) -> None:
     lines = []
     for day in found.days.tolist():
         line = {"Day": day_name(day)}
-        for k in range(len(found.classes)):
+        for k in expected_classes(found):
             least = "" if found.complete[day, k] else "at least "
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
-            line[class_name(found, k)] = f"{least}{_interval(count)}"
+            words = span_words(count)
+            line[class_name(found, k)] = words if words == "–" else f"{least}{words}"
         lines.append(line)
     page_elements.table(lines)
     st.caption(
         "Growth is the crop profile's until fruit are linked between days. 'At least': fruit too "
         "small to be detected today are not counted."
     )
-
-
-def _picks(found: Forecast) -> None:
-    units, picks = resources.settings().units, pick_list(found)
-    if not picks:
-        st.info("No fruit is ready today.", icon=":material/shopping_basket:")
-        return
-    st.markdown(f"**{len(picks)} fruit are ready today**, in walking order")
-    # A plain table prints whole, a scrolling one only what is seen.
-    st.table(
-        [
-            {
-                "Row": pick.fruit.row,
-                "Side": pick.fruit.side,
-                "At [m]": f"{pick.fruit.position_m:.2f}",
-                "Length": units.text(pick.fruit.length_m),
-                "Class": pick.name,
-                "Probability": f"{100 * pick.ready:.0f} %",
-                "Done": "☐",
-            }
-            for pick in picks
-        ]
-    )
-    fruit = [pick.fruit.fruit_id for pick in picks]
-
-    def mark_picked() -> None:
-        resources.store().pick(fruit)
-
-    with st.container(key="noprint"):
-        mark, hint = st.columns([1, 2], vertical_alignment="center")
-        page_elements.button(mark, "Mark all as picked", "shopping_basket", mark_picked)
-        hint.caption("Print with the browser: Ctrl+P, or Share and Print on a tablet.")
 
 
 def _work(found: Forecast) -> None:
@@ -102,15 +92,12 @@ def _work(found: Forecast) -> None:
     lines = [
         {
             "Day": day_name(day.day),
-            "Fruit": _interval(day.fruit),
-            "Hours": _interval(day.hours, digits=1),
-            **{f"Crates {name}": _interval(n) for name, n in day.crates.items()},
+            "Fruit": span_words(day.fruit),
+            "Work": hours_words(day.hours),
+            **{f"Crates {name}": span_words(n) for name, n in day.crates.items()},
         }
         for day in plan_work(found, resources.settings().rates)
+        if day.fruit.high >= 1
     ]
     page_elements.table(lines)
     st.caption("If every ready fruit is picked every day; hours for one person.")
-
-
-def _interval(of: Span, digits: int = 0) -> str:
-    return f"{of.expected:.{digits}f} ({of.low:.{digits}f} to {of.high:.{digits}f})"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
@@ -23,10 +25,12 @@ from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.masks import decode_rle, painted_mask
 from cucumbervision.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
@@ -113,10 +117,10 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     accept, reject = st.columns(2)
     for place, verdict, name, icon in (
         (accept, Verdict.ACCEPTED, "Accept", "check"),
-        (reject, Verdict.REJECTED, "Reject", "close"),
+        (reject, Verdict.REJECTED, "Delete", "delete"),
     ):
         if now is verdict:
-            button(place, f"{name}ed", icon, judge, None, type="primary")
+            button(place, f"{name.rstrip('e')}ed", icon, judge, None, type="primary")
         else:
             button(place, name, icon, judge, verdict)
     picked, undo = st.columns(2)
@@ -174,9 +178,11 @@ def _picture(detail: DetectionDetail, capture: Capture) -> None:
         (capture.width, capture.height),
         layers=fruit_layers(record, capture.intrinsics),
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
-        tools=("ruler", "point", "box"),
+        tools=("ruler", "point", "box", "brush", "erase"),
         ruler_text=ruler or "",
         title=f"Fruit {record.number} of {detail.view.capture}",
+        focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
+        zooms=True,
     )
     simulated = ", simulated capture" if capture.simulated else ""
     st.caption(f"{plain(detail.view.capture)}{simulated}. Depth: {words}.")
@@ -196,7 +202,9 @@ def _picture(detail: DetectionDetail, capture: Capture) -> None:
     if adds and (drawn.point or drawn.box):
         add_fruit(detail.stop, capture, drawn.point, drawn.box)
     elif drawn.point or drawn.box:
-        _correct(detail, capture, drawn.point, drawn.box)
+        _correct(detail, lambda: _mask_of(capture, drawn.point, drawn.box))
+    elif drawn.stroke:
+        _correct(detail, partial(_painted, record, capture, drawn.stroke))
     show_correction()
     _accept_others(detail)
 
@@ -231,19 +239,27 @@ def _mask_of(
     return measurer.mask_from_box(capture, (x1, y1, x2, y2))
 
 
-def _correct(
-    detail: DetectionDetail, capture: Capture, point: list[float] | None, box: list[float] | None
-) -> None:
+def _painted(
+    record: DetectionRecord, capture: Capture, stroke: dict[str, Any]
+) -> NDArray[np.bool_]:
+    mask = np.zeros((capture.height, capture.width), bool)
+    if record.mask is not None:
+        mask = decode_rle(record.mask, capture.height, capture.width)
+    points = np.array(stroke["points"], np.float64).reshape(-1, 2)
+    return painted_mask(mask, points, float(stroke["radius"]), erase=bool(stroke["erase"]))
+
+
+def _correct(detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]]) -> None:
     options, measurer = resources.settings().options, resources.measurer()
     store = resources.store()
 
     def work(job: Job) -> int:
         job.total = 2
-        mask = _mask_of(capture, point, box)
+        mask = draw()
         job.step()
         return measurer.correct(store, detail, mask, options)
 
-    page_elements.start_job("correction", "Segmenting the fruit", work)
+    page_elements.start_job("correction", "Measuring with the new outline", work)
 
 
 def add_fruit(

@@ -1,28 +1,49 @@
-"""Row map: where the fruit hang, by position and height."""
+"""Row map: where the fruit hang, how many they are, and which views are one fruit put right."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import map_chart, map_lines
+from cucumbervision.dashboard.round_tables import (
+    count_words,
+    counted,
+    grade_name,
+    length_words,
+    map_chart,
+    map_lines,
+    round_day,
+    row_name,
+)
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.rounds.around import around, doubtful_first
+from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
-    from cucumbervision.store.views import RoundView
+    from collections.abc import Callable, Sequence
+
+    from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.round_tables import RoundLists
+    from cucumbervision.rounds.around import Around, OtherDay
+    from cucumbervision.store.views import DetectionView, RoundView
 
 __all__ = ["page"]
 
 ROWS_AT_ONCE = 4
+ABREAST = 4
 
 
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
     units = resources.settings().units
-    lines = map_lines(resources.lists_of(one), units)
+    lists = resources.lists_of(one)
+    lines = map_lines(lists, units)
     if not lines:
         st.info(
             "No fruit of this round has a position yet. Enter row and position when capturing.",
@@ -38,12 +59,147 @@ def page(one: RoundView) -> None:
     if not chosen:
         st.info("Choose a row.", icon=":material/map:")
         return
+    for report in resources.rows_of(one):
+        st.markdown(f"**{plain(row_name(report.row))}**: {count_words(report.count)}")
     shown = [line for line in lines if line["row"] in chosen]
     for row in [row for row in rows if row in chosen]:
-        st.markdown(f"**{plain(row)}**")
+        st.caption(plain(row))
         here = [line for line in shown if line["row"] == row]
-        st.altair_chart(map_chart(here, shown, units, by_length=colored == "Length"))
+        chart = map_chart(here, shown, units, by_length=colored == "Length")
+        event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
+        _choose(f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])])
     st.caption(
-        "One mark a fruit, a cross where it was picked; point at a mark or tap it for details. "
-        "Heights are relative to the camera."
+        "One mark a fruit, a cross where it was picked, hollow where one view alone shows it. Tap "
+        "a mark to see the fruit's views. Heights are relative to the camera."
     )
+    _doubtful(lists)
+    _fruit(one, lists)
+
+
+def _choose(chart: str, keys: Sequence[str]) -> None:
+    """Take a tap on a mark over once: what was chosen otherwise since stands."""
+    taps = st.session_state.setdefault("map_taps", {})
+    if keys and taps.get(chart) != keys[0]:
+        taps[chart] = keys[0]
+        st.session_state["map_fruit"] = keys[0]
+
+
+def _doubtful(lists: RoundLists) -> None:
+    left = doubtful_first(lists.fruit)
+    if not left:
+        return
+
+    def look() -> None:
+        keys = [view.key for view in left]
+        now = st.session_state.get("map_fruit")
+        at = keys.index(now) + 1 if now in keys else 0
+        st.session_state["map_fruit"] = keys[at % len(keys)]
+
+    words = counted(len(left), "fruit is", "fruit are")
+    says, go = st.columns([3, 2], vertical_alignment="center")
+    says.markdown(f"{words} shown by one view alone: each may be none, or another's copy.")
+    button(go, "Look at the least sure", "visibility", look)
+
+
+def _fruit(one: RoundView, lists: RoundLists) -> None:
+    key = st.session_state.get("map_fruit")
+    found = around(resources.store(), one.key, key) if key else None
+    if found is None:
+        return
+    units, fruit = resources.settings().units, found.fruit
+    grade = grade_name(lists.grades[fruit.key]) if fruit.key in lists.grades else ""
+    place = f"{row_name(fruit.row)}, {fruit.side or ''}, {fruit.along_m or 0:.2f} m"
+    st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
+    _judge(one, found)
+    store = resources.store()
+    apart = None if len(found.views) == 1 else ("Not the same", "call_split", store.unmerge)
+    _pictures(f"Seen {counted(len(found.views), 'time', 'times')}", found.views, apart)
+    same = ("This one too", "merge", partial(store.merge, fruit.key))
+    _pictures("Its neighbours", found.near, same)
+    for day, is_earlier in ((found.earlier, True), (found.later, False)):
+        if day is not None:
+            _other_day(fruit, day, is_earlier=is_earlier)
+
+
+def _judge(one: RoundView, found: Around) -> None:
+    store = resources.store()
+    keys = [view.key for view in found.views]
+    accept, reject, look, undo = st.columns(4)
+    button(
+        accept, "It is a fruit", "check", _do, partial(store.set_verdict, keys, Verdict.ACCEPTED)
+    )
+    button(reject, "No fruit", "delete", _do, partial(store.set_verdict, keys, Verdict.REJECTED))
+
+    def open_it() -> None:
+        st.session_state["fruit"] = found.fruit.key
+
+    button(look, "Look closer", "zoom_in", open_it)
+    button(undo, "Undo", "undo", _undo, one)
+    if st.session_state.get("fruit") == found.fruit.key:
+        with look:
+            page_elements.link("results", "Open in 'Results'")
+    if found.fruit.verdict is not None:
+        st.caption(f"Somebody said: {found.fruit.verdict}.")
+    if fault := st.session_state.pop("map_fault", None):
+        st.warning(plain(fault), icon=":material/error:")
+
+
+def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None:
+    store = resources.store()
+
+    def link(key: str) -> int:
+        if day.linked is not None:
+            _do(partial(part, day.linked.key))
+        pair = (key, fruit.key) if is_earlier else (fruit.key, key)
+        return store.link_growth(*pair)
+
+    def part(key: str) -> int:
+        pair = (key, fruit.key) if is_earlier else (fruit.key, key)
+        return store.unlink_growth(*pair)
+
+    when = round_day(day.round.record.started_s)
+    if day.linked is not None:
+        _pictures(f"The same fruit on {when}", [day.linked], ("Not this one", "link_off", part))
+    _pictures(f"Near it on {when}", day.near, ("It is this one", "link", link))
+
+
+def _pictures(
+    title: str,
+    views: Sequence[DetectionView],
+    act: tuple[str, str, Callable[[str], int]] | None,
+) -> None:
+    """Draw views side by side, each with what can be done about it."""
+    if not views:
+        return
+    units = resources.settings().units
+    st.markdown(f"**{title}**")
+    for first in range(0, len(views), ABREAST):
+        for column, view in zip(st.columns(ABREAST), views[first : first + ABREAST], strict=False):
+            cut = resources.cutout_of(view)
+            if cut is not None:
+                column.image(cut, width="stretch")
+            column.caption(
+                f"{length_words(view.record, units)} · stop {view.step or '?'} · "
+                f"{view.along_m or 0:.2f} m"
+            )
+            if act is not None:
+                label, icon, do = act
+                key = f"{label}_{view.key}"
+                button(column, label, icon, _do, partial(do, view.key), key=key)
+
+
+def _do(act: Callable[[], int]) -> None:
+    """Do what was tapped, and remember its number for 'Undo'."""
+    try:
+        st.session_state.setdefault("map_acts", []).append(act())
+    except CucumberVisionError as error:
+        st.session_state["map_fault"] = str(error)
+
+
+def _undo(one: RoundView) -> None:
+    acts: list[int] = st.session_state.setdefault("map_acts", [])
+    number = acts.pop() if acts else None
+    try:
+        resources.store().undo(None if number else one.key, number=number)
+    except CucumberVisionError as error:
+        st.session_state["map_fault"] = str(error)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.measuring import measure_uploads
 from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.round_tables import counted
+from cucumbervision.dashboard.uploading import CAMERAS, Outcome, measure_uploads
+from cucumbervision.rounds.walking import NextPlace, next_place
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
@@ -31,31 +34,87 @@ def page(one: RoundView) -> None:
         "matching names. Many at once."
     )
     files = st.file_uploader("Files", type=ENDINGS, accept_multiple_files=True, key="uploads")
-    spacing_m = st.number_input("Distance from one capture to the next [m]", 0.0, 5.0, 0.4, 0.1)
+    place = _place(one)
+    camera = st.selectbox(
+        "Pairs of pictures without intrinsics were taken by",
+        ["", *CAMERAS],
+        format_func=lambda name: name or "not known: refuse them",
+        help="A camera's usual figures differ from its own by 1 to 2 %, and lengths with them. "
+        "Send an intrinsics file along where you have one.",
+    )
     given = [(file.name, file.getvalue()) for file in files]
-    what = one.key, given, float(spacing_m)
     how: dict[str, Any] = {"type": "primary", "disabled": not files}
-    page_elements.button(st, "Measure these files", "play_arrow", _measure, *what, **how)
+    work = partial(_measure, one.key, given, place, camera)
+    page_elements.button(st, "Measure these files", "play_arrow", work, **how)
     job = page_elements.finished_job("upload_job")
     if job is None:
         return
     if job.error:
         st.error(plain(job.error), icon=":material/error:")
     else:
-        many = "capture" if job.result == 1 else "captures"
-        st.success(f"{job.result} {many} saved; see 'Results'.", icon=":material/check:")
-    for note in job.notes:
-        st.warning(plain(note), icon=":material/error:")
+        _outcomes(job.result)
 
 
-def _measure(round_key: str, files: list[tuple[str, bytes]], spacing_m: float) -> None:
+def _place(one: RoundView) -> NextPlace:
+    """Draw where the first capture was taken, for files that do not say; it goes on from there."""
+    begun = next_place(resources.store().stops(one.key))
+    row, side, position, step, way = st.columns([2, 3, 2, 2, 3])
+    given = f"{one.key}_{one.stops}"
+    return NextPlace(
+        row.text_input("Row", begun.row, key=f"up_row_{given}").strip(),
+        side.segmented_control(
+            "Side",
+            ["left", "right"],
+            default=begun.side if begun.side in ("left", "right") else "left",
+            format_func=str.capitalize,
+            required=True,
+            key=f"up_side_{given}",
+        )
+        or "left",
+        float(
+            position.number_input(
+                "First at [m]", 0.0, None, begun.position_m, 0.1, "%.2f", key=f"up_at_{given}"
+            )
+        ),
+        float(step.number_input("Step [m]", 0.0, 5.0, begun.step_m, 0.1, key=f"up_step_{given}")),
+        way.segmented_control(
+            "Along the row",
+            ["grow", "fall"],
+            default="fall" if begun.back else "grow",
+            format_func="Positions {}".format,
+            required=True,
+            key=f"up_way_{given}",
+        )
+        == "fall",
+    )
+
+
+def _outcomes(outcomes: list[Outcome]) -> None:
+    saved = sum(one.saved for one in outcomes)
+    left = len(outcomes) - saved
+    says = st.success if saved else st.warning
+    says(f"{counted(saved, 'capture', 'captures')} saved{f', {left} not' if left else ''}.")
+    if saved:
+        page_elements.link("results", "Results")
+    lines = [
+        {
+            "File": one.name,
+            "": "saved" if one.saved else "not saved",
+            "What became of it": one.words,
+        }
+        for one in sorted(outcomes, key=lambda one: one.saved)
+    ]
+    page_elements.table(lines)
+
+
+def _measure(round_key: str, files: list[tuple[str, bytes]], place: NextPlace, camera: str) -> None:
     store, measurer = resources.store(), resources.measurer()
     options = resources.settings().options
 
-    def work(job: Job) -> int:
+    def work(job: Job) -> list[Outcome]:
         named = [(name, io.BytesIO(data)) for name, data in files]
-        saved = measure_uploads(named, measurer, store, round_key, options, spacing_m, job)
+        found = measure_uploads(named, measurer, store, round_key, options, place, job, camera)
         resources.merge(round_key)
-        return saved
+        return found
 
     page_elements.start_job("upload_job", "Measuring the uploads", work)

@@ -1,0 +1,135 @@
+"""The button: a burst is grabbed at the press, kept on disk, and measured when there is time.
+
+Two threads, so that nothing holds a press up: one fuses bursts and keeps them, the worker of all
+pages measures what waits, in order. What waits is on disk, so that a kill loses nothing of it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.rounds.walking import home_of, last_step
+from cucumbervision.store.records import key_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision.dashboard.camera_feed import Burst, Feed
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.waiting import Waiting, WaitingCaptures
+
+__all__ = ["Press", "Pressed", "Shutter"]
+
+LATEST_S = 1.2  # a press that says it is older came over a broken line: it counts as now
+REMEMBERED = 200
+
+
+@dataclass(frozen=True)
+class Press:
+    """A press of the button.
+
+    Parameters
+    ----------
+    number : str
+        Its own, made by the browser: a press that is sent twice counts once.
+    at_s : float
+        When, seconds since 1970, by this machine's clock.
+    """
+
+    number: str
+    at_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """What becomes of a press.
+
+    Parameters
+    ----------
+    stop : Stop
+        Where it was pressed.
+    pressed_s : float
+        When.
+    kept : Future of Waiting
+        The capture, once it is on disk.
+    """
+
+    stop: Stop
+    pressed_s: float
+    kept: Future[Waiting]
+
+    @property
+    def error(self) -> str:
+        """Why there is no capture; empty where there is one, or will be."""
+        error = self.kept.exception() if self.kept.done() else None
+        if error is None or isinstance(error, CucumberVisionError):
+            return str(error or "")
+        return f"{type(error).__name__}: {error}"
+
+
+class Shutter:
+    """Takes a burst at each press and keeps it.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    waiting : WaitingCaptures
+        Where captures are kept until they are measured.
+    kept : callable
+        Called after each capture that was kept: it is to be measured.
+    """
+
+    def __init__(self, store: Store, waiting: WaitingCaptures, kept: Callable[[], object]) -> None:
+        self._store, self._waiting, self._kept = store, waiting, kept
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
+        self._lock = threading.Lock()
+        self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
+
+    def press(self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press) -> bool:
+        """Grab a burst for a press; return False where the same press came before.
+
+        Returns at once: the burst's last frames and the disk are waited for elsewhere.
+        """
+        name = (round_key, press.number)
+        now = time.time()
+        at_s = press.at_s if 0 <= now - press.at_s < LATEST_S else now
+        with self._lock:
+            if name in self._pressed:
+                return False
+            grabbed = feed.grab(burst, at_s)
+            kept = self._pool.submit(
+                self._keep, grabbed, round_key, stop, Press(press.number, at_s)
+            )
+            self._pressed[name] = Pressed(stop, at_s, kept)
+            while len(self._pressed) > REMEMBERED:
+                self._pressed.popitem(last=False)
+        return True
+
+    def pressed(self, round_key: str) -> list[Pressed]:
+        """Return the presses of a round that are remembered, the oldest first."""
+        with self._lock:
+            return [one for (key, _), one in self._pressed.items() if key == round_key]
+
+    def close(self) -> None:
+        """Keep what was pressed, then end."""
+        self._pool.shutdown(wait=True)
+
+    def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
+        capture = grabbed.capture()
+        home = home_of(self._store, round_key, simulated=capture.simulated)
+        waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
+        stop = replace(stop, step=last_step(self._store.stops(home), waiting) + 1)
+        key = key_of("press", round_key, press.number)
+        capture = replace(capture, stop=stop, timestamp_s=press.at_s)
+        kept = self._waiting.put(capture, key, home, press.at_s)
+        self._kept()
+        return kept

@@ -1,0 +1,235 @@
+"""Today: what is ready by class and row, how old that is, what to do next, and the pick list."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import streamlit as st
+
+from cucumbervision.agronomy.profiles import TOO_LONG
+from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.fruit_view import component
+from cucumbervision.dashboard.page_elements import button
+from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.round_tables import counted, name_of_class, round_day
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.rounds.today import Age, age_words
+from cucumbervision.rounds.walking import is_demonstration
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.agronomy.picking import Pick
+    from cucumbervision.rounds.today import RowPicks, Today
+    from cucumbervision.store.views import RoundView
+
+__all__ = ["page"]
+
+
+@page_elements.of_round
+def page(one: RoundView) -> None:
+    """Draw the page."""
+    today = resources.today_of(one)
+    _age(one, today)
+    _next(one, today)
+    if not today.rows:
+        return
+    _ready(today)
+    st.subheader("Pick list")
+    _picks(one, today)
+
+
+def _age(one: RoundView, today: Today) -> None:
+    walked = round_day(one.last_s or one.record.started_s)
+    if not one.stops:
+        return
+    if today.age is Age.USELESS:
+        st.warning(
+            f"This round is {age_words(today.age_days)} (walked on {walked}): it says nothing "
+            "about today. Walk again for today's list.",
+            icon=":material/history:",
+        )
+        return
+    words = f"The data are **{age_words(today.age_days)}** (last stop {walked})."
+    if today.age_days:
+        words += " The fruit were aged to today by the growth that is expected."
+    (st.warning if today.age is Age.OLD else st.markdown)(words)
+    if is_demonstration(one.key):
+        st.info("All fruit of this round are drawn, not grown.", icon=":material/draw:")
+
+
+def _next(one: RoundView, today: Today) -> None:
+    """Say what to do next, with a way to where it is done."""
+    waiting = sum(x.round_key == one.key for x in resources.waiting().captures())
+    steps: list[tuple[str, str, str]] = []
+    if waiting:
+        resources.wake()
+        steps.append((f"{waiting} captures are still being measured.", "capture", "Capture"))
+    if not one.stops and not waiting:
+        steps.append(("This round has no stops yet: walk a row.", "capture", "Capture"))
+    elif today.age is not Age.FRESH:
+        steps.append(("Begin a new round and walk again.", "capture", "Capture"))
+    elif not today.rows and not waiting:
+        steps.append(("No fruit is ready today: see when there will be.", "forecast", "Forecast"))
+    if doubtful := _doubtful(one):
+        steps.append(
+            (
+                f"{counted(doubtful, 'fruit was', 'fruit were')} seen only once, with little "
+                "confidence: look at them.",
+                "map",
+                "Row map",
+            )
+        )
+    for words, target, label in steps:
+        says, go = st.columns([3, 1], vertical_alignment="center")
+        says.markdown(f":material/arrow_forward: {words}")
+        with go:
+            page_elements.link(target, label)
+
+
+def _doubtful(one: RoundView) -> int:
+    return len(resources.lists_of(one).doubtful) if one.fruit else 0
+
+
+def _ready(today: Today) -> None:
+    ready, too_long = len(today.ready), len(today.too_long)
+    names = Counter(pick.name for pick in today.ready)
+    shown = [("Ready today", ready), *((name_of_class(n), k) for n, k in sorted(names.items()))]
+    if too_long:
+        shown.append(("Too long", too_long))
+    for column, (label, value) in zip(st.columns(len(shown)), shown, strict=True):
+        column.metric(label, value)
+    classes = sorted(names) + ([TOO_LONG] if too_long else [])
+    lines = []
+    for row, own in today.by_class().items():
+        counts = {name_of_class(name): own.get(name) or "" for name in classes}
+        lines.append({"Row": row or "not named", **counts, "All": sum(own.values())})
+    if len(lines) > 1:
+        page_elements.table(lines)
+    if today.forecast is not None:
+        house, pick = today.forecast.picks, today.forecast.pick
+        at = [today.forecast.classes.index(name) for name in pick]
+        low, high = (float(end[0, at].sum()) for end in (house.low, house.high))
+        st.caption(
+            f"{ready} fruit are in the list below. With those that were missed or are no fruit, "
+            f"{low:.0f} to {high:.0f} are ready (80 %)."
+        )
+
+
+def _picks(one: RoundView, today: Today) -> None:
+    @st.fragment
+    def _draw() -> None:
+        picked = _picked(one, today)
+        rows = {row.row: row for row in today.rows}
+        done = {name: sum(_is_picked(p, picked) for p in own.ready) for name, own in rows.items()}
+        if st.session_state.get("pick_row") not in rows:
+            st.session_state["pick_row"] = next(iter(rows))
+        name = st.segmented_control(
+            "Row, in the order of the walk",
+            list(rows),
+            format_func=lambda name: (
+                f"{plain(name or 'no row')}: {done[name]}/{len(rows[name].ready)}"
+            ),
+            key="pick_row",
+            required=True,
+        )
+        row = rows[name or next(iter(rows))]
+        total = f"{sum(done.values())} of {len(today.ready)} in all rows"
+        kinds = [("ready", row.ready, total), (TOO_LONG, row.too_long, "take them off")]
+        for kind, picks, words in kinds:
+            if not picks:
+                continue
+            if kind == TOO_LONG:
+                st.markdown("**Too long**: outgrown every class; they cost the others growth")
+            for tap in _list(f"{kind}_{one.key}_{row.row}", picks, picked, words):
+                _tap(tap)
+        _all_picked(row, picked)
+        _work(today)
+
+    _draw()
+
+
+def _is_picked(pick: Pick, picked: set[str]) -> bool:
+    return pick.fruit.fruit_id in picked
+
+
+def _picked(one: RoundView, today: Today) -> set[str]:
+    """Return the keys of the fruit that are picked by now."""
+    keys = resources.store().picked(one.key)
+    return {today.best.get(key, key) for key in keys}
+
+
+def _list(key: str, picks: Sequence[Pick], picked: set[str], words: str) -> list[dict[str, Any]]:
+    units = resources.settings().units
+    lines = [
+        {
+            "key": pick.fruit.fruit_id,
+            "at": f"{pick.fruit.position_m:.2f} m {pick.fruit.side}".strip(),
+            "length": units.text(pick.fruit.length_m),
+            "grade": name_of_class(pick.name) + ("" if pick.ready >= 0.8 else ", perhaps"),
+            "picked": _is_picked(pick, picked),
+        }
+        for pick in picks
+    ]
+    data = {"fruit": lines, "words": words}
+    made = component("picklist")(key=f"picks_{key}", data=data, on_taps_change=lambda: None)
+    return list(made.taps or ())
+
+
+def _tap(tap: dict[str, Any]) -> None:
+    """Keep a tap; those that were kept before come along with every new one."""
+    seen: set[str] = st.session_state.setdefault("taps_seen", set())
+    if tap["number"] in seen:
+        return
+    seen.add(tap["number"])
+    store, key = resources.store(), str(tap["key"])
+    store.pick([key]) if tap["picked"] else store.unpick([key])
+    st.session_state.pop("picked_all", None)
+
+
+def _all_picked(row: RowPicks, picked: set[str]) -> None:
+    left = [p.fruit.fruit_id for p in row.ready if not _is_picked(p, picked)]
+
+    @st.dialog("All picked?")
+    def _ask() -> None:
+        st.write(
+            f"{counted(len(left), 'fruit', 'fruit')} of row {plain(row.row)} will be marked as picked."
+        )
+        yes, no = st.columns(2)
+        if yes.button("Yes, all are picked", type="primary", width="stretch"):
+            st.session_state["picked_all"] = resources.store().pick(left)
+            st.rerun()
+        if no.button("No", width="stretch"):
+            st.rerun()
+
+    with st.container(key="noprint"):
+        mark, undo = st.columns(2)
+        if mark.button(
+            f"All of row {plain(row.row)} are picked",
+            icon=":material/done_all:",
+            width="stretch",
+            disabled=not left,
+        ):
+            _ask()
+        number = st.session_state.get("picked_all")
+        button(undo, "Undo 'all picked'", "undo", _undo, number, disabled=number is None)
+        st.caption("Tap a fruit when it is picked, tap it again to take that back.")
+
+
+def _undo(number: int) -> None:
+    try:
+        resources.store().undo(number=number)
+    except CucumberVisionError as error:
+        st.toast(plain(error))
+    st.session_state.pop("picked_all", None)
+
+
+def _work(today: Today) -> None:
+    if today.forecast is None:
+        return
+    rates = resources.settings().rates
+    now = time.strftime("%H:%M")
+    words = page_elements.work_words(len(today.ready), len(today.rows), rates)
+    st.caption(f"About {words} at your rates ('Forecast', 'Work and crates'). It is {now}.")

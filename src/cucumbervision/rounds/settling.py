@@ -1,0 +1,72 @@
+"""What follows every new stop: views merged, and fruit linked to those of the days before."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cucumbervision.errors import RoundError
+from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
+
+if TYPE_CHECKING:
+    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import RoundView
+
+__all__ = ["earlier_round", "later_rounds", "settle"]
+
+SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
+FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
+
+
+def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> str:
+    """Merge a round's views, and link its fruit to the neighbouring rounds of its house.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is.
+    round_key : str
+        The round.
+    profile : CropProfile, optional
+        Whose growth is expected between days.
+
+    Returns
+    -------
+    str
+        What could not be done, in one line; empty where all was.
+    """
+    try:
+        merge_round(store, round_key)
+        before, after = earlier_round(store, round_key), later_rounds(store, round_key)
+        for one in () if before is None else (before,):
+            link_rounds(store, one.key, round_key, profile)
+        for one in after[:1]:
+            link_rounds(store, round_key, one.key, profile)
+    except RoundError as error:
+        return str(error)
+    return ""
+
+
+def earlier_round(store: Store, round_key: str) -> RoundView | None:
+    """Return the newest round of the same house of an earlier day; None where there is none."""
+    one, others = _neighbours(store, round_key)
+    begun = one.record.started_s
+    near = [x for x in others if SAME_DAY_S < begun - x.record.started_s < FARTHEST_S]
+    return near[0] if near else None
+
+
+def later_rounds(store: Store, round_key: str) -> list[RoundView]:
+    """Return the rounds of the same house of later days, the nearest first."""
+    one, others = _neighbours(store, round_key)
+    begun = one.record.started_s
+    return [x for x in others[::-1] if SAME_DAY_S < x.record.started_s - begun < FARTHEST_S]
+
+
+def _neighbours(store: Store, round_key: str) -> tuple[RoundView, list[RoundView]]:
+    """Return a round, and the others of its house that hold fruit, the newest first."""
+    rounds = store.rounds()
+    one = next((x for x in rounds if x.key == round_key), None)
+    if one is None:
+        raise RoundError(f"there is no round {round_key}", remedy="see the list of rounds")
+    house = one.record.house
+    return one, [x for x in rounds if x.key != round_key and x.record.house == house and x.fruit]

@@ -1,0 +1,143 @@
+"""A walk from stop to stop: where the next one is, and whose round a capture belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from cucumbervision.store.records import RoundRecord, key_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.store.repository import Store
+
+__all__ = ["DEMONSTRATION", "NextPlace", "home_of", "is_demonstration", "last_step", "next_place"]
+
+DEMONSTRATION = key_of("demonstration")
+"""Key of the one round that drawn captures go into."""
+
+_DEMONSTRATION_NAME = "Demonstration (simulated captures)"
+_STEP_M = 0.4
+_WIDEST_M = 5.0
+
+
+class _Placed(Protocol):
+    """A stop, taken or stored."""
+
+    @property
+    def row(self) -> str | None: ...
+    @property
+    def side(self) -> str | None: ...
+    @property
+    def position_m(self) -> float | None: ...
+    @property
+    def step(self) -> int | None: ...
+
+
+@dataclass(frozen=True)
+class NextPlace:
+    """Where the next stop of a walk will be.
+
+    Parameters
+    ----------
+    row, side : str
+        Row of the house, and side of the row.
+    position_m : float
+        Along the row.
+    step_m : float
+        From one stop to the next, positive.
+    back : bool
+        Whether positions fall along the walk.
+    """
+
+    row: str = "1"
+    side: str = "left"
+    position_m: float = 0.0
+    step_m: float = _STEP_M
+    back: bool = False
+
+    def onward(self) -> NextPlace:
+        """Return the place one step farther; no position is below 0.
+
+        Examples
+        --------
+        >>> NextPlace(position_m=0.8).onward().position_m
+        1.2
+        >>> NextPlace(position_m=0.8, back=True).onward().position_m
+        0.4
+        """
+        way = -self.step_m if self.back else self.step_m
+        at_m = max(round(self.position_m + way, 2), 0.0)
+        return NextPlace(self.row, self.side, at_m, self.step_m, self.back)
+
+
+def next_place(stops: Sequence[_Placed]) -> NextPlace:
+    """Return where a walk goes on: one step from its last stop, as its last two lie apart.
+
+    Parameters
+    ----------
+    stops : sequence of Stop or StopView
+        What was taken so far, in order.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> next_place([])
+    NextPlace(row='1', side='left', position_m=0.0, step_m=0.4, back=False)
+    >>> next_place([Stop("3", "right", 2.0, 5), Stop("3", "right", 1.5, 6)])
+    NextPlace(row='3', side='right', position_m=1.0, step_m=0.5, back=True)
+    """
+    placed = [one for one in stops if one.position_m is not None]
+    if not placed:
+        return NextPlace()
+    last = placed[-1]
+    row, side, at_m = last.row or "", last.side or "left", last.position_m or 0.0
+    own = [one.position_m or 0.0 for one in placed if (one.row, one.side) == (last.row, last.side)]
+    apart = own[-1] - own[-2] if len(own) > 1 else _STEP_M
+    known = 0.0 < abs(apart) <= _WIDEST_M
+    step_m = round(abs(apart), 2) if known else _STEP_M
+    return NextPlace(row, side, round(at_m, 2), step_m, known and apart < 0).onward()
+
+
+def last_step(*walks: Sequence[_Placed]) -> int:
+    """Return the highest number that a stop has; 0 without any.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> last_step([Stop(step=2), Stop(step=7)], [Stop()])
+    7
+    """
+    return max((one.step or 0 for stops in walks for one in stops), default=0)
+
+
+def is_demonstration(round_key: str) -> bool:
+    """Return whether a round holds drawn captures only."""
+    return round_key == DEMONSTRATION
+
+
+def home_of(store: Store, round_key: str, *, simulated: bool, profile: str = "") -> str:
+    """Return the round that a capture belongs into: drawn ones into the demonstration alone.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are; the demonstration is begun where it is missing.
+    round_key : str
+        The round that is open.
+    simulated : bool
+        Whether the capture was drawn.
+    profile : str
+        Crop profile of a demonstration that is begun.
+
+    Raises
+    ------
+    StoreError
+        If the demonstration cannot be begun.
+    """
+    if not simulated:
+        return round_key
+    if all(one.key != DEMONSTRATION for one in store.rounds()):
+        store.save_round(RoundRecord(DEMONSTRATION, _DEMONSTRATION_NAME, profile=profile))
+    return DEMONSTRATION

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.realsense import CameraConfig
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.dashboard.camera_feed import CameraBurst, CameraFeed, Replay
+from cucumbervision.dashboard.jobs import Job
+from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
+from cucumbervision.dashboard.shutter import Press, Shutter
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.rounds.walking import DEMONSTRATION
+from cucumbervision.store.records import key_of
+from cucumbervision.store.repository import Store
+from cucumbervision.store.waiting import WaitingCaptures
+
+WALK = key_of("walk")
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> WaitingCaptures:
+    return WaitingCaptures(tmp_path / "kept")
+
+
+def test_a_burst_lies_about_its_press_though_the_press_is_told_late(
+    recording: Path, store: Store, waiting: WaitingCaptures
+) -> None:
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
+    while feed.preview().state != "playing":
+        time.sleep(0.01)  # until the test's own limit
+    shutter = Shutter(store, waiting, lambda: None)
+    until = time.monotonic() + 1.0
+    while time.monotonic() < until:
+        feed.preview()
+        time.sleep(0.01)
+    pressed_s = time.time() - 0.5  # the browser said so half a second late
+    grabbed = feed.grab(5, pressed_s)
+    assert isinstance(grabbed, CameraBurst)
+    assert grabbed.capture().burst_size == 5
+    times = [one.at_s for one in grabbed.frames]
+    assert times == sorted(times)
+    # Two or three frames before the press, the others from it on: none from when we were told.
+    assert sum(at_s < pressed_s for at_s in times) in (2, 3)
+    assert times[-1] < pressed_s + 0.5
+    assert shutter.press(feed, 5, WALK, Stop("1", "left", 0.0), Press("a", time.time()))
+    shutter.close()
+    feed.close()
+    (kept,) = waiting.captures()
+    assert (kept.round_key, kept.stop.row, kept.load().burst_size) == (WALK, "1", 5)
+
+
+def test_quick_presses_are_each_a_stop_and_none_counts_twice(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay, told = Replay(bundled_captures()), list[int]()
+    shutter = Shutter(store, waiting, lambda: told.append(1))
+    for number in "aabbc":
+        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
+    shutter.close()
+    assert len(told) == 3
+    kept = waiting.captures()
+    # Drawn captures: never the grower's round.
+    assert {one.round_key for one in kept} == {DEMONSTRATION}
+    assert [one.stop.step for one in kept] == [1, 2, 3]
+    assert len({one.load().name for one in kept}) == 3
+
+
+def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay = Replay(bundled_captures())
+    shutter = Shutter(store, waiting, lambda: None)
+    shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press("a", time.time()))
+    shutter.close()
+    (one,) = waiting.captures()
+    measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
+    # Killed after the stop was saved and before it was let go.
+    measurer.take_stop(store, one.round_key, one.load(), options, key=one.key)
+    settled: list[str] = []
+
+    def settle(round_key: str) -> str:
+        settled.append(round_key)
+        return ""
+
+    assert measure_waiting(waiting, measurer, store, options, settle, Job(1, "measuring")) == 1
+    assert waiting.captures() == []
+    assert settled == [DEMONSTRATION]
+    assert [stop.key for stop in store.stops(DEMONSTRATION)] == [one.key]
+    assert np.isclose(store.stops(DEMONSTRATION)[0].taken_s, one.pressed_s)
+
+
+def test_a_damaged_capture_does_not_hold_the_others_up(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay = Replay(bundled_captures())
+    shutter = Shutter(store, waiting, lambda: None)
+    for number in "ab":
+        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
+    shutter.close()
+    first, second = waiting.captures()
+    (first.folder / "color_000000.png").write_bytes(b"no picture")
+    measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
+    job = Job(1, "measuring")
+    measure_waiting(waiting, measurer, store, options, lambda _: "", job)
+    assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
+    assert [one.key for one in waiting.set_aside()] == [first.key]
+    assert "color_000000.png" in job.notes[0]

@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.dashboard.jobs import Job
+from cucumbervision.dashboard.measuring import SharedMeasurer
+from cucumbervision.dashboard.uploading import CAMERAS, measure_uploads
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.rounds.walking import DEMONSTRATION, NextPlace
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import Store
+
+OPTIONS = MeasureOptions(instances="dataset")
+ROUND = RoundRecord(key_of("uploads"))
+PLACE = NextPlace("7", "right", 3.0, 0.5, back=True)
+
+
+@pytest.fixture(scope="module")
+def measurer() -> SharedMeasurer:
+    return SharedMeasurer(load_registry())
+
+
+def pair(number: int) -> list[tuple[str, io.BytesIO]]:
+    """Return a colour and a depth picture without intrinsics: a wall at 0.6 m."""
+    return [
+        (
+            f"{part}_{number}.png",
+            io.BytesIO(cv2.imencode(".png", np.full((48, 64), value, dtype))[1].tobytes()),
+        )
+        for part, value, dtype in (("color", 200, np.uint8), ("depth", 600, np.uint16))
+    ]
+
+
+def packed() -> io.BytesIO:
+    """Return a zip of two drawn captures without a position of their own."""
+    file, folder = io.BytesIO(), bundled_captures() / "simulated-row-a"
+    with zipfile.ZipFile(file, "w") as archive:
+        for name in ("a", "b"):
+            for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+                data = path.read_bytes()
+                if path.name == "capture.json":
+                    manifest = json.loads(data)
+                    manifest["stop"] = {}
+                    data = json.dumps(manifest).encode()
+                archive.writestr(f"{name}/{path.relative_to(folder)}", data)
+    file.seek(0)
+    return file
+
+
+def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
+    store: Store, measurer: SharedMeasurer
+) -> None:
+    store.save_round(ROUND)
+    files = [("odd.png", io.BytesIO(b"MZ")), *pair(1), ("row.zip", packed())]
+    job = Job(1, "uploads")
+    told = measure_uploads(files, measurer, store, ROUND.key, OPTIONS, PLACE, job)
+    assert (job.total, job.done) == (4, 4)
+    assert sum(one.saved for one in told) == 2
+    lost = [one for one in told if not one.saved]
+    assert [one.name for one in lost] == ["odd.png", "color_1.png", "depth_1.png"]
+    assert "is of no kind" in lost[0].words
+    assert "intrinsics" in lost[1].words
+    # Drawn: in the demonstration, from the given place on, backwards.
+    assert store.stops(ROUND.key) == []
+    places = [(s.row, s.side, s.position_m, s.step) for s in store.stops(DEMONSTRATION)]
+    assert places == [("7", "right", 3.0, 1), ("7", "right", 2.5, 2)]
+    again = measure_uploads(
+        [("row.zip", packed())], measurer, store, ROUND.key, OPTIONS, PLACE, job
+    )
+    assert [one.words for one in again] == ["is in the round already"] * 2
+
+
+def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(
+    store: Store, measurer: SharedMeasurer
+) -> None:
+    store.save_round(ROUND)
+    camera = next(iter(CAMERAS))
+    job = Job(1, "uploads")
+    told = measure_uploads(pair(1), measurer, store, ROUND.key, OPTIONS, PLACE, job, camera)
+    assert [one.saved for one in told] == [True]
+    (stop,) = store.stops(ROUND.key)
+    assert (stop.row, stop.position_m) == ("7", 3.0)
+    taken = store.stop(stop.key).captures[0].camera
+    assert taken["fx"] == pytest.approx(CAMERAS[camera] * 48)

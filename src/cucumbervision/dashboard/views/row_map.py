@@ -27,8 +27,7 @@ from cucumbervision.store.views import Verdict
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import RoundLists
+    from cucumbervision.dashboard.round_tables import RoundLists
     from cucumbervision.rounds.around import Around, OtherDay
     from cucumbervision.store.views import DetectionView, RoundView
 

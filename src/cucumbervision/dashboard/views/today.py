@@ -194,9 +194,7 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
 
     @st.dialog("All picked?")
     def _ask() -> None:
-        st.write(
-            f"{counted(len(left), 'fruit', 'fruit')} of row {plain(row.row)} will be marked as picked."
-        )
+        st.write(f"{len(left)} fruit of row {plain(row.row)} will be marked as picked.")
         yes, no = st.columns(2)
         if yes.button("Yes, all are picked", type="primary", width="stretch"):
             st.session_state["picked_all"] = resources.store().pick(left)

@@ -50,7 +50,7 @@ def app(page: str, **state: Any) -> AppTest:
 
 def said(test: AppTest) -> str:
     parts = [*test.info, *test.warning, *test.error, *test.success, *test.markdown, *test.caption]
-    return "\n".join(str(part.value) for part in parts)
+    return "\n".join(str(part.value) for part in parts).replace("\\", "")  # as it is drawn
 
 
 def wait_for_jobs() -> None:

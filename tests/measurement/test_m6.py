@@ -126,7 +126,7 @@ def test_noise_keeps_errors_small_and_the_stated_sd_fits_them(camera: Intrinsics
         errors.append(abs(error) / placed.centreline_m)
         in_sd.append(abs(error) / fit.centreline_sd_m)
     assert np.mean(errors) < 0.01
-    assert max(errors) < 0.04
+    assert max(errors) < 0.05
     # A median of 0.67 sd were exact; the prior and the outline's assumed error make it less.
     assert 0.1 < np.median(in_sd) < 1.5
     assert max(in_sd) < 5

@@ -22,6 +22,7 @@ __all__ = [
     "bases",
     "bending_direction",
     "cubic_basis",
+    "guess_from_picture",
     "guess_shape",
     "inner_arc_height",
     "near_depths",
@@ -204,6 +205,59 @@ def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeSha
     curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
     curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
     return shape_from_curve(curve, max(radius, 1e-3))
+
+
+def guess_from_picture(
+    picture: NDArray[np.float64], known: NDArray[np.bool_], inverse_depth: NDArray[np.float64]
+) -> TubeShape:
+    """Guess a tube from its mask: a parabola in the picture, on a plane in depth.
+
+    Parameters
+    ----------
+    picture : ndarray of float64, shape (N, 2)
+        The mask's pixels as x / z and y / z.
+    known : ndarray of bool, shape (N,)
+        Which of them have a depth reading.
+    inverse_depth : ndarray of float64, shape (K,)
+        One over the depth of these, 1/m.
+
+    Returns
+    -------
+    TubeShape
+        Its ends one radius short of the mask's.
+
+    Examples
+    --------
+    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.4, 99), np.linspace(-1, 1, 30)))
+    >>> mask = np.stack([x, 0.04 * a], axis=1)
+    >>> guess = guess_from_picture(mask, np.abs(a) < 0.5, np.full((np.abs(a) < 0.5).sum(), 2.0))
+    >>> centres, radii = guess.balls(3)
+    >>> centres[:, 0].round(2).tolist(), radii[1].round(2).tolist()
+    ([0.02, 0.1, 0.18], 0.02)
+    """
+    middle = picture.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov((picture - middle).T))
+    along, across = ((picture - middle) @ axes[:, k] for k in (1, 0))
+    power = np.stack([np.ones_like(along), along, along**2], axis=1)
+    bow = np.linalg.lstsq(power, across, rcond=None)[0]
+    half = 2.0 * float(np.median(np.abs(across - power @ bow)))
+    terms, weight = power[known][:, :2], np.ones(len(inverse_depth))
+    for _ in range(_PLANE_ROUNDS):  # towards the least sum of absolute deviations
+        weighted = terms * weight[:, None]
+        plane = np.linalg.lstsq(weighted.T @ terms, weighted.T @ inverse_depth, rcond=None)[0]
+        off = np.abs(inverse_depth - terms @ plane) / np.median(inverse_depth) ** 2
+        weight = 1 / np.maximum(off, _LEAST_OFF_M)
+    low, high = np.quantile(along, [0.005, 0.995])
+    short = min(half, 0.4 * (high - low))
+    t = np.linspace(low + short, high - short, 33)
+    powers = np.stack([np.ones_like(t), t, t**2], axis=1)
+    line = middle + t[:, None] * axes[:, 1] + (powers @ bow)[:, None] * axes[:, 0]
+    usual = float(np.median(inverse_depth))
+    far = 1 / np.clip(powers[:, :2] @ plane, 0.5 * usual, 2.0 * usual)
+    radius = max(half / usual, 1e-3)
+    curve = np.column_stack([line, np.ones(len(line))]) * far[:, None]
+    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
+    return shape_from_curve(curve, radius)
 
 
 def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, TubeShape, bases
+from cucumbervision.geometry.tube import BALLS, BEND_SEGMENTS, WIDTH_SEGMENTS, TubeShape, bases
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +34,7 @@ GRAZING = 0.2  # the cosine below which a ray only grazes the body
 MISSED_M = 100.0
 # How much larger than its own each reading's error is taken to be, step by step.
 SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
+MORE_STEPS, STILL_M = 6, 1e-4  # after these, until nothing moves by more
 SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
 TUKEY, CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
 # What is believed of fruit before looking, in shares of the length L and the radius r.
@@ -53,9 +54,11 @@ GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: 
 # body's roundness well enough: on rigid bodies seen anew the length then wanders.
 SLIP_SD_PX = (1.0, 1.0, 0.1)
 SLIPS = len(SLIP_SD_PX)
+BODY = 3 * (BEND_SEGMENTS + 3) + WIDTH_SEGMENTS + 3 + SLIPS  # unknowns of body and outline
 ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
 LEAST_WIDTH = 0.15  # of the middle radius
 LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
+MISFIT_SD = 5.0
 SCATTER_RAYS, SCATTER_POINTS = (0.5, 2.0), (0.7, 3.0)
 
 
@@ -234,6 +237,9 @@ class Evidence:
     points_share, rays_share : float
         How many independent readings one of them counts for, at most 1: neighbouring pixels
         err together.
+    waves_m : ndarray of float64, shape (N, W), optional
+        What waves of depth noise, longer than `points_share` allows for, do to each point's
+        depth, metres along its ray: W unknowns of standard deviation 1 that are fitted along.
     """
 
     points_m: NDArray[np.float64]
@@ -243,6 +249,12 @@ class Evidence:
     pixel_rad: float
     points_share: float
     rays_share: float
+    waves_m: NDArray[np.float64] | None = None
+
+    @property
+    def waves(self) -> int:
+        """How many waves of depth noise are fitted along."""
+        return 0 if self.waves_m is None else self.waves_m.shape[1]
 
     @cached_property
     def directions(self) -> NDArray[np.float64]:
@@ -275,6 +287,9 @@ class TubeFitting:
         What remains at the depth points and at the outline's rays.
     ends_seen : tuple of bool
         Whether the outline goes round the curve's first and last end.
+    misfit : float
+        Squared gaps in units of their own error, each counted up to `MISFIT_SD`, as many as
+        there are independent readings: what tells fits of one fruit from each other.
     """
 
     shape: TubeShape
@@ -282,6 +297,7 @@ class TubeFitting:
     points: Gaps
     rays: Gaps
     ends_seen: tuple[bool, bool]
+    misfit: float = 0.0
 
     @property
     def centreline_sd_m(self) -> float:
@@ -327,26 +343,35 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
     (0.5, 0.02)
     """
-    shape, slip_m = guess, np.zeros(SLIPS)
+    shape, beside = guess, np.zeros(SLIPS + evidence.waves)
     scatter, hold = (1.0, 1.0), np.full(2, ANCHOR_SD)
     anchors = guess.balls(2)[0]
-    for step, scale in enumerate(SCHEDULE):
-        points = _look_at_points(evidence, shape)
-        rays = _look_at_rays(evidence, shape, slip_m)
+    settled = False
+    for step, scale in enumerate((*SCHEDULE, *[SCHEDULE[-1]] * MORE_STEPS)):
+        if settled and step >= len(SCHEDULE):
+            break
+        points = look_at_points(evidence, shape, beside)
+        rays = look_at_rays(evidence, shape, beside[:SLIPS])
         if step >= SETTLED:
             scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
-            seen = _ends_seen(shape, rays.found, evidence.rays)
+            seen = ends_seen_by(shape, rays.found, evidence.rays)
             hold = np.where(seen, ANCHOR_SD, HIDDEN_ANCHOR_SD)
         shares = evidence.points_share, evidence.rays_share
-        normal, target = _normal((points, rays), shares, scatter, scale)
-        _add_prior(normal, target, shape, anchors, hold)
-        _add_slip_prior(normal, target, slip_m, evidence)
-        normal[np.diag_indices(len(normal))] += LEAST_HOLD * np.trace(normal) / len(normal)
-        shape, slip_m = _moved(shape, slip_m, np.asarray(np.linalg.solve(normal, target)))
-    points, rays = _look_at_points(evidence, shape), _look_at_rays(evidence, shape, slip_m)
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    ends_seen = _ends_seen(shape, rays.found, evidence.rays)
-    return TubeFitting(shape, covariance, points.found, rays.found, ends_seen)
+        normal, target = normal_equations((points, rays), shares, scatter, scale)
+        add_shape_prior(normal, target, shape, anchors, hold)
+        add_beside_prior(normal, target, beside, evidence)
+        body = np.arange(BODY)
+        normal[body, body] += LEAST_HOLD * float(normal[body, body].mean())
+        move = np.asarray(np.linalg.solve(normal, target))
+        settled = float(np.abs(move[: BODY - SLIPS]).max()) < STILL_M
+        shape, beside = _moved(shape, beside, move)
+    rays = look_at_rays(evidence, shape, beside[:SLIPS])
+    points = look_at_points(evidence, shape, beside)
+    misfit = sum(r.misfit(n) for r, n in zip((points, rays), shares, strict=True))
+    points = look_at_points(evidence, shape, np.zeros(len(beside)))
+    covariance = np.asarray(np.linalg.inv(normal)[:BODY, :BODY], dtype=np.float64)
+    ends_seen = ends_seen_by(shape, rays.found, evidence.rays)
+    return TubeFitting(shape, covariance, points.found, rays.found, ends_seen, misfit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,6 +382,11 @@ class _Readings:
     sd_m: NDArray[np.float64]
     slope: NDArray[np.float64]
 
+    def misfit(self, share: float) -> float:
+        return share * float(
+            (np.minimum(np.abs(self.found.gap_m / self.sd_m), MISFIT_SD) ** 2).sum()
+        )
+
     def scatter(self, limits: tuple[float, float]) -> float:
         if not len(self.sd_m):
             return 1.0
@@ -364,7 +394,7 @@ class _Readings:
         return min(max(spread, limits[0]), limits[1])
 
 
-def _ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
+def ends_seen_by(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
     # Round an end the outline touches the last ball on its far side, as seen from the body.
     seen = []
     centres, _ = shape.balls()
@@ -379,16 +409,21 @@ def _ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tupl
     return seen[0], seen[1]
 
 
-def _look_at_points(evidence: Evidence, shape: TubeShape) -> _Readings:
+def look_at_points(evidence: Evidence, shape: TubeShape, beside: NDArray[np.float64]) -> _Readings:
     # Depth errs along its ray, so the gap is the one along the ray, times how squarely that
     # meets the surface. A gap across the surface, taken at the erring point, favours small radii.
     found, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
     across = ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
     sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + GROUND_M**2)
-    return _Readings(found, sd, _slope(found, np.zeros((len(sd), SLIPS))))
+    none = np.zeros((len(sd), SLIPS))
+    if evidence.waves_m is None:
+        return _Readings(found, sd, _slope(found, none))
+    waves = evidence.waves_m * facing[:, None]
+    calmed = replace(found, gap_m=found.gap_m + waves @ beside[SLIPS:])
+    return _Readings(calmed, sd, _slope(found, np.hstack([none, waves])))
 
 
-def _look_at_rays(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float64]) -> _Readings:
+def look_at_rays(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float64]) -> _Readings:
     found = gaps(shape, evidence.rays, rays=True)
     far = np.sqrt(np.einsum("ij,ij->i", found.centres_m, found.centres_m))
     sd = np.hypot(evidence.rays_sd_rad * far, GROUND_M)
@@ -408,13 +443,13 @@ def _slope(found: Gaps, slip: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _normal(
+def normal_equations(
     readings: tuple[_Readings, _Readings],
     shares: tuple[float, float],
     scatter: tuple[float, float],
     scale: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    size = readings[0].slope.shape[1]
+    size = readings[0].slope.shape[1]  # the outline knows of no depth noise: it has fewer
     normal, target = np.zeros((size, size)), np.zeros(size)
     # A rough outline is rough over longer runs: it counts for fewer independent readings.
     shares = shares[0], shares[1] / max(1.0, scatter[1]) ** 2
@@ -422,23 +457,24 @@ def _normal(
         error = seen.sd_m * by * scale
         weight = share * trust(seen.found.gap_m / error) / error**2
         weighted = seen.slope * weight[:, None]
-        normal += weighted.T @ seen.slope
-        target -= weighted.T @ seen.found.gap_m
+        own = slice(0, seen.slope.shape[1])
+        normal[own, own] += weighted.T @ seen.slope
+        target[own] -= weighted.T @ seen.found.gap_m
     return normal, target
 
 
 def _moved(
-    shape: TubeShape, slip_m: NDArray[np.float64], move: NDArray[np.float64]
+    shape: TubeShape, beside: NDArray[np.float64], move: NDArray[np.float64]
 ) -> tuple[TubeShape, NDArray[np.float64]]:
     # A step beyond the body's own width would leave the readings that led it.
     limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
-    move = move * min(1.0, limit / max(float(np.abs(move).max()), 1e-12))
-    split = shape.bend_m.size
+    move = move * min(1.0, limit / max(float(np.abs(move[:BODY]).max()), 1e-12))
+    split, last = shape.bend_m.size, BODY - SLIPS
     bend = shape.bend_m + move[:split].reshape(-1, 3)
-    width = shape.width_m + move[split:-SLIPS]
+    width = shape.width_m + move[split:last]
     # A body that vanishes on the way would lose its readings there for good.
     width = np.maximum(width, LEAST_WIDTH * float(np.median(width)))
-    return TubeShape(bend, width), slip_m + move[-SLIPS:]
+    return TubeShape(bend, width), beside + move[last:]
 
 
 @lru_cache(maxsize=4)
@@ -446,7 +482,7 @@ def _differences(count: int, order: int) -> NDArray[np.float64]:
     return np.diff(np.eye(count), order, axis=0)
 
 
-def _add_prior(
+def add_shape_prior(
     normal: NDArray[np.float64],
     target: NDArray[np.float64],
     shape: TubeShape,
@@ -487,16 +523,17 @@ def _add_prior(
     target[widths] -= rough.T @ (rough @ width)
 
 
-def _add_slip_prior(
+def add_beside_prior(
     normal: NDArray[np.float64],
     target: NDArray[np.float64],
-    slip_m: NDArray[np.float64],
+    beside: NDArray[np.float64],
     evidence: Evidence,
 ) -> None:
-    weight = 1 / (np.array(SLIP_SD_PX) * evidence.pixel_rad * evidence.far_m) ** 2
-    last = np.arange(len(target) - SLIPS, len(target))
+    slips = 1 / (np.array(SLIP_SD_PX) * evidence.pixel_rad * evidence.far_m) ** 2
+    weight = np.concatenate([slips, np.ones(evidence.waves)])
+    last = np.arange(BODY - SLIPS, len(target))
     normal[last, last] += weight
-    target[last] -= weight * slip_m
+    target[last] -= weight * beside
 
 
 def _tukey(u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import depth_across, outline_cracks
-from cucumbervision.geometry.tube import TubeShape, guess_shape, near_depths
+from cucumbervision.geometry.tube import TubeShape, guess_from_picture, guess_shape, near_depths
 from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape, gaps
+from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["TubeView", "measure_m6", "view_tube"]
+__all__ = ["TubeView", "fit_view", "judged_fit", "measure_m6", "view_tube"]
 
 DEPTH_POINTS = 500
 
@@ -40,12 +41,6 @@ MARGIN_PX = 8
 RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
 
 MIN_PIECE = 0.02  # pieces of the mask below this share of it are specks
-
-DISPARITY_RMS_PX = 0.08
-
-DEPTH_FOCAL_RATIO = 0.69  # of a D435's depth camera to its colour camera
-
-BASELINE_M = 0.050
 
 QUANTUM_M = 0.001
 
@@ -107,24 +102,6 @@ class TubeView:
         return np.vstack([points, filled])
 
 
-def _depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-    """Return a D4xx's RMS depth error at a distance, metres: z² s / (f B).
-
-    Parameters
-    ----------
-    far_m : ndarray of float64
-        Distance along z.
-    focal_px : float
-        The colour camera's focal length, from which the depth camera's follows.
-
-    Examples
-    --------
-    >>> bool(_depth_noise(np.array(0.5), 924.0).round(5) == 0.00063)
-    True
-    """
-    return far_m**2 * (DISPARITY_RMS_PX / (focal_px * DEPTH_FOCAL_RATIO * BASELINE_M))
-
-
 def view_tube(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
 ) -> TubeView | None:
@@ -150,9 +127,11 @@ def view_tube(
     part, z = _without_specks(mask[window]), depth_m[window]
     z = np.where(valid_depth(z), z, np.float32(0))
     lens = _Lens(intrinsics, window[1].start, window[0].start)
-    points, points_share = _points(z, part, lens)
+    points, pixels, points_share = _points(z, part, lens)
     far = points[:, 2]
-    noise = _depth_noise(far, intrinsics.fx_px)
+    noise = depth_noise(far, intrinsics.fx_px)
+    noise = np.hypot(noise, edge_error(_from_rim(part)[pixels[:, 1], pixels[:, 0]]))
+    waves = noise_waves(pixels, far, intrinsics.fx_px)
     rays, rays_share = _rays(z, part, lens)
     step = max(1, int(np.sqrt(part.size / GRID_POINTS)))
     v, u = (m.ravel() * step for m in np.indices(part[::step, ::step].shape))
@@ -164,6 +143,7 @@ def view_tube(
         1 / intrinsics.fx_px,
         points_share,
         rays_share,
+        waves,
     )
     return TubeView(
         evidence,
@@ -189,6 +169,15 @@ class _Lens:
         return np.stack([x / long, y / long, 1 / long], axis=1)
 
 
+def _from_rim(part: NDArray[np.bool_]) -> NDArray[np.float32]:
+    import cv2
+
+    # The picture's edge is no outline.
+    padded = np.pad(part, 1, mode="edge").astype(np.uint8)
+    inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(inside[1:-1, 1:-1], np.float32)
+
+
 def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
     import cv2
 
@@ -203,7 +192,7 @@ def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _points(
     z: NDArray[np.float32], part: NDArray[np.bool_], lens: _Lens
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
     import cv2
 
     size = 2 * RIM_PX + 1
@@ -217,7 +206,7 @@ def _points(
     u, v = u[some] * step, v[some] * step
     rays = lens.rays(u, v)
     points = rays * (z[v, u] / rays[:, 2])[:, None]
-    return points, min(1.0, area / POINT_AREA_PX / max(len(points), 1))
+    return points, np.stack([u, v], axis=1), min(1.0, area / POINT_AREA_PX / max(len(points), 1))
 
 
 def _rays(
@@ -225,7 +214,7 @@ def _rays(
 ) -> tuple[NDArray[np.float64], float]:
     points, outward = outline_cracks(part)
     inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
-    noise = _depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
+    noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
     # Comparisons with NaN are False: without a reading on both sides nothing is known to cover.
     kept = points[~(outside < inside - NEARER_M - NEARER_SD * noise)]
     long_px = len(kept) / CRACKS_A_PIXEL
@@ -251,6 +240,8 @@ GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
 ON_SURFACE_SD, ON_SURFACE_M, GOOD_ON_SURFACE = 4.0, 0.002, 0.8
 
 MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
+
+GOOD_OVERLAP, UNSURE_M, FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
 
 END_ON_DEG = 70.0
 
@@ -298,51 +289,97 @@ def measure_m6(
     (0.2, 1.0)
     """
     view = view_tube(depth_m, mask, intrinsics)
-    if view is None or len(view.evidence.points_m) < MIN_POINTS:
-        return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
+    found = Reason.TOO_FEW_POINTS if view is None else fit_view(view)
+    if view is None or isinstance(found, Reason):
+        return Measurement(Method.M6, reason=Reason(found))
+    return judged_fit(view, found)
+
+
+def fit_view(view: TubeView) -> TubeFitting | Reason:
+    """Return the tube that fits a view best, or why there is none."""
+    if len(view.evidence.points_m) < MIN_POINTS:
+        return Reason.TOO_FEW_POINTS
     if len(view.evidence.rays) < MIN_RAYS:
-        return Measurement(Method.M6, reason=Reason.OUTLINE_TOO_SHORT)
+        return Reason.OUTLINE_TOO_SHORT
     try:
         fitting = _best_fit(view)
     except np.linalg.LinAlgError:
-        return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
-    return _judged(view, fitting)
+        return Reason.NOT_A_TUBE
+    shape = fitting.shape
+    sound = np.isfinite(shape.bend_m).all() and np.isfinite(shape.width_m).all()
+    return fitting if sound else Reason.NOT_A_TUBE
 
 
 def _best_fit(view: TubeView) -> TubeFitting:
     surface, evidence = view.surface_m, view.evidence
-    fitting = fit_shape(evidence, guess_shape(surface))
-    left_out = 1.0 - float(near_depths(surface).mean())
-    if left_out < MAY_BE_FRUIT:
-        return fitting
-    # What lies off the plane is background, or the far part of a hook: only a mask that is
-    # clearly better covered speaks for the latter.
-    other = fit_shape(evidence, guess_shape(surface, gated=False))
-    gain = _coverage(view, other.shape)[2] - _coverage(view, fitting.shape)[2]
-    return other if gain > CLEARLY_BETTER else fitting
+    fits = [fit_shape(evidence, guess_shape(surface))]
+    # What lies off the plane is background, or the far part of a hook.
+    if 1.0 - float(near_depths(surface).mean()) >= MAY_BE_FRUIT:
+        fits.append(fit_shape(evidence, guess_shape(surface, gated=False)))
+    first = fits[0]
+    if (
+        _coverage(view, first.shape)[2] < GOOD_OVERLAP
+        or first.centreline_sd_m > UNSURE_M
+        or _end_on(first.shape.balls()[0])
+    ):
+        fits.append(fit_shape(evidence, _flat_guess(view)))
+    return _better(view, fits) if len(fits) > 1 else first
 
 
-def _judged(view: TubeView, fitting: TubeFitting) -> Measurement:
-    shape = fitting.shape
-    if not (np.isfinite(shape.bend_m).all() and np.isfinite(shape.width_m).all()):
-        return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
-    traits = tube_traits(*shape.balls(BALLS))
+def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
+    # A mask that is clearly better covered decides; then what fits better; and of two that fit
+    # alike the flatter one, which is what a hanging fruit is.
+    overlap = [_coverage(view, fit.shape)[2] for fit in fits]
+    covering = [f for f, o in zip(fits, overlap, strict=True) if o > max(overlap) - CLEARLY_BETTER]
+    least = min(fit.misfit for fit in covering)
+    return min((f for f in covering if f.misfit < least + FITS_ALIKE), key=_depth_share)
+
+
+def _depth_share(fit: TubeFitting) -> float:
+    centres, _ = fit.shape.balls(2)
+    run = centres[1] - centres[0]
+    return abs(float(run @ centres.mean(axis=0))) / float(np.linalg.norm(run))
+
+
+def _flat_guess(view: TubeView) -> TubeShape:
+    # The outline's own middle line, with the depth of a plane that most readings lie along.
+    rays = view.grid_rays[view.grid_mask]
+    picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
+    known = depth > 0
+    return guess_from_picture(picture, known, 1.0 / depth[known])
+
+
+def judged_fit(view: TubeView, fitting: TubeFitting, *, views: int = 1) -> Measurement:
+    """Return what a fitted tube measures, or why it is none.
+
+    Parameters
+    ----------
+    view : TubeView
+        The view in whose coordinates it is.
+    fitting : TubeFitting
+        The tube.
+    views : int
+        How many views it was fitted to; of several `fitting` says itself which ends they show.
+    """
+    traits = tube_traits(*fitting.shape.balls(BALLS))
     length = traits.lengths.centreline_m
     if not RANGE_M[0] <= length <= RANGE_M[1]:
         return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)
-    fit = _fit(view, fitting, traits)
+    covered = _covered_ends(view, fitting.shape) if views == 1 else (False, False)
+    fit = _fit(view, fitting, traits, covered)
     if fit.explained < MIN_EXPLAINED:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
     return Measurement(Method.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
 
 
-def _fit(view: TubeView, fitting: TubeFitting, traits: TubeTraits) -> TubeFit:
+def _fit(
+    view: TubeView, fitting: TubeFitting, traits: TubeTraits, covered: tuple[bool, bool]
+) -> TubeFit:
     explained, hidden, _ = _coverage(view, fitting.shape)
     rays = fitting.rays
     far = np.linalg.norm(rays.centres_m, axis=1)
     outline_px = 1.4826 * float(np.median(np.abs(rays.gap_m) / far)) * view.focal_px
     depth_m = 1.4826 * float(np.median(np.abs(fitting.points.gap_m)))
-    covered = _covered_ends(view, fitting.shape)
     first, last = (s and not c for s, c in zip(fitting.ends_seen, covered, strict=True))
     flags = []
     if not (first and last):

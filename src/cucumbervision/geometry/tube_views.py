@@ -1,0 +1,221 @@
+"""Fit one body to what several cameras saw of it, their poses refined along.
+
+Each camera has its own noise waves and its own slip of the outline, as in `tube_fit`; the body is
+shared. A pose is known as well as its standard deviations say, and moves about the body's middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry import tube_fit
+from cucumbervision.geometry.tube import BEND_SEGMENTS, TubeShape
+from cucumbervision.geometry.tube_fit import BODY, SLIPS, Evidence, TubeFitting, fit_shape
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = ["SeenFrom", "fit_views"]
+
+SCHEDULE = (4.0, 2.5, 1.6, 1.0, 1.0, 1.0, 1.0, 1.0)
+SETTLED = 3  # from this step on each view's own scatter is used
+SHAPE = BODY - SLIPS  # unknowns of the body alone
+TURNS = 6  # unknowns of a pose: a shift and a turn
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrom:
+    """One camera's evidence, and where that camera was.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        In the camera's own coordinates.
+    turn : ndarray of float64, shape (3, 3)
+        From the coordinates of the first camera to this one's.
+    shift_m : ndarray of float64, shape (3,)
+        What is added after that.
+    shift_sd_m, turn_sd_rad : float
+        How well both are known; the first camera's do not matter.
+    """
+
+    evidence: Evidence
+    turn: NDArray[np.float64]
+    shift_m: NDArray[np.float64]
+    shift_sd_m: float = 0.03
+    turn_sd_rad: float = 0.02
+
+
+@dataclass
+class _Camera:
+    """A view while it is fitted: its present pose, and what it has beside the body."""
+
+    seen: SeenFrom
+    turn: NDArray[np.float64]
+    shift_m: NDArray[np.float64]
+    beside: NDArray[np.float64]
+    moved: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, seen: SeenFrom) -> _Camera:
+        beside = np.zeros(SLIPS + seen.evidence.waves)
+        return cls(seen, seen.turn, seen.shift_m, beside, np.zeros(TURNS))
+
+    def body(self, shape: TubeShape) -> TubeShape:
+        return TubeShape(shape.bend_m @ self.turn.T + self.shift_m, shape.width_m)
+
+    def move(self, by: NDArray[np.float64], middle_m: NDArray[np.float64]) -> None:
+        """Shift the body, then turn it about its middle, both in this camera's coordinates."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_rotvec(by[3:]).as_matrix()
+        self.shift_m = turn @ (self.shift_m - middle_m) + middle_m + by[:3]
+        self.turn = turn @ self.turn
+        self.moved = self.moved + by
+
+
+def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
+    """Fit one body to several views.
+
+    Parameters
+    ----------
+    views : sequence of SeenFrom
+        At least one.
+    guess : TubeShape
+        In the first camera's coordinates; a fit to one of the views serves.
+
+    Returns
+    -------
+    TubeFitting
+        In the first camera's coordinates; `points` and `rays` are the first view's, and an end
+        counts as seen if any view shows it.
+
+    Examples
+    --------
+    >>> from cucumbervision.geometry.tube import shape_from_curve
+    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 60), np.linspace(0.3, 2.8, 9)))
+    >>> cloud = np.stack([x, 0.02 * np.cos(a), 0.5 - 0.02 * np.sin(a)], axis=1)
+    >>> curve = np.stack([np.linspace(0.02, 0.18, 9), np.zeros(9), np.full(9, 0.505)], axis=1)
+    >>> none, still = np.empty((0, 3)), np.eye(3)
+    >>> one = Evidence(cloud, np.full(540, 1e-3), none, 1e-3, 1e-3, 1.0, 1.0)
+    >>> off = replace(one, points_m=cloud + [0.01, 0.0, 0.0])
+    >>> views = [SeenFrom(one, still, np.zeros(3)), SeenFrom(off, still, np.zeros(3))]
+    >>> centres, radii = fit_views(views, shape_from_curve(curve, 0.019)).shape.balls(5)
+    >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
+    (0.5, 0.02)
+    """
+    if len(views) == 1:
+        return fit_shape(views[0].evidence, guess)
+    cameras = [_Camera.of(view) for view in views]
+    shape, anchors = guess, guess.balls(2)[0]
+    for step, scale in enumerate(SCHEDULE):
+        seen = _seen_by_any(cameras, shape)
+        hold = np.where(seen, tube_fit.ANCHOR_SD, tube_fit.HIDDEN_ANCHOR_SD)
+        sizes = [len(c.beside) + (TURNS if k else 0) for k, c in enumerate(cameras)]
+        starts = SHAPE + np.concatenate([[0], np.cumsum(sizes)])
+        normal, target = np.zeros((starts[-1], starts[-1])), np.zeros(starts[-1])
+        for k, camera in enumerate(cameras):
+            own = np.concatenate([np.arange(SHAPE), np.arange(starts[k], starts[k + 1])])
+            part, pull = _view_equations(camera, shape, scale, step >= SETTLED, moves=k > 0)
+            normal[np.ix_(own, own)] += part
+            target[own] += pull
+        tube_fit.add_shape_prior(normal, target, shape, anchors, hold)
+        body = np.arange(SHAPE)
+        normal[body, body] += tube_fit.LEAST_HOLD * float(normal[body, body].mean())
+        move = np.asarray(np.linalg.solve(normal, target))
+        shape = _moved(shape, cameras, move, starts)
+    covariance = np.zeros((BODY, BODY))
+    covariance[:SHAPE, :SHAPE] = np.linalg.inv(normal)[:SHAPE, :SHAPE]
+    first = cameras[0]
+    points = tube_fit.look_at_points(first.seen.evidence, shape, np.zeros(len(first.beside)))
+    rays = tube_fit.look_at_rays(first.seen.evidence, shape, first.beside[:SLIPS])
+    return TubeFitting(
+        shape,
+        covariance,
+        points.found,
+        rays.found,
+        _seen_by_any(cameras, shape),
+        _misfit(cameras, shape),
+    )
+
+
+def _view_equations(
+    camera: _Camera, shape: TubeShape, scale: float, settled: bool, *, moves: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # One camera's equations: of the body in the first camera's coordinates, of what the view has
+    # beside it, and of its pose.
+    evidence, body = camera.seen.evidence, camera.body(shape)
+    points = tube_fit.look_at_points(evidence, body, camera.beside)
+    rays = tube_fit.look_at_rays(evidence, body, camera.beside[:SLIPS])
+    scatter = (1.0, 1.0)
+    if settled:
+        scatter = (
+            points.scatter(tube_fit.SCATTER_POINTS),
+            rays.scatter(tube_fit.SCATTER_RAYS),
+        )
+    middle = body.bend_m.mean(axis=0)
+    width = BODY + evidence.waves
+    both = []
+    for read in (points, rays):
+        slope = np.zeros((len(read.sd_m), width + (TURNS if moves else 0)))
+        slope[:, : read.slope.shape[1]] = read.slope
+        bends = slope[:, : SHAPE - shape.width_m.size].reshape(len(slope), BEND_SEGMENTS + 3, 3)
+        slope[:, : SHAPE - shape.width_m.size] = (bends @ camera.turn).reshape(len(slope), -1)
+        if moves:
+            arm = read.found.centres_m - middle
+            slope[:, width:] = np.hstack([read.found.away, np.cross(arm, read.found.away)])
+        both.append(replace(read, slope=slope))
+    shares = evidence.points_share, evidence.rays_share
+    normal, target = tube_fit.normal_equations((both[0], both[1]), shares, scatter, scale)
+    alone, pull = np.zeros((width, width)), np.zeros(width)
+    tube_fit.add_beside_prior(alone, pull, camera.beside, evidence)
+    normal[:width, :width] += alone
+    target[:width] += pull
+    if moves:
+        sd = np.repeat([camera.seen.shift_sd_m, camera.seen.turn_sd_rad], 3)
+        last = np.arange(width, width + TURNS)
+        normal[last, last] += 1 / sd**2
+        target[last] -= camera.moved / sd**2
+    return normal, target
+
+
+def _moved(
+    shape: TubeShape, cameras: list[_Camera], move: NDArray[np.float64], starts: NDArray[np.intp]
+) -> TubeShape:
+    limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
+    move = move * min(1.0, limit / max(float(np.abs(move[:SHAPE]).max()), 1e-12))
+    for k, camera in enumerate(cameras):
+        own = move[starts[k] : starts[k + 1]]
+        camera.beside = camera.beside + own[: len(camera.beside)]
+        if k:
+            camera.move(own[len(camera.beside) :], camera.body(shape).bend_m.mean(axis=0))
+    split = shape.bend_m.size
+    width = shape.width_m + move[split:SHAPE]
+    width = np.maximum(width, tube_fit.LEAST_WIDTH * float(np.median(width)))
+    return TubeShape(shape.bend_m + move[:split].reshape(-1, 3), width)
+
+
+def _seen_by_any(cameras: list[_Camera], shape: TubeShape) -> tuple[bool, bool]:
+    found = []
+    for camera in cameras:
+        evidence, body = camera.seen.evidence, camera.body(shape)
+        rays = tube_fit.look_at_rays(evidence, body, camera.beside[:SLIPS])
+        found.append(tube_fit.ends_seen_by(body, rays.found, evidence.rays))
+    return any(one[0] for one in found), any(one[1] for one in found)
+
+
+def _misfit(cameras: list[_Camera], shape: TubeShape) -> float:
+    total = 0.0
+    for camera in cameras:
+        evidence, body = camera.seen.evidence, camera.body(shape)
+        total += tube_fit.look_at_points(evidence, body, camera.beside).misfit(
+            evidence.points_share
+        )
+        rays = tube_fit.look_at_rays(evidence, body, camera.beside[:SLIPS])
+        total += rays.misfit(evidence.rays_share)
+    return total

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
@@ -316,9 +317,13 @@ def test_depth_points_keep_off_the_rim_and_carry_the_sensors_error(camera: Intri
     u = view.evidence.points_m[:, 0] / view.evidence.points_m[:, 2] * camera.fx_px + camera.cx_px
     v = view.evidence.points_m[:, 1] / view.evidence.points_m[:, 2] * camera.fy_px + camera.cy_px
     assert (u.min(), v.min()) == pytest.approx((303, 103))
-    # z² s / (f B) with the depth camera's f, and whole millimetres, evenly: 1/sqrt(12).
+    # z² s / (f B) with the depth camera's f, and whole millimetres, evenly: 1/sqrt(12); and what
+    # a matching window of 3.6 px (one sigma) takes from 0.2 m behind, over the nearest edge.
     noise = 0.5**2 * 0.08 / (610 * 0.69 * 0.05)
-    assert view.evidence.points_sd_m == pytest.approx(np.hypot(noise, 0.001 / np.sqrt(12)))
+    inside = np.minimum(np.minimum(u - 299, 330 - u), np.minimum(v - 99, 120 - v))
+    edge = 0.2 * ndtr(-inside / 3.6)
+    sd = np.sqrt(noise**2 + edge**2 + 0.001**2 / 12)
+    assert view.evidence.points_sd_m == pytest.approx(sd, rel=1e-4)
 
 
 def test_what_stands_nearer_far_beyond_an_end_does_not_hide_it(camera: Intrinsics) -> None:

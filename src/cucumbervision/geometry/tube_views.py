@@ -165,7 +165,9 @@ def _view_equations(
         slope = np.zeros((len(read.sd_m), width + (TURNS if moves else 0)))
         slope[:, : read.slope.shape[1]] = read.slope
         bends = slope[:, : SHAPE - shape.width_m.size].reshape(len(slope), BEND_SEGMENTS + 3, 3)
-        slope[:, : SHAPE - shape.width_m.size] = (bends @ camera.turn).reshape(len(slope), -1)
+        slope[:, : SHAPE - shape.width_m.size] = (bends @ camera.turn).reshape(
+            len(slope), SHAPE - shape.width_m.size
+        )
         if moves:
             arm = read.found.centres_m - middle
             slope[:, width:] = np.hstack([read.found.away, np.cross(arm, read.found.away)])

@@ -243,6 +243,8 @@ MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the si
 
 GOOD_OVERLAP, UNSURE_M, FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
 
+LEAST_SEEN = 6  # readings that such a start needs
+
 END_ON_DEG = 70.0
 
 BEYOND, BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
@@ -317,7 +319,8 @@ def _best_fit(view: TubeView) -> TubeFitting:
     if 1.0 - float(near_depths(surface).mean()) >= MAY_BE_FRUIT:
         fits.append(fit_shape(evidence, guess_shape(surface, gated=False)))
     first = fits[0]
-    if (
+    seen = view.grid_mask & (view.grid_depth_m > 0)
+    if np.count_nonzero(seen) >= LEAST_SEEN and (
         _coverage(view, first.shape)[2] < GOOD_OVERLAP
         or first.centreline_sd_m > UNSURE_M
         or _end_on(first.shape.balls()[0])

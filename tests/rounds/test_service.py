@@ -74,6 +74,27 @@ def test_merging_again_changes_nothing(store: Store, row: Walk) -> None:
     assert [(v.key, v.group) for v in store.detections(MORNING)] == before
 
 
+def test_a_fruit_has_the_length_of_all_its_whole_views(store: Store, row: Walk) -> None:
+    del row
+    views = store.detections(MORNING)
+    several = 0
+    for line in fruit_table(read_round(store, MORNING)):
+        alone = next(view.record for view in views if view.key == line.view.key)
+        own = [v.record for v in views if v.group == line.view.group]
+        whole = [one for one in own if one.length_m is not None and not one.partial]
+        if len(whole) < 2:
+            assert line.view.record == alone
+            continue
+        several += 1
+        lengths = [one.length_m for one in whole if one.length_m]
+        assert min(lengths) - 1e-9 <= (line.view.record.length_m or 0) <= max(lengths) + 1e-9
+        assert line.view.record.length_m == line.combined_m
+        low, high = line.view.record.interval_low_m, line.view.record.interval_high_m
+        if low is not None and high is not None:
+            assert low < (line.combined_m or 0) < high
+    assert several > 5
+
+
 def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
     del row
     many = next(

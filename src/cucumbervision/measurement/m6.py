@@ -12,6 +12,7 @@ from cucumbervision.geometry.pixels import depth_across, outline_cracks
 from cucumbervision.geometry.tube import TubeShape, guess_from_picture, guess_shape, near_depths
 from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape, gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
+from cucumbervision.measurement.hidden_end import with_hidden_end
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -294,7 +295,7 @@ def measure_m6(
     found = Reason.TOO_FEW_POINTS if view is None else fit_view(view)
     if view is None or isinstance(found, Reason):
         return Measurement(Method.M6, reason=Reason(found))
-    return judged_fit(view, found)
+    return with_hidden_end(judged_fit(view, found), depth_m, intrinsics)
 
 
 def fit_view(view: TubeView) -> TubeFitting | Reason:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cucumbervision.measurement.hidden_end import HiddenLength
     from cucumbervision.measurement.traits import TubeLengths, TubeTraits
     from cucumbervision.perception.instances import Instance, MaskSource
 
@@ -188,6 +189,9 @@ class TubeFit:
     flags : tuple of Flag
         'end-hidden', 'end-on' (an end points so far along the view that little of it shows),
         'part-hidden', 'poor-fit', 'uncertain' (a standard deviation above 5 % of the length).
+    whole : HiddenLength, optional
+        The whole fruit's centreline, where one end is hidden by something in the picture;
+        `traits` are those of what is seen.
     """
 
     traits: TubeTraits
@@ -200,6 +204,7 @@ class TubeFit:
     depth_rms_m: float
     ends_seen: tuple[bool, bool]
     flags: tuple[Flag, ...] = ()
+    whole: HiddenLength | None = None
 
 
 @dataclass(frozen=True, eq=False)

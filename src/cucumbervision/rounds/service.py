@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.day_linking import link_days
 from cucumbervision.rounds.from_store import (
+    LENGTH_Z,
     RoundContent,
     by_hand_of,
     load_rows,
@@ -120,7 +121,8 @@ class RoundFruit:
     number : int
         Its number in the table, from 1, by row and position.
     view : DetectionView
-        The view that stands, with its measurement.
+        The view that stands, with its measurement. Where two or more views show the whole fruit,
+        its length and interval are those of all of them together.
     combined_m, combined_sd_m : float, optional
         Length that all whole views give together.
     """
@@ -276,16 +278,34 @@ def fruit_table(content: RoundContent) -> list[RoundFruit]:
     combined = _combined(content)
     best = [view for view in content.views if view.best and view.verdict is not Verdict.REJECTED]
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
-    none: tuple[float | None, float | None] = (None, None)
-    return [
-        RoundFruit(number, view, *combined.get(view.key, none))
-        for number, view in enumerate(best, 1)
-    ]
+    lines = []
+    for number, view in enumerate(best, 1):
+        known = combined.get(view.key)
+        if known is None:
+            lines.append(RoundFruit(number, view, None, None))
+            continue
+        length_m, sd_m, views = known
+        seen = _by_all_views(view, length_m, sd_m) if views > 1 else view
+        lines.append(RoundFruit(number, seen, length_m, sd_m))
+    return lines
 
 
-def _combined(content: RoundContent) -> dict[str, tuple[float, float]]:
-    """Return the combined length of each fruit by all keys of its views."""
+def _by_all_views(view: DetectionView, length_m: float, sd_m: float) -> DetectionView:
+    spread = math.exp(LENGTH_Z * sd_m / length_m)
+    record = replace(view.record, length_m=length_m, length_sd_m=sd_m)
+    if record.interval_low_m is not None:
+        low, high = length_m / spread, length_m * spread
+        record = replace(record, interval_low_m=low, interval_high_m=high)
+    return replace(view, record=record)
+
+
+def _combined(content: RoundContent) -> dict[str, tuple[float, float, int]]:
+    """Return the combined length of each fruit by all keys of its views, and how many gave it.
+
+    Whole views of which one is a thread and another a chord count as one: the best.
+    """
     found = {}
+    kind = {view.key: view.record.length_kind for view in content.views}
     for row in load_rows(content):
         if not len(row.views):
             continue
@@ -294,8 +314,13 @@ def _combined(content: RoundContent) -> dict[str, tuple[float, float]]:
         order = np.argsort(cluster, kind="stable")
         for own in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
             length = combined_length(views.length_m[own], views.length_sd[own], views.partial[own])
-            if length is not None:
-                found.update(dict.fromkeys((row.fruit_keys[k] for k in own.tolist()), length))
+            if length is None:
+                continue
+            whole = own[np.isfinite(views.length_m[own]) & ~views.partial[own]]
+            kinds = {kind[row.fruit_keys[k]] for k in whole.tolist()}
+            count = len(whole) if len(kinds) == 1 else 1
+            keys = (row.fruit_keys[k] for k in own.tolist())
+            found.update(dict.fromkeys(keys, (*length, count)))
     return found
 
 

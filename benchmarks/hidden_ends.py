@@ -1,0 +1,118 @@
+"""What M6 says of fruit of which a leaf hides one end: the whole length's median and interval.
+
+    python benchmarks/hidden_ends.py --fruit 110
+
+Fruit of the stress set's kind (0.3 to 1.2 m, tilted up to 45 degrees, outlines exact and
+disturbed), a leaf laid over 7 to 45 % of each from one end, and over 0 to 12 cm beyond it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from cucumbervision.measurement.m6 import measure_m6
+from cucumbervision_lab.benchmark.cases import simulate, stress_cases
+from cucumbervision_lab.benchmark.measure_case import (
+    OUTLINE_RMS_PX,
+    disturb_mask,
+    draw_disturbance,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+FIRST = 500_000
+MOST_TILT_DEG, MOST_HIDDEN = 45.0, 0.3
+NEARER_M, HALF_LEAF_M, BEYOND_M = 0.05, 0.06, 0.12
+
+
+def leaf_over(
+    axis_px: NDArray[np.float64], beyond_px: float, half_px: float, shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Return the pixels of a leaf from the first of two points over the second and beyond."""
+    run = axis_px[1] - axis_px[0]
+    long = float(np.hypot(*run))
+    v, u = np.indices(shape)
+    off = np.stack([u - axis_px[0, 0], v - axis_px[0, 1]], axis=-1) / long
+    along, across = off @ run, off @ np.array([-run[1], run[0]])
+    return (along > 0) & (along < long + beyond_px) & (np.abs(across) < half_px)
+
+
+def measured(number: int) -> list[dict[str, Any]]:
+    """Measure one fruit behind its leaf, with both kinds of outline."""
+    (case,) = stress_cases(1, first=FIRST + number)
+    if case.hidden_end or case.hidden_share >= MOST_HIDDEN or abs(case.tilt_deg) > MOST_TILT_DEG:
+        return []
+    taken, rng = simulate(case), np.random.default_rng(number)
+    camera, axis = taken.capture.intrinsics, taken.truth.axis_m
+    axis = axis[::-1] if rng.random() < 0.5 else axis
+    share = rng.uniform(0.55, 0.93)
+    pixel = camera.fx_px / axis[-1, 2]
+    ends = camera.project(axis[[int(share * len(axis)), -1]])
+    shape = taken.truth.visible.shape
+    leaf = leaf_over(ends, rng.uniform(0, BEYOND_M) * pixel, HALF_LEAF_M * pixel, shape)
+    depth = taken.capture.depth_m.copy()
+    depth[leaf] = axis[:, 2].min() - NEARER_M
+    exact = taken.truth.visible & ~leaf
+    field = draw_disturbance(exact.shape, OUTLINE_RMS_PX, rng)
+    rows = []
+    for kind, mask in (("exact", exact), ("disturbed", disturb_mask(exact, field) & ~leaf)):
+        fit = measure_m6(depth, mask, camera).fit
+        if fit is not None:
+            row = {"kind": kind, "share": share, "true": taken.truth.centreline_m}
+            row |= {"seen": fit.traits.lengths.centreline_m, "flagged": not all(fit.ends_seen)}
+            whole = fit.whole
+            row["median"] = np.nan if whole is None else whole.median_m
+            row["low"] = np.nan if whole is None else whole.low_m
+            row["high"] = np.nan if whole is None else whole.high_m
+            rows.append(row)
+    return rows
+
+
+def main() -> None:
+    """Print error and coverage by group."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--fruit", type=int, default=110)
+    numbers = track(range(parser.parse_args().fruit), "fruit")
+    rows = pd.DataFrame([row for number in numbers for row in measured(number)])
+    told = rows[rows["median"].notna()]
+    groups = {
+        "all": told["true"] > 0,
+        "exact outlines": told["kind"] == "exact",
+        "disturbed outlines": told["kind"] == "disturbed",
+        "7 to 25 % hidden": told["share"] >= 0.75,
+        "25 to 45 % hidden": told["share"] < 0.75,
+    }
+    title = f"{len(rows)} measured, {rows['flagged'].sum()} flagged, {len(told)} with an estimate"
+    table = Table(title=title)
+    heads = (
+        "group",
+        "readings",
+        "seen, median %",
+        "median off %",
+        "error %",
+        "covers %",
+        "width %",
+    )
+    for head in heads:
+        table.add_column(head, justify="right")
+    for name, chosen in groups.items():
+        some = told[chosen]
+        off = 100 * (some["median"] / some["true"] - 1)
+        covers = 100 * some["true"].between(some["low"], some["high"]).mean()
+        width = 100 * ((some["high"] - some["low"]) / some["median"]).mean()
+        seen = 100 * (some["seen"] / some["true"] - 1).median()
+        cells = (seen, off.median(), off.abs().mean(), covers, width)
+        table.add_row(name, str(len(some)), *(f"{x:.1f}" for x in cells))
+    Console(width=100, highlight=False).print(table)
+
+
+if __name__ == "__main__":
+    main()

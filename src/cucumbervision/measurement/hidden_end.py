@@ -1,0 +1,163 @@
+"""How long a fruit is whose end nothing shows: a distribution, cut by what would be seen.
+
+Three things say where a covered end may be: it lies beyond what is seen; not so far that it would
+come out on the other side of what covers it; and a fruit's girth goes with its length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.measurement.result import Measurement
+
+__all__ = ["HiddenLength", "covered_reach", "hidden_length", "with_hidden_end"]
+
+# log length = LOG_LENGTH + SLOPE log diameter, both in metres, give or take SPREAD: over drawn
+# fruit of three kinds, from gherkin to long cucumber, with some room for others (0.24 there).
+LOG_LENGTH, SLOPE, SPREAD = 5.36, 2.16, 0.30
+STEP_M, FARTHEST_M = 0.002, 0.40
+NEARER_M = 0.005  # what is nearer than the end by this covers it
+SEEN_SD, REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres
+LEVEL = 0.9
+GRID = 400
+
+
+@dataclass(frozen=True)
+class HiddenLength:
+    """The length of a fruit of which an end is hidden.
+
+    Parameters
+    ----------
+    seen_m : float
+        What is seen of it, metres.
+    median_m, low_m, high_m : float
+        Of the whole fruit: the median, and the 90 % interval.
+    """
+
+    seen_m: float
+    median_m: float
+    low_m: float
+    high_m: float
+
+
+def with_hidden_end(
+    measured: Measurement, depth_m: NDArray[np.float32], intrinsics: Intrinsics
+) -> Measurement:
+    """Return an M6 measurement with the whole length's distribution, where it can be told.
+
+    That is where one end is hidden, and by something in the picture: of both ends, or of what
+    the picture's edge cuts off, nothing honest is known but the lower bound.
+
+    Parameters
+    ----------
+    measured : Measurement
+        By M6.
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    intrinsics : Intrinsics
+        The colour stream's.
+    """
+    fit = measured.fit
+    if fit is None or sum(fit.ends_seen) != 1:
+        return measured
+    end = -1 if fit.ends_seen[0] else 0
+    reach_m = covered_reach(depth_m, intrinsics, fit.traits.axis_m, end)
+    if reach_m is None:
+        return measured
+    seen_m = fit.traits.lengths.centreline_m
+    whole = hidden_length(seen_m, fit.traits.diameter_max_m, reach_m)
+    return replace(measured, fit=replace(fit, whole=whole))
+
+
+def covered_reach(
+    depth_m: NDArray[np.float32], intrinsics: Intrinsics, axis_m: NDArray[np.float64], end: int
+) -> float | None:
+    """Return how far beyond an end the fruit could go on unseen, metres.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    intrinsics : Intrinsics
+        The colour stream's.
+    axis_m : ndarray of float64, shape (K, 3)
+        The fitted axis from pole to pole, camera coordinates.
+    end : int
+        0 for its first end, -1 for its last.
+
+    Returns
+    -------
+    float or None
+        Along the axis' direction there, until something farther than the fruit is seen; what has
+        no reading may hide it. None where it could leave the picture unseen.
+
+    Examples
+    --------
+    A leaf at 0.4 m hides the picture's columns from 380 to 479; beyond, the wall is seen:
+
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth = np.full((480, 640), 1.0, np.float32)
+    >>> depth[:, 380:480] = 0.4
+    >>> axis = np.stack([np.linspace(-0.05, 0.05, 60), np.zeros(60), np.full(60, 0.5)], axis=1)
+    >>> round(covered_reach(depth, camera, axis, -1), 2)  # column 480 is x = 0.133 m at 0.5 m
+    0.08
+    """
+    tip = axis_m[end]
+    inner = axis_m[len(axis_m) // 6] if end == 0 else axis_m[-1 - len(axis_m) // 6]
+    ahead = (tip - inner) / max(float(np.linalg.norm(tip - inner)), 1e-9)
+    steps = np.arange(STEP_M, FARTHEST_M, STEP_M)
+    points = tip + steps[:, None] * ahead
+    front = points[:, 2] > 0.05
+    columns, rows = np.rint(intrinsics.project(points[front])).astype(int).T
+    height, width = depth_m.shape
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    z = np.zeros(len(inside))
+    z[inside] = depth_m[rows[inside], columns[inside]]
+    open_ = inside & valid_depth(z) & (z > points[front, 2] - NEARER_M)
+    first = np.flatnonzero(open_ | ~inside)
+    if not len(first):
+        return FARTHEST_M
+    return float(steps[first[0]]) if inside[first[0]] else None
+
+
+def hidden_length(seen_m: float, diameter_m: float, reach_m: float) -> HiddenLength:
+    """Return the whole length's distribution.
+
+    Parameters
+    ----------
+    seen_m : float
+        Length of what is seen.
+    diameter_m : float
+        The largest diameter.
+    reach_m : float
+        How far it could go on unseen, both ends together (`covered_reach`).
+
+    Examples
+    --------
+    >>> found = hidden_length(0.20, 0.045, 0.06)
+    >>> 0.20 < found.low_m + 0.01 < found.median_m < found.high_m < 0.28
+    True
+    """
+    from scipy.special import ndtr
+
+    lengths = np.exp(
+        np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * REACH_SD_M), GRID)
+    )
+    usual = LOG_LENGTH + SLOPE * np.log(max(diameter_m, 0.005))
+    by_girth = np.exp(-0.5 * ((np.log(lengths) - usual) / SPREAD) ** 2)
+    beyond = ndtr(np.log(lengths / seen_m) / SEEN_SD)
+    before = ndtr((seen_m + reach_m - lengths) / REACH_SD_M)
+    weight = (by_girth + 1e-6) * beyond * before
+    total = np.cumsum(weight * np.gradient(lengths))
+    at = np.interp(np.array([0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2]) * total[-1], total, lengths)
+    return HiddenLength(seen_m, float(at[1]), float(at[0]), float(at[2]))

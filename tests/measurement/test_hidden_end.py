@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.hidden_end import FARTHEST_M, covered_reach, hidden_length
+from cucumbervision.measurement.m6 import measure_m6
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
+from cucumbervision_lab.synthesis.scene import Scene, render
+
+CAMERA = Intrinsics(848, 480, 610.0, 610.0, 424.0, 240.0)
+AXIS = np.stack([np.linspace(-0.05, 0.05, 60), np.zeros(60), np.full(60, 0.5)], axis=1)
+
+
+def test_reach_ends_where_the_wall_is_seen_again() -> None:
+    depth = np.full((480, 848), 1.0, np.float32)
+    assert covered_reach(depth, CAMERA, AXIS, -1) == pytest.approx(0.002)
+    depth[:, 480:600] = 0.4  # to column 599: x = 175.5 / 610 * 0.5 = 0.144 m, the end is at 0.05
+    assert covered_reach(depth, CAMERA, AXIS, -1) == pytest.approx(0.094, abs=0.003)
+    assert covered_reach(depth, CAMERA, AXIS, 0) == pytest.approx(0.002)
+    depth[:, 480:600] = 0.0  # without a reading nothing is known to be behind
+    assert covered_reach(depth, CAMERA, AXIS, -1) == pytest.approx(0.094, abs=0.003)
+
+
+def test_a_leaf_up_to_the_pictures_edge_leaves_the_reach_open() -> None:
+    depth = np.full((480, 848), 1.0, np.float32)
+    depth[:, 480:] = 0.4
+    assert covered_reach(depth, CAMERA, AXIS, -1) is None
+    assert covered_reach(np.full((480, 8480), 0.4, np.float32), CAMERA, AXIS, -1) == FARTHEST_M
+
+
+def test_the_whole_length_lies_between_what_is_seen_and_what_would_be() -> None:
+    near, far = hidden_length(0.20, 0.045, 0.02), hidden_length(0.20, 0.045, 0.15)
+    assert 0.18 < near.low_m < near.median_m < near.high_m < 0.24
+    assert near.high_m - near.low_m < far.high_m - far.low_m
+    assert far.high_m < 0.36
+    # A thicker fruit is a longer one.
+    assert hidden_length(0.10, 0.05, 0.2).median_m > hidden_length(0.10, 0.03, 0.2).median_m
+
+
+def test_a_covered_end_gets_an_interval_and_seen_ends_none() -> None:
+    tube = arc_tube(0.24, 0.021).moved(rotation(), (0.0, 0.0, 0.55))
+    view = render(Scene.of(tube, backdrop_m=1.1), CAMERA)
+    depth, mask = view.depth_m.astype(np.float32), view.mask(0)
+    whole = measure_m6(depth, mask, CAMERA).fit
+    assert whole is not None
+    assert whole.whole is None
+    # The fruit spans 424 +- 133 columns; a leaf covers all from 490 to 599.
+    depth[:, 490:600] = 0.45
+    mask[:, 490:600] = False
+    fit = measure_m6(depth, mask, CAMERA).fit
+    assert fit is not None
+    assert fit.whole is not None
+    assert fit.whole.seen_m == fit.traits.lengths.centreline_m < 0.20
+    assert fit.whole.low_m < 0.24 < fit.whole.high_m

@@ -40,10 +40,10 @@ BOOTSTRAPS = 1000
 
 def ruler_px_per_m(picture: NDArray[np.uint8]) -> float | None:
     """Return the board's scale: the mean of the upright and the lying ruler, or None."""
-    colors = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
+    colors = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV))
     bright = ((colors[..., 2] > 140) & (colors[..., 1] < 90)).astype(np.uint8)
-    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    _, _, stats, _ = cv2.connectedComponentsWithStats(bright)
+    closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    _, _, stats, _ = cv2.connectedComponentsWithStats(closed)
     height, width = picture.shape[:2]
     found = {}
     for _, _, w, h, area in np.asarray(stats)[1:].tolist():
@@ -54,6 +54,14 @@ def ruler_px_per_m(picture: NDArray[np.uint8]) -> float | None:
         if 0.45 * width < w < 0.9 * width and w > 7 * h:
             found["lying"] = w
     return float(np.mean(list(found.values()))) / RULER_M if len(found) == 2 else None
+
+
+def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
+    """Read a picture of the folder, BGR."""
+    picture = cv2.imread(str(folder / "images" / f"{name}.jpg"))
+    if picture is None:
+        raise SystemExit(f"{folder / 'images' / name}.jpg cannot be read")
+    return np.asarray(picture, np.uint8)
 
 
 def lying_body(mask: NDArray[np.bool_], height_m: float, px_per_m: float) -> NDArray[np.float32]:
@@ -70,7 +78,7 @@ def measured_fruit(
     folder: Path, name: str, scale: float, focal_share: float
 ) -> list[dict[str, float]]:
     """Return the lengths of a picture's fruit from left to right, cm."""
-    high, wide = cv2.imread(str(folder / "images" / f"{name}.jpg")).shape[:2]
+    high, wide = read_picture(folder, name).shape[:2]
     focal = focal_share * max(high, wide)
     camera = Intrinsics(wide, high, focal, focal, wide / 2, high / 2)
     lines = (folder / "labels_seg" / f"{name}.txt").read_text().splitlines()
@@ -97,7 +105,7 @@ def all_fruit(folder: Path, focal_share: float) -> pd.DataFrame:
     for row in pd.read_csv(folder / "lengths_cm.csv", dtype={"file_name": str}).itertuples():
         truth[row.file_name].append(float(row.length))
     names, rows = (folder / "complete.txt").read_text().split(), []
-    pictures = (cv2.imread(str(folder / "images" / f"{name}.jpg")) for name in names)
+    pictures = (read_picture(folder, name) for name in names)
     scales = [scale for one in pictures if (scale := ruler_px_per_m(one)) is not None]
     spread = 100 * (max(scales) / min(scales) - 1)
     print(

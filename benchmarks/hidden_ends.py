@@ -42,7 +42,8 @@ def leaf_over(
     v, u = np.indices(shape)
     off = np.stack([u - axis_px[0, 0], v - axis_px[0, 1]], axis=-1) / long
     along, across = off @ run, off @ np.array([-run[1], run[0]])
-    return (along > 0) & (along < long + beyond_px) & (np.abs(across) < half_px)
+    over = (along > 0) & (along < long + beyond_px) & (np.abs(across) < half_px)
+    return np.asarray(over, np.bool_)
 
 
 def measured(number: int) -> list[dict[str, Any]]:

@@ -77,6 +77,8 @@ def drawn_views(case: Case) -> tuple[float, list[FruitView]]:
 
 def relative_sd(one: Measurement) -> float:
     """Return the relative deviation of a single view's length, with a floor for its outline."""
+    if one.fit is None or one.length_m is None:
+        return np.nan
     return float(np.hypot(one.fit.centreline_sd_m / one.length_m, 0.01))
 
 
@@ -84,8 +86,9 @@ def errors_of(number: int) -> dict[str, float] | None:
     """Measure one fruit in every way; relative errors in percent, and milliseconds."""
     true_m, views = drawn_views(drawn_case(number))
     alone = [measure_m6(view.depth_m, view.mask, view.intrinsics) for view in views]
-    good = [k for k, one in enumerate(alone) if one.fit is not None]
-    whole = [k for k in good if Flag.END_HIDDEN not in alone[k].fit.flags]
+    fits = {k: one.fit for k, one in enumerate(alone) if one.fit is not None}
+    good = list(fits)
+    whole = [k for k, fit in fits.items() if Flag.END_HIDDEN not in fit.flags]
     if len(views) < 3 or len(good) < 3:
         return None
     found: dict[str, float] = {}
@@ -93,16 +96,18 @@ def errors_of(number: int) -> dict[str, float] | None:
         some = good[:count]
         seen = [k for k in some if k in whole] or some
         best = min(seen, key=lambda k: relative_sd(alone[k]))
-        lengths = np.array([alone[k].length_m for k in seen])
+        lengths = np.array([fits[k].traits.lengths.centreline_m for k in seen])
         sds = np.array([relative_sd(alone[k]) for k in seen])
         combined = combined_length(lengths, sds, np.zeros(len(seen), bool))
         start = process_time()
         one = measure_views([views[k] for k in some])
         found[f"ms {count}"] = 1e3 * (process_time() - start)
-        found[f"best {count}"] = 100 * (alone[best].length_m / true_m - 1)
-        found[f"combined {count}"] = 100 * (combined[0] / true_m - 1)
+        found[f"best {count}"] = 100 * (fits[best].traits.lengths.centreline_m / true_m - 1)
+        found[f"combined {count}"] = 100 * ((combined or (np.nan,))[0] / true_m - 1)
         found[f"one tube {count}"] = 100 * ((one.length_m or np.nan) / true_m - 1)
-        sd = np.nan if one.fit is None else one.fit.centreline_sd_m / one.length_m
+        sd = np.nan
+        if one.fit is not None and one.length_m is not None:
+            sd = one.fit.centreline_sd_m / one.length_m
         found[f"z {count}"] = found[f"one tube {count}"] / 100 / sd
     return found
 

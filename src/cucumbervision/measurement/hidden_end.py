@@ -121,7 +121,7 @@ def covered_reach(
     columns, rows = np.rint(intrinsics.project(points[front])).astype(int).T
     height, width = depth_m.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    z = np.zeros(len(inside))
+    z = np.zeros(len(inside), np.float32)
     z[inside] = depth_m[rows[inside], columns[inside]]
     open_ = inside & valid_depth(z) & (z > points[front, 2] - NEARER_M)
     first = np.flatnonzero(open_ | ~inside)

@@ -292,9 +292,11 @@ def measure_m6(
     (0.2, 1.0)
     """
     view = view_tube(depth_m, mask, intrinsics)
-    found = Reason.TOO_FEW_POINTS if view is None else fit_view(view)
-    if view is None or isinstance(found, Reason):
-        return Measurement(Method.M6, reason=Reason(found))
+    if view is None:
+        return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
+    found = fit_view(view)
+    if isinstance(found, Reason):
+        return Measurement(Method.M6, reason=found)
     return with_hidden_end(judged_fit(view, found), depth_m, intrinsics)
 
 

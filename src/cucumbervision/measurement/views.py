@@ -90,9 +90,9 @@ def measure_views(views: Sequence[FruitView]) -> Measurement:
         return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
     found.sort(key=lambda one: (not all(one[2].ends_seen), _relative_sd(one[2])))
     kept = found[:1]
-    for one in found[1:]:
-        if all(_apart(one[0], other[0], one[2]) for other in kept):
-            kept.append(one)
+    for more in found[1:]:
+        if all(_apart(more[0], other[0], more[2]) for other in kept):
+            kept.append(more)
     first = kept[0]
     if len(kept) == 1:
         return judged_fit(first[1], first[2])

@@ -34,7 +34,7 @@ def fuzz(
     """Read damaged files of every kind; only named errors may come of them.
 
     Each input is one valid file with one to three faults, read in a process that may hold 2 GB and
-    take 10 s for it. A find is an error without a name of ours, too much memory or time, or the end
+    compute for 10 s on it. A find is an error without a name of ours, too much memory or time, or the end
     of the process; exit code 1 tells that there was one.
     """
     from cucumbervision_lab.cli.screen import show, show_tables, ticking

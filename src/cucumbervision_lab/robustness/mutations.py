@@ -8,6 +8,7 @@ import sqlite3
 import struct
 import zlib
 from contextlib import closing
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -290,16 +291,16 @@ def _change(tree: list[Any], random: Random) -> None:
     node, key = random.choice(places)
     what = random.random()
     if what < 0.6 or node is tree:
-        node[key] = random.choice(_VALUES)
+        node[key] = deepcopy(random.choice(_VALUES))  # what is changed again must not be shared
     elif what < 0.75:
         del node[key]
     elif what < 0.85:
         other, at = random.choice(places)
         node[key] = json.loads(_written(other[at])) if _is_plain(other[at]) else None
     elif isinstance(node, dict):
-        node[random.choice(("", "x" * 400, "unknown", "@digits"))] = node[key]
+        node[random.choice(("", "x" * 400, "unknown", "@digits"))] = deepcopy(node[key])
     else:
-        node[key:key] = [node[key]] * random.choice((1, 2, 1000))
+        node[key:key] = [deepcopy(node[key]) for _ in range(random.choice((1, 2, 1000)))]
 
 
 def _is_plain(value: Any) -> bool:

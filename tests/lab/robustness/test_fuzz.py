@@ -93,3 +93,10 @@ def test_json_damage_reaches_values(tmp_path: Path) -> None:
     assert len(longest) > 50_000
     with pytest.raises((RecursionError, ValueError)):
         json.loads(longest)
+
+
+def test_damage_does_not_depend_on_what_was_damaged_before() -> None:
+    data = json.dumps({"a": [[1, 2], {"b": [{}, []]}], "c": {"d": "x"}}).encode()
+    alone = [damaged(data, "json", Random(n)) for n in range(300)]
+    again = [damaged(data, "json", Random(n)) for n in reversed(range(300))]
+    assert alone == again[::-1]

@@ -291,7 +291,8 @@ def _change(tree: list[Any], random: Random) -> None:
     node, key = random.choice(places)
     what = random.random()
     if what < 0.6 or node is tree:
-        node[key] = deepcopy(random.choice(_VALUES))  # what is changed again must not be shared
+        # What is changed again must not be shared.
+        node[key] = deepcopy(random.choice(_VALUES))
     elif what < 0.75:
         del node[key]
     elif what < 0.85:

@@ -34,8 +34,8 @@ def fuzz(
     """Read damaged files of every kind; only named errors may come of them.
 
     Each input is one valid file with one to three faults, read in a process that may hold 2 GB and
-    compute for 10 s on it. A find is an error without a name of ours, too much memory or time, or the end
-    of the process; exit code 1 tells that there was one.
+    compute for 10 s on it. A find is an error without a name of ours, too much memory or time, or
+    the end of the process; exit code 1 tells that there was one.
     """
     from cucumbervision_lab.cli.screen import show, show_tables, ticking
     from cucumbervision_lab.robustness.fuzz import as_json, find_doors

@@ -257,7 +257,7 @@ def _row(data: bytes, random: Random) -> bytes:
             connection.execute(f'UPDATE "{table}" SET "{column}" = ?', (value,))
             connection.commit()
             return bytes(connection.serialize())
-    except (sqlite3.Error, IndexError, OverflowError):
+    except (sqlite3.Error, IndexError, OverflowError, MemoryError):  # as SQLite calls damage too
         return _flip(data, random)
 
 

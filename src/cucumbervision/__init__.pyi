@@ -42,8 +42,10 @@ from .pipeline.measurer import Failure as Failure
 from .pipeline.measurer import Measurer as Measurer
 from .pipeline.options import MeasureOptions as MeasureOptions
 from .pipeline.overlay import draw_overlay as draw_overlay
+from .pipeline.run import BatchOptions as BatchOptions
 from .pipeline.run import RunResult as RunResult
 from .pipeline.run import measure_inputs as measure_inputs
+from .pipeline.work import Outcome as Outcome
 from .streaming.sources import open_stream as open_stream
 from .streaming.sources import stream_camera as stream_camera
 from .streaming.stream import FruitStream as FruitStream

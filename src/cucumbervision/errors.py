@@ -74,6 +74,10 @@ class CucumberVisionError(Exception):
         line = f"{self.source}: {message}" if self.source else message
         super().__init__(" ".join((f"{line}; {remedy}" if remedy else line).split()))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return how a copy is made in another process."""
+        return _copied, (type(self), self.__dict__, self.args)
+
     @property
     def code(self) -> str:
         """Stable name of the error's class, as `failures.csv` gives it."""
@@ -82,6 +86,15 @@ class CucumberVisionError(Exception):
     def at(self, source: object) -> Self:
         """Return the same error of another source."""
         return type(self)(self.message, source=source, remedy=self.remedy)
+
+
+def _copied(
+    kind: type[CucumberVisionError], state: dict[str, object], args: tuple[object, ...]
+) -> CucumberVisionError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    error.__dict__.update(state)
+    return error
 
 
 class FileError(CucumberVisionError):
@@ -248,7 +261,8 @@ def naming_os_errors(
     try:
         yield
     except OSError as error:
-        raise kind(f"{fault} ({error.strerror})", source=source, remedy=remedy) from error
+        text = error.strerror or " ".join(str(error).split()) or type(error).__name__
+        raise kind(f"{fault} ({text})", source=source, remedy=remedy) from error
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from cucumbervision.errors import CaptureError
 from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import open_guarded, play_apart
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.pipeline.run import count_captures
+from cucumbervision.pipeline.inputs import count_captures
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs process groups and rlimits")
 

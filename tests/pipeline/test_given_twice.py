@@ -12,8 +12,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import ReadOptions
 from cucumbervision.capture.readers.native import write_native
+from cucumbervision.pipeline.inputs import count_captures, read_captures
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.pipeline.run import count_captures, read_captures
 
 
 def test_a_path_by_two_ways_is_read_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -23,9 +23,10 @@ from cucumbervision.capture.source import (
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.finders import make_finder
-from cucumbervision.pipeline.measurer import CaptureResult, Failure
+from cucumbervision.pipeline.inputs import count_captures
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import count_captures, measure_inputs
+from cucumbervision.pipeline.run import BatchOptions, measure_inputs
+from cucumbervision.pipeline.work import Outcome
 
 ROW_A = "simulated-row-a"
 
@@ -37,16 +38,15 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     broken = folder / "broken"
     shutil.copytree(bundled_captures() / "simulated-bench", broken)
     (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
-    seen: list[CaptureResult | Failure] = []
+    seen: list[Outcome] = []
     result = measure_inputs(
         [broken, bundled_captures(), folder / "missing"],
         folder / "out",
         MeasureOptions(),
         seen.append,
     )
-    assert isinstance(seen[0], Failure)
-    assert isinstance(seen[-1], Failure)
-    assert [len(s.fruit) for s in seen if isinstance(s, CaptureResult)] == [3, 3, 2]
+    assert [len(one.failures) for one in seen] == [1, 0, 0, 0, 1]
+    assert [len(one.record.rows) for one in seen if one.record is not None] == [3, 3, 2]
     assert result.exit_code == 1
     assert result.captures == 3
     assert len(result.rows) == 8
@@ -115,7 +115,8 @@ def test_workbook_says_the_same_as_the_csv(run_out: Path) -> None:
 
 def test_an_annotated_picture_for_each_capture(run_out: Path) -> None:
     pictures = sorted((run_out / "overlays").glob("*.png"))
-    assert [p.stem for p in pictures] == ["simulated-bench", ROW_A, "simulated-row-b"]
+    # The broken capture keeps its name for when it is repaired.
+    assert [p.stem for p in pictures] == ["simulated-bench-2", ROW_A, "simulated-row-b"]
     picture = cv2.imread(str(pictures[0]))
     assert picture is not None
     assert picture.shape == (480, 848, 3)
@@ -240,7 +241,7 @@ def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> N
         return CaptureSource(path, "test", refs)
 
     options = MeasureOptions(methods=(Method.M1,))
-    result = measure_inputs([Path("house")], tmp_path, options, opener=opener)
+    result = measure_inputs([Path("house")], tmp_path, options, batch=BatchOptions(opener=opener))
     assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 70)
     assert [(f.capture, f.error) for f in result.failures] == [
         ("too_large", "OutOfMemoryError"),

@@ -9,7 +9,8 @@ import openpyxl
 import pytest
 
 from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.tables import CsvSink, write_workbook
+from cucumbervision.pipeline.reports import excel_limit
+from cucumbervision.pipeline.tables import MOST_EXCEL_ROWS, CsvSink, write_workbook
 
 
 def row(**cells: Any) -> dict[str, Any]:
@@ -90,3 +91,18 @@ def test_workbook_holds_rows_units_and_summary(tmp_path: Path) -> None:
     assert book["Summary"]["B1"].value == 2
     assert book["Summary"]["B2"].data_type == "s"
     assert next(c.value for c in book["Columns"][2]) == "capture"
+
+
+def test_a_sheet_of_excel_ends_with_a_word(tmp_path: Path) -> None:
+    path = tmp_path / "a.xlsx"
+    rows = (row(capture=name, fruit=1) for name in "abc")
+    write_workbook(path, rows, excel_limit(3, most=2), most=2)
+    book = openpyxl.load_workbook(path)
+    assert [cell.value for cell in book["Fruit"]["A"]] == ["capture", "a", "b"]
+    assert "the last 1 fruit are in measurements.csv" in book["Summary"]["B1"].value
+    assert MOST_EXCEL_ROWS == 2**20 - 1
+
+
+def test_a_workbook_that_cannot_be_written_is_an_error_of_the_system(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        write_workbook(tmp_path / "nowhere" / "a.xlsx", [], [])

@@ -8,13 +8,15 @@ import math
 import zipfile
 import zlib
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import lru_cache
 from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.lib import format as npy
 
+from cucumbervision.capture.urls import patiently
 from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
@@ -24,6 +26,7 @@ from cucumbervision.errors import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -43,6 +46,7 @@ __all__ = [
     "read_mask",
     "read_photo",
     "read_text",
+    "reading_once",
     "write_bytes",
     "write_jpeg",
     "write_png",
@@ -59,21 +63,43 @@ _JPEG = b"\xff\xd8"
 ModelT = TypeVar("ModelT")
 
 
+_held: ContextVar[dict[str, bytes] | None] = ContextVar("held", default=None)
+
+
+@contextmanager
+def reading_once() -> Iterator[None]:
+    """Hold every file that is read inside, so that reading it again costs nothing.
+
+    For what hashes a capture's files and then reads them: from a store on the network each would
+    come twice.
+    """
+    before = _held.set({})
+    try:
+        yield
+    finally:
+        _held.reset(before)
+
+
 def read_bytes(
     path: Path,
     error: type[CucumberVisionError] = CaptureError,
     remedy: str = "copy the capture again",
 ) -> bytes:
     """Read a file, or say in one line why not."""
+    held = _held.get()
+    if held is not None and str(path) in held:
+        return held[str(path)]
     data = None
     with (
         naming_os_errors("cannot be read", path, "check the path", error),
         suppress(FileNotFoundError),
     ):
-        data = path.read_bytes()
+        data = patiently(path, path.read_bytes)
     if not data:
         fault = "the file is missing" if data is None else "the file is empty"
         raise error(fault, source=path, remedy=remedy)
+    if held is not None:
+        held[str(path)] = data
     return data
 
 

@@ -12,8 +12,13 @@ from unicodedata import category
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from typing import TypeAlias
 
     from cucumbervision.capture.frames import Capture
+
+    Listed: TypeAlias = tuple[
+        str, int, Callable[[str], Capture], Path, Callable[[], Iterable[Path | bytes]] | None
+    ]
 
 __all__ = [
     "CaptureRef",
@@ -77,11 +82,19 @@ class CaptureRef:
     load : callable
         Reads the capture; raises a `CucumberVisionError` if this one is broken, which says
         nothing about the others.
+    at : str
+        Where it lies: the same for the same capture, however it was reached; empty where there is
+        no such place.
+    parts : callable, optional
+        Lists what it is read from, files and bytes, so that its content can be hashed without
+        reading pixels; None where only loading would tell.
     """
 
     name: str
     frame: int
     load: Callable[[], Capture]
+    at: str = ""
+    parts: Callable[[], Iterable[Path | bytes]] | None = None
 
 
 @dataclass(frozen=True)
@@ -116,9 +129,7 @@ class CaptureSource:
         return self.refs()
 
     @classmethod
-    def listed(
-        cls, path: Path, kind: str, parts: Iterable[tuple[str, int, Callable[[str], Capture]]]
-    ) -> CaptureSource:
+    def listed(cls, path: Path, kind: str, parts: Iterable[Listed]) -> CaptureSource:
         """Return the source of captures that are known beforehand.
 
         Parameters
@@ -127,20 +138,20 @@ class CaptureSource:
             What the user named.
         kind : str
             The reader.
-        parts : iterable of (str, int, callable)
-            Each capture's name, which is made fit and unique, its frame, and what reads it when
-            it is given that name.
+        parts : iterable of (str, int, callable, Path, callable)
+            Each capture's name, which is made fit and unique, its frame, what reads it when it is
+            given that name, where it lies, and what it is read from, as in `CaptureRef`.
 
         Examples
         --------
-        >>> parts = [("a b", 1, print), ("A_b", 2, print)]
+        >>> parts = [("a b", 1, print, "a b.npz", None), ("A_b", 2, print, "A_b.npz", None)]
         >>> [ref.name for ref in CaptureSource.listed("here", "native", parts)]
         ['a_b', 'A_b-2']
         """
         refs, taken = [], set[str]()
-        for text, frame, load in parts:
+        for text, frame, load, at, files in parts:
             name = unique_name(safe_name(text), taken)
-            refs.append(CaptureRef(name, frame, partial(load, name)))
+            refs.append(CaptureRef(name, frame, partial(load, name), str(at), files))
         return cls(path, kind, lambda: iter(refs), len(refs))
 
 

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
+import signal
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import islice
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
@@ -20,22 +24,21 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from cucumbervision.capture.readers import open_source
-from cucumbervision.intake.recordings import open_guarded
 from cucumbervision.measurement.result import LOWER_BOUND
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.pipeline.detect import detect_inputs
-from cucumbervision.pipeline.run import count_captures, measure_inputs
+from cucumbervision.pipeline.inputs import count_captures
+from cucumbervision.pipeline.run import measure_inputs
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from cucumbervision.accuracy import page
     from cucumbervision.pipeline.detect import DetectOptions, DetectResult
     from cucumbervision.pipeline.measurer import Failure
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.run import RunResult
+    from cucumbervision.pipeline.run import BatchOptions, RunResult
 
 __all__ = [
     "columns_table",
@@ -81,24 +84,46 @@ def print_table(console: Console, figures: page.Table) -> None:
         console.print(figures.comment, soft_wrap=True, markup=False, style="dim")
 
 
+@contextmanager
+def stopping_gently() -> Iterator[Callable[[], bool]]:
+    """Give what tells whether Ctrl-C was pressed; the second time it interrupts as ever."""
+    pressed = False
+
+    def press(*_: object) -> None:
+        nonlocal pressed
+        pressed = True
+        sys.stderr.write("\nending after what is being measured; Ctrl-C again ends at once\n")
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def measure_and_show(
     inputs: Sequence[Path],
     out: Path,
     options: MeasureOptions,
+    batch: BatchOptions,
     *,
     quiet: bool,
     as_json: bool,
-    guard: bool = False,
 ) -> int:
     """Measure, show progress and results, and return the exit code.
 
     Progress, notes and failures go to the standard error, results to the standard output.
     """
-    opener = open_guarded if guard else open_source
     errors = Console(stderr=True, quiet=quiet, highlight=False)
-    with progress_bar(errors) as bar:
-        task = bar.add_task("measuring", total=count_captures(inputs, options.reading, opener))
-        result = measure_inputs(inputs, out, options, lambda *_: bar.advance(task), opener)
+    total = count_captures(inputs, options.reading, batch.opener) if errors.is_terminal else None
+    with progress_bar(errors) as bar, stopping_gently() as stop:
+        task = bar.add_task("measuring", total=total)
+        batch = replace(batch, stop=stop)
+        result = measure_inputs(inputs, out, options, lambda _: bar.advance(task), batch)
+    for note in result.notes:
+        errors.print(note, markup=False, soft_wrap=True)
     if as_json:
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
     elif not quiet:
@@ -106,6 +131,8 @@ def measure_and_show(
         console.print(_results_table(result))
         console.print(f"{_closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
     show_failures(result.failures, result.out)
+    if result.interrupted:
+        errors.print("interrupted: the same command goes on where it stopped", soft_wrap=True)
     return result.exit_code
 
 
@@ -152,7 +179,8 @@ def progress_bar(console: Console) -> Progress:
 
 def _results_table(result: RunResult) -> Table:
     """Lay out the rows as a table; the methods that ran get a column each."""
-    ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in result.rows)]
+    rows = list(islice(result.each_row(), MOST_ROWS))
+    ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in rows)]
     table = Table(title="Measured fruit, lengths in cm", title_justify="left")
     for head in ("capture", "fruit"):
         table.add_column(head, overflow="fold")
@@ -163,10 +191,10 @@ def _results_table(result: RunResult) -> Table:
     for method in ran:
         table.add_column(method.upper(), justify="right")
     table.add_column("remarks", overflow="fold")
-    for row in result.rows[:MOST_ROWS]:
+    for row in rows:
         table.add_row(*_cells(row, ran))
-    if len(result.rows) > MOST_ROWS:
-        table.caption = f"and {len(result.rows) - MOST_ROWS} more in measurements.csv"
+    if result.summary.fruit > MOST_ROWS:
+        table.caption = f"and {result.summary.fruit - MOST_ROWS} more in measurements.csv"
     return table
 
 
@@ -205,14 +233,14 @@ def _number(value: float | None) -> str:
 
 def _closing_line(result: RunResult) -> str:
     """Return how much was measured, by whose masks, and whether drawn captures are among it."""
-    measured = sum(row["length_cm"] is not None for row in result.rows)
-    line = f"{measured} of {len(result.rows)} fruit measured in {result.captures} captures"
-    masks = Counter(str(row["mask_source"]) for row in result.rows if row["mask_source"])
+    summary = result.summary
+    line = f"{summary.measured} of {summary.fruit} fruit measured in {summary.captures} captures"
+    if result.before:
+        line = f"{line}, {result.before} of them by an earlier run"
+    masks = [(MaskSource(name).words, count) for name, count in summary.masks.items() if name]
     if masks:
-        by = ", ".join(f"{MaskSource(name).words} {count}" for name, count in masks.items())
-        line = f"{line}; masks by {by}"
-    drawn = any(row["simulated"] for row in result.rows)
-    return f"{line}; {SIMULATED}." if drawn else f"{line}."
+        line = f"{line}; masks by {', '.join(f'{words} {count}' for words, count in masks)}"
+    return f"{line}; {SIMULATED}." if summary.simulated else f"{line}."
 
 
 def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from cucumbervision.capture.urls import as_path
 from cucumbervision.cli.choices import (
     AsJson,
     Confidence,
@@ -24,7 +25,9 @@ Inputs = Annotated[
     list[Path],
     typer.Argument(
         metavar="INPUT...",
-        help="Capture folders, BOP scenes, colour + depth pairs, Viewer exports, .bag or .db3.",
+        parser=as_path,
+        help="Capture folders, BOP scenes, colour + depth pairs, Viewer exports, .bag or .db3; or "
+        "URLs of such (s3://…, https://…).",
     ),
 ]
 Instances = Annotated[
@@ -49,10 +52,42 @@ Guard = Annotated[
     ),
 ]
 
+Fresh = Annotated[
+    bool,
+    typer.Option(
+        "--fresh",
+        help="Measure everything anew; what the output folder holds is put aside in earlier/.",
+    ),
+]
+Parquet = Annotated[
+    bool, typer.Option("--parquet", help="Write the rows as Parquet, too, in parts (parquet/).")
+]
+
+EngineName = Annotated[
+    Literal["local", "ray"],
+    typer.Option(help="Where captures are measured: this machine, or a Ray cluster."),
+]
+Workers = Annotated[
+    int,
+    typer.Option(min=0, help="Processes that measure; by default 1, or with Ray one a CPU."),
+]
+Address = Annotated[
+    str, typer.Option(help="Address of the Ray cluster; without it one is started here.")
+]
+
 
 def measure(
     inputs: Inputs,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables and pictures.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="PLACE",
+            parser=as_path,
+            help="Folder or URL for tables and pictures.",
+        ),
+    ],
     instances: Instances = "auto",
     pose: Annotated[
         Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
@@ -87,14 +122,27 @@ def measure(
     runtime: Runtime = "auto",
     fast: Fast = False,
     guard: Guard = False,
+    workers: Workers = 0,
+    engine: EngineName = "local",
+    address: Address = "",
+    fresh: Fresh = False,
+    parquet: Parquet = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure every fruit of every capture, by M1 to M6, and choose the best for each."""
+    """Measure every fruit of every capture, by M1 to M6, and choose the best for each.
+
+    Started again with the same output folder, it goes on where it stopped: only what is missing
+    or what other options and networks touch is measured.
+    """
+    from cucumbervision.capture.readers import open_source
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import measure_and_show
+    from cucumbervision.intake.recordings import open_guarded
     from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.pipeline.engines import choose_engine
     from cucumbervision.pipeline.options import MeasureOptions, parse_methods
+    from cucumbervision.pipeline.run import BatchOptions
 
     options = MeasureOptions(
         instances=instances,
@@ -111,7 +159,10 @@ def measure(
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
     )
-    code = measure_and_show(inputs, out, options, quiet=quiet, as_json=as_json, guard=guard)
+    opener = open_guarded if guard else open_source
+    where = choose_engine(engine, workers, address)
+    batch = BatchOptions(fresh, parquet, opener=opener, engine=where)
+    code = measure_and_show(inputs, out, options, batch, quiet=quiet, as_json=as_json)
     raise typer.Exit(code)
 
 
@@ -130,9 +181,11 @@ def demo(
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.perception.registry import load_registry
     from cucumbervision.pipeline.finders import demo_options
+    from cucumbervision.pipeline.run import BatchOptions
 
     options, line = demo_options(load_registry())
     if not (quiet or as_json):
         typer.echo(line)
-    code = measure_and_show([bundled_captures()], out, options, quiet=quiet, as_json=as_json)
+    batch = BatchOptions()
+    code = measure_and_show([bundled_captures()], out, options, batch, quiet=quiet, as_json=as_json)
     raise typer.Exit(code)

@@ -147,8 +147,8 @@ def _add(
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures
+    from cucumbervision.pipeline.inputs import count_captures
     from cucumbervision.pipeline.measurer import exit_code
-    from cucumbervision.pipeline.run import count_captures
     from cucumbervision.rounds.adding import add_captures
 
     with progress_bar(Console(stderr=True, highlight=False)) as bar:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
+from cucumbervision.pipeline.parquet import arrow_schema, import_arrow
 from cucumbervision.pipeline.tables import HEAD_COLOR, CsvSink, cell_value, write_json
 
 if TYPE_CHECKING:
@@ -114,29 +114,12 @@ def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
     MissingExtraError
         If pyarrow is not installed.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ModuleNotFoundError:
-        raise MissingExtraError("pyarrow", "export") from None
-    kinds: dict[str, Any] = {
-        "text": pa.string(),
-        "whole": pa.int64(),
-        "number": pa.float64(),
-        "yes/no": pa.bool_(),
-    }
-    about = {"cucumbervision": json.dumps(dict(tables.provenance), ensure_ascii=False)}
+    pa = import_arrow()
     paths = []
     for table in tables.tables.values():
-        schema = pa.schema(
-            [
-                pa.field(c.name, kinds[c.type], metadata={"unit": c.unit, "says": c.says})
-                for c in table.columns
-            ],
-            metadata=about,
-        )
+        schema = arrow_schema(table.columns, tables.provenance)
         paths.append(out / f"{table.name}.parquet")
-        pq.write_table(pa.Table.from_pylist(table.records(), schema=schema), paths[-1])
+        pa.parquet.write_table(pa.Table.from_pylist(table.records(), schema=schema), paths[-1])
     return paths
 
 

@@ -264,7 +264,9 @@ def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> I
         played = play_apart(path, out, limits, burst=options.burst, name=name)
         if played.captures:
             for ref in open_source(out, replace(options, depth_unit_m=None)):
-                yield CaptureRef(ref.name, ref.frame, partial(_from, ref, path))
+                # Its files are gone when the iteration ends: only loading tells its content.
+                place = f"{path} frame {ref.frame}"
+                yield CaptureRef(ref.name, ref.frame, partial(_from, ref, path), place)
         for error in played.errors:
             # What came before a break is whole; the break itself is a capture that fails.
             yield CaptureRef(f"{name}_end", -1, partial(fail, error))

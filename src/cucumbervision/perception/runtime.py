@@ -29,6 +29,7 @@ __all__ = [
     "TensorInfo",
     "import_onnxruntime",
     "import_openvino",
+    "limit_threads",
     "open_network",
 ]
 
@@ -133,6 +134,15 @@ class Network:
         }
 
 
+_most_threads: int | None = None
+
+
+def limit_threads(threads: int | None) -> None:
+    """Let every network that this process loads from now on use so many threads at most."""
+    global _most_threads
+    _most_threads = threads
+
+
 def open_network(
     path: Path | str | bytes,
     runtime: str = "auto",
@@ -155,7 +165,7 @@ def open_network(
         Compute in float32 where results must reproduce; without it OpenVINO takes bfloat16 on
         CPUs that have it, and CUDA takes TF32.
     threads : int, optional
-        Most threads to use; the runtime's own choice if not given.
+        Most threads to use; what `limit_threads` says, or the runtime's own choice, if not given.
     name : str
         What errors call a network given as bytes.
 
@@ -171,6 +181,7 @@ def open_network(
         If 'openvino' is asked for and not installed.
     """
     source = (name or "network in memory") if isinstance(path, bytes) else str(path)
+    threads = threads or _most_threads
     if runtime not in RUNTIMES:
         raise ModelError(
             f"no runtime is called {runtime!r}", remedy=f"choose one of {', '.join(RUNTIMES)}"

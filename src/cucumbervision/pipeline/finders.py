@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -12,6 +13,7 @@ from cucumbervision.perception.instances import Instance, MaskSource, with_keypo
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.stages import Stage
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -40,11 +42,14 @@ class Found:
         Which of them reached beyond the picture and were cut to it.
     refused : tuple of CucumberVisionError
         What a file gave that is no fruit in this picture.
+    stages : tuple of str
+        What they went through, as `stages.py` names it.
     """
 
     instances: tuple[Instance, ...]
     clipped: frozenset[int] = frozenset()
     refused: tuple[CucumberVisionError, ...] = ()
+    stages: tuple[Stage, ...] = ()
 
 
 Find: TypeAlias = Callable[["Capture"], Found]
@@ -59,11 +64,14 @@ class Finder:
     find : callable
         Gives the fruit of a capture.
     models : list of dict
-        Name, SHA-256 and runtime of each network, for the provenance.
+        Name, SHA-256 and runtime of each network that was loaded so far, for the provenance.
+    by_stage : mapping of str to list of dict
+        The same by the stage that they work in.
     """
 
     find: Find
     models: list[dict[str, Any]]
+    by_stage: Mapping[Stage, list[dict[str, Any]]]
 
 
 def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Finder:
@@ -99,7 +107,8 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         full_precision=options.full_precision,
         input_sizes=options.input_sizes,
     )
-    boxes = _box_finder(options, networks)
+    by_stage: dict[Stage, list[dict[str, Any]]] = {}
+    boxes = _box_finder(options, _Staged(networks, by_stage))
     if options.segmenter not in (None, "none"):
         networks.verify(options.segmenter)
 
@@ -109,15 +118,61 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         # Masks that were given are used as they are unless a segmenter was asked for.
         drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
-            return replace(found, instances=place_keypoints(found.instances))
+            kept: tuple[Stage, ...] = (Stage.KEPT,) if found.instances else ()
+            return _placed(found, found.instances, kept)
         prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
-        masked = dict(
-            zip(drawn, networks.segmenter(name).segment(capture.color, prompts), strict=True)
-        )
-        instances = (masked.get(k, one) for k, one in enumerate(found.instances))
-        return replace(found, instances=place_keypoints(instances))
+        with _noting(networks, by_stage, Stage.DRAWN):
+            segmenter = networks.segmenter(name)
+        masked = dict(zip(drawn, segmenter.segment(capture.color, prompts), strict=True))
+        instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
+        kept = (Stage.KEPT,) if len(drawn) < len(instances) else ()
+        return _placed(found, instances, (*kept, Stage.DRAWN))
 
-    return Finder(find, networks.models)
+    return Finder(find, networks.models, by_stage)
+
+
+def _placed(found: Found, instances: tuple[Instance, ...], stages: tuple[Stage, ...]) -> Found:
+    """Return what was found with masks and keypoints as they are measured."""
+    return replace(found, instances=place_keypoints(instances), stages=found.stages + stages)
+
+
+@contextmanager
+def _noting(
+    networks: NetworkLoader, by_stage: dict[Stage, list[dict[str, Any]]], stage: Stage
+) -> Iterator[None]:
+    """Put the networks that are loaded inside under a stage."""
+    before = len(networks.models)
+    yield
+    by_stage.setdefault(stage, []).extend(networks.models[before:])
+
+
+class _Staged:
+    """Loads networks and notes the stage that each works in."""
+
+    def __init__(
+        self, networks: NetworkLoader, by_stage: dict[Stage, list[dict[str, Any]]]
+    ) -> None:
+        self._networks, self._by_stage = networks, by_stage
+
+    def pose(self, path: Path | None) -> YoloDetector | None:
+        """Load a user's own pose network, if one is named."""
+        if path is None:
+            return None
+        with _noting(self._networks, self._by_stage, Stage.POSED):
+            return self._networks.pose(path)
+
+    def detectors(
+        self,
+        file: Path | None = None,
+        pose: YoloDetector | Path | None = None,
+        *,
+        keypoints: bool = True,
+    ) -> Detectors:
+        """Load what finds fruit, beside a pose network that may be there already."""
+        with _noting(self._networks, self._by_stage, Stage.DETECTED):
+            detectors = self._networks.detectors(file, pose, keypoints=keypoints)
+        self._by_stage[Stage.DETECTED] += self._by_stage.get(Stage.POSED, [])
+        return detectors
 
 
 def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
@@ -179,7 +234,7 @@ def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
     return options, f"Fruit by {detector.name}{keypoints}, masks by mobile-sam."
 
 
-def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
+def _box_finder(options: MeasureOptions, networks: _Staged) -> Find:
     choice, path = options.instances, Path(options.instances)
     if choice == "models":
         return _network_finder(networks.detectors(pose=options.pose, keypoints=options.keypoints))
@@ -192,13 +247,13 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
     if choice == "auto":
         return _auto_finder(options, networks)
     given = _dataset_or_error if choice == "dataset" else _file_finder(path)
-    return _with_pose(given, networks.pose(options.pose) if options.pose else None)
+    return _with_pose(given, networks.pose(options.pose))
 
 
-def _auto_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
+def _auto_finder(options: MeasureOptions, networks: _Staged) -> Find:
     """Take a data set's masks where there are some, and load the networks where there are none."""
-    pose = networks.pose(options.pose) if options.pose else None
-    given = _with_pose(lambda capture: Found(dataset_instances(capture)), pose)
+    pose = networks.pose(options.pose)
+    given = _with_pose(_dataset, pose)
     loaded: list[Find] = []
 
     def find(capture: Capture) -> Found:
@@ -214,7 +269,9 @@ def _auto_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
 
 
 def _network_finder(detectors: Detectors) -> Find:
-    return lambda capture: Found(detectors.find(capture.color, capture.depth_m))
+    return lambda capture: Found(
+        detectors.find(capture.color, capture.depth_m), stages=(Stage.DETECTED,)
+    )
 
 
 def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
@@ -227,7 +284,8 @@ def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
         if not found.instances:
             return found
         poses = pose.detect(capture.color)
-        return replace(found, instances=with_keypoints(found.instances, poses))
+        instances = with_keypoints(found.instances, poses)
+        return replace(found, instances=instances, stages=(*found.stages, Stage.POSED))
 
     return find_with_keypoints
 
@@ -241,7 +299,7 @@ def _file_finder(path: Path) -> Find:
         names = (capture.name, capture.source)
         given = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
         cut = frozenset(k for k, clipped in enumerate(given.clipped) if clipped)
-        return Found(given.instances, cut, given.refused)
+        return Found(given.instances, cut, given.refused, (Stage.LISTED,))
 
     return find
 
@@ -253,4 +311,8 @@ def _dataset_or_error(capture: Capture) -> Found:
             source=capture.source or capture.name,
             remedy="put them into mask_visib/, or choose other --instances",
         )
-    return Found(dataset_instances(capture))
+    return _dataset(capture)
+
+
+def _dataset(capture: Capture) -> Found:
+    return Found(dataset_instances(capture), stages=(Stage.DATASET,))

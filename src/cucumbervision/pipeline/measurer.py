@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.finders import Finder, Found
+    from cucumbervision.pipeline.stages import Stage
 
 __all__ = [
     "Boundary",
@@ -158,12 +159,15 @@ class CaptureResult:
         Why nothing was measured, or what a file of instances gave that is no fruit here.
     error : CucumberVisionError, optional
         Why nothing was measured; None where the capture was measured, even without fruit.
+    stages : tuple of Stage
+        What the fruit went through.
     """
 
     capture: Capture
     fruit: tuple[FruitMeasurement, ...] = ()
     failures: tuple[Failure, ...] = ()
     error: CucumberVisionError | None = None
+    stages: tuple[Stage, ...] = ()
 
     @property
     def seen(self) -> tuple[SeenFruit, ...]:
@@ -216,6 +220,11 @@ class Measurer:
     def models(self) -> list[dict[str, Any]]:
         """Name, SHA-256 and runtime of each network that was loaded so far."""
         return [] if self._finder is None else self._finder.models
+
+    def models_of(self, stages: Iterable[Stage]) -> list[dict[str, Any]]:
+        """Return the networks that took part in some stages, as in `models`."""
+        by_stage = {} if self._finder is None else self._finder.by_stage
+        return [model for stage in stages for model in by_stage.get(stage, [])]
 
     def load(self) -> Finder:
         """Load what is needed, if it is not loaded already; SAM waits until it is asked for.
@@ -293,7 +302,7 @@ class Measurer:
         for number in found.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
-        return CaptureResult(capture, tuple(fruit), tuple(refused))
+        return CaptureResult(capture, tuple(fruit), tuple(refused), stages=found.stages)
 
     def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:
         """Measure one fruit of a capture whose depth is scaled already."""

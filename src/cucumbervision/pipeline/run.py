@@ -1,60 +1,64 @@
-"""Measure many captures: one after the other, each written before the next is read."""
+"""Measure many captures into a folder: each journalled when it is done, tables at the end."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import unique_name
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer, exit_code
-from cucumbervision.pipeline.tables import (
-    FAILURE_COLUMNS,
-    CsvSink,
-    capture_json,
-    provenance_of,
-    summary_lines,
-    write_json,
-    write_workbook,
-)
+from cucumbervision.capture.urls import as_path
+from cucumbervision.pipeline.engines import in_process
+from cucumbervision.pipeline.inputs import distinct, each_once, list_captures
+from cucumbervision.pipeline.journal import JOURNAL, Journal, Record
+from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
+from cucumbervision.pipeline.output import OutputFolder
+from cucumbervision.pipeline.parquet import import_arrow
+from cucumbervision.pipeline.reports import TABLES, rows_of, write_reports
+from cucumbervision.pipeline.stages import StageHashes
+from cucumbervision.pipeline.summary import Summary
+from cucumbervision.pipeline.tables import provenance_of
+from cucumbervision.pipeline.work import Outcome, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureSource, ReadOptions
+    from cucumbervision.pipeline.engines import Engine
     from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.inputs import Listed, Opener
     from cucumbervision.pipeline.options import MeasureOptions
 
-_log = logging.getLogger(__name__)
+__all__ = ["BatchOptions", "RunResult", "measure_inputs"]
 
-__all__ = [
-    "Folder",
-    "Overlays",
-    "RunResult",
-    "Sink",
-    "count_captures",
-    "measure_all",
-    "measure_inputs",
-    "read_captures",
-]
-
-Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]
-Report: TypeAlias = Callable[["CaptureResult | Failure"], None]
+Report: TypeAlias = Callable[[Outcome], None]
 
 
-class Sink(Protocol):
-    """Where results go: tables, pictures, a store."""
+@dataclass(frozen=True)
+class BatchOptions:
+    """How a run goes about it; none of it changes a row.
 
-    def add(self, result: CaptureResult) -> None:
-        """Take one capture; what it raises becomes a failure of that capture."""
+    Parameters
+    ----------
+    fresh : bool
+        Begin anew: what the folder holds is put aside in `earlier/`.
+    parquet : bool
+        Write `parquet/`, too: parts of 100,000 fruit.
+    stop : callable
+        Asked before each capture whether to end after those that are being measured.
+    opener : callable
+        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
+    engine : Engine
+        Where the work is done.
+    """
+
+    fresh: bool = False
+    parquet: bool = False
+    stop: Callable[[], bool] = lambda: False
+    opener: Opener = open_source
+    engine: Engine = in_process
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,252 +67,77 @@ class RunResult:
 
     Parameters
     ----------
-    rows : list of dict
-        One a fruit, as `fields.fruit_row` fills them.
     failures : list of Failure
         What could not be read, measured or written.
-    captures : int
-        How many captures were measured, those without fruit included.
+    summary : Summary
+        Counts and lengths.
+    before : int
+        How many captures an earlier run had measured.
+    notes : list of str
+        What else to know: inputs that were named twice, records that were damaged.
+    interrupted : bool
+        Whether it ended before all was measured.
     out : Path
         Where the files are.
+    records : callable
+        Begins anew with the captures' records, in order.
     """
 
-    rows: list[dict[str, Cell]] = field(default_factory=list)
-    failures: list[Failure] = field(default_factory=list)
-    captures: int = 0
-    out: Path = Path()
+    failures: list[Failure]
+    summary: Summary
+    before: int
+    notes: list[str]
+    interrupted: bool
+    out: Path
+    records: Callable[[], Iterator[Record]]
+
+    @property
+    def captures(self) -> int:
+        """How many captures were measured, now or before, those without fruit included."""
+        return self.summary.captures
+
+    @cached_property
+    def rows(self) -> list[dict[str, Cell]]:
+        """One row a fruit, as `fields.fruit_row` fills them; read from the journal when asked."""
+        return list(self.each_row())
+
+    def each_row(self) -> Iterator[dict[str, Cell]]:
+        """Yield the rows one after the other."""
+        return rows_of(self.records())
 
     @property
     def exit_code(self) -> int:
-        """What the command's exit code is: 0, 1, 2 or 70, as in `measurer.exit_code`."""
-        return exit_code(self.captures, self.failures)
-
-
-def read_captures(
-    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
-) -> Iterator[Capture | Failure]:
-    """Read the captures of all inputs, each when its turn comes.
-
-    Parameters
-    ----------
-    inputs : iterable of Path
-        Folders and files that `open_source` knows.
-    reading : ReadOptions
-        What is said of them.
-    opener : callable
-        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
-
-    Yields
-    ------
-    Capture or Failure
-        A capture, or why one or a whole input cannot be read.
-    """
-    for path in _once(inputs, say=True):
-        failures: list[Failure] = []
-        refs = None
-        with Boundary(failures, str(path)):
-            refs = iter(opener(path, reading))
-        while refs is not None:
-            ref = capture = None
-            with Boundary(failures, str(path)):
-                ref = next(refs, None)
-            if ref is None:  # the end, or the source itself broke: nothing more will come
-                break
-            with Boundary(failures, str(path), ref.name):
-                capture = ref.load()
-            yield from failures
-            failures.clear()
-            if capture is not None:
-                yield capture
-        yield from failures
-
-
-def _once(inputs: Iterable[Path], *, say: bool = False) -> Iterator[Path]:
-    """Yield each input once, by whatever way it is named; say which were left out."""
-    seen = set[Path]()
-    for path in inputs:
-        whole = path.absolute()
-        with suppress(OSError, RuntimeError):  # a loop of links is its reader's to name
-            whole = path.resolve()
-        if whole not in seen:
-            yield path
-        elif say:
-            _log.warning("%s is given twice: it is measured once", path)
-        seen.add(whole)
-
-
-def _named_apart(captures: Iterable[Capture | Failure]) -> Iterator[Capture | Failure]:
-    taken: set[str] = set()
-    for one in captures:
-        if isinstance(one, Failure):
-            yield one
-        else:
-            yield replace(one, name=unique_name(one.name, taken))
-
-
-def count_captures(
-    inputs: Sequence[Path], reading: ReadOptions, opener: Opener = open_source
-) -> int | None:
-    """Return how many captures the inputs hold; None where only reading them would tell."""
-    total = 0
-    for path in _once(inputs):
-        source = None
-        with Boundary([], str(path)):
-            source = opener(path, reading)
-        if source is not None and source.total is None:
-            return None
-        # The failure of one that cannot be opened is reported as one step.
-        total += 1 if source is None else source.total or 0
-    return total
-
-
-def measure_all(
-    captures: Iterable[Capture | Failure],
-    measurer: Measurer,
-    sinks: Sequence[Sink],
-    note: Callable[[Failure], None],
-    report: Report | None = None,
-) -> int:
-    """Measure captures into sinks; whatever goes wrong in one, the others go on.
-
-    Parameters
-    ----------
-    captures : iterable of Capture or Failure
-        As `read_captures` yields them.
-    measurer : Measurer
-        What measures.
-    sinks : sequence of Sink
-        Each gets every capture that was measured.
-    note : callable
-        Called with each failure.
-    report : callable, optional
-        Called after each capture, with its result or its failure; for progress bars.
-
-    Returns
-    -------
-    int
-        How many captures were measured and taken by the first sink.
-    """
-    measured = 0
-    for read in captures:
-        done = read if isinstance(read, Failure) else measurer.attempt(read)
-        failures = [done] if isinstance(done, Failure) else list(done.failures)
-        if isinstance(done, CaptureResult) and done.error is None:
-            name = done.capture.source, done.capture.name
-            for number, sink in enumerate(sinks):
-                before = len(failures)
-                with Boundary(failures, *name):
-                    sink.add(done)
-                measured += number == 0 and len(failures) == before
-        for failure in failures:
-            note(failure)
-        if report is not None:
-            report(done)
-    return measured
-
-
-class Folder:
-    """A folder of tables and pictures while it fills: the sink of `cucumbervision measure`.
-
-    Parameters
-    ----------
-    out : Path
-        Made where it is missing; its tables are written anew.
-
-    Raises
-    ------
-    CucumberVisionError
-        If it cannot be written.
-    """
-
-    def __init__(self, out: Path) -> None:
-        self.rows: list[dict[str, Cell]] = []
-        self.failures: list[Failure] = []
-        self._captures: list[dict[str, Any]] = []
-        self._out, self._started = out, datetime.now(UTC)
-        self._stack = ExitStack()
-        try:
-            (out / "overlays").mkdir(parents=True, exist_ok=True)
-            names = [one.name for one in FIELDS]
-            self._table = self._stack.enter_context(CsvSink(out / "measurements.csv", names))
-            failures = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
-            self._failures = self._stack.enter_context(failures)
-        except OSError as error:
-            self._stack.close()
-            raise CucumberVisionError(
-                f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-            ) from error
-
-    def add(self, result: CaptureResult) -> None:
-        """Append a capture's fruit to the tables."""
-        rows = result.rows()
-        self._table.write(*rows)
-        self.rows += rows
-        self._captures.append(capture_json(result, rows))
-
-    def note(self, failure: Failure) -> None:
-        """Append a line to `failures.csv`."""
-        self.failures.append(failure)
-        with suppress(OSError):  # a full disk: the failures are still shown at the end
-            self._failures.write(vars(failure))
-
-    def finish(self, measurer: Measurer) -> None:
-        """Write `measurements.json` and `measurements.xlsx` of the whole run."""
-        failures = self.failures
-        provenance = provenance_of(measurer, self._started)
-        failed = [vars(failure) for failure in failures]
-        report = {**provenance, "captures": self._captures, "failures": failed}
-        write_json(self._out / "measurements.json", report)
-        lines = summary_lines(self.rows, len(self._captures), failures, provenance)
-        write_workbook(self._out / "measurements.xlsx", self.rows, lines)
-
-    def close(self) -> None:
-        """Close the tables."""
-        self._stack.close()
-
-
-class Overlays:
-    """Annotated pictures in a folder, one PNG a capture."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def add(self, result: CaptureResult) -> None:
-        """Draw a capture's fruit and write the picture."""
-        import cv2
-
-        from cucumbervision.pipeline.overlay import draw_overlay
-
-        ok, data = cv2.imencode(".png", draw_overlay(result.capture, result.fruit)[..., ::-1])
-        if ok:
-            (self._folder / f"{result.capture.name}.png").write_bytes(data.tobytes())
+        """What the command's exit code is: 130 if interrupted, else as `measurer.exit_code`."""
+        return 130 if self.interrupted else exit_code(self.captures, self.failures)
 
 
 def measure_inputs(
-    inputs: Sequence[Path],
-    out: Path,
+    inputs: Sequence[Path | str],
+    out: Path | str,
     options: MeasureOptions,
     report: Report | None = None,
-    opener: Opener = open_source,
+    batch: BatchOptions | None = None,
 ) -> RunResult:
     """Measure every capture of every input into a folder.
 
     `out` gets `measurements.csv`, `measurements.xlsx`, `measurements.json`, `overlays/` with one
-    annotated PNG a capture, and `failures.csv`. Whatever goes wrong in one capture is noted and
-    the others go on.
+    annotated PNG a capture, `failures.csv`, and `journal/`. Whatever goes wrong in one capture is
+    noted and the others go on. What the journal has already, of the same content and by the same
+    options and networks, is not measured again.
 
     Parameters
     ----------
-    inputs : sequence of Path
-        Folders and files that `open_source` knows.
-    out : Path
-        Made where it is missing; its tables are written anew.
+    inputs : sequence of Path or str
+        Folders and files that `open_source` knows, or URLs of such.
+    out : Path or str
+        Folder or URL; made where it is missing. Its tables hold the captures of this run's
+        inputs, measured now or before.
     options : MeasureOptions
         The run's choices.
     report : callable, optional
-        Called after each capture with its result or failure; for progress bars.
-    opener : callable
-        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
+        Called after each capture with its outcome; for progress bars.
+    batch : BatchOptions, optional
+        How to go about it.
 
     Returns
     -------
@@ -317,18 +146,117 @@ def measure_inputs(
     Raises
     ------
     CucumberVisionError
-        If the run cannot start at all: `out` cannot be written, or a network or the calibration
-        cannot be loaded.
+        If the run cannot start at all: `out` cannot be written or another run writes into it, or
+        a network or the calibration cannot be loaded.
     """
-    measurer = Measurer(options)
-    measurer.load()
-    folder = Folder(out)
-    try:
-        captures = _named_apart(read_captures(inputs, options.reading, opener))
-        sinks = (folder, Overlays(out / "overlays"))
-        measured = measure_all(captures, measurer, sinks, folder.note, report)
-    finally:
-        folder.close()
-    with Boundary(folder.failures, str(out)):
-        folder.finish(measurer)
-    return RunResult(folder.rows, folder.failures, measured, out)
+    batch = batch or BatchOptions()
+    if batch.parquet:
+        import_arrow()
+    folder = OutputFolder(as_path(out))
+    with folder.alone(".lock"):
+        if batch.fresh:
+            folder.put_aside([JOURNAL, *TABLES, "overlays"])
+        with Journal(folder) as journal:
+            run = _Run(journal, folder, options, batch)
+            return run.measure([as_path(path) for path in inputs], report)
+
+
+@dataclass
+class _Run:
+    """One run while it goes."""
+
+    journal: Journal
+    out: OutputFolder
+    options: MeasureOptions
+    batch: BatchOptions
+    started: datetime = field(default_factory=lambda: datetime.now(UTC))
+    summary: Summary = field(default_factory=Summary)
+    failures: list[Failure] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    order: list[bytes] = field(default_factory=list)
+    before: int = 0
+    listed: int = 0
+    taken: int = 0
+
+    def measure(self, inputs: Sequence[Path], report: Report | None) -> RunResult:
+        if self.journal.damaged:
+            damaged = f"{self.journal.damaged} records of the journal are damaged"
+            self.notes.append(f"{self.out.path}: {damaged}; their captures are measured again")
+        site = self._site()
+        hashes = StageHashes(self.options)
+        listed = list_captures(
+            distinct(inputs, self.notes.append), self.options.reading, self.batch.opener
+        )
+        tasks = self._tasks(each_once(listed, self.notes.append), hashes)
+        for outcome in self.batch.engine(tasks, self.options, self.out, self.batch.stop):
+            done = self._take(outcome)
+            if report is not None:
+                report(done)
+        with Boundary(self.failures, str(self.out.path)):
+            self.journal.flush()
+        about = provenance_of(self.options, self.summary.models, site, self.started)
+        self.failures += write_reports(
+            self.out,
+            self._records,
+            self.summary,
+            self.failures,
+            about,
+            parquet=self.batch.parquet,
+        )
+        return RunResult(
+            self.failures,
+            self.summary,
+            self.before,
+            self.notes,
+            self.taken < self.listed,
+            self.out.path,
+            self._records,
+        )
+
+    def _site(self) -> Any:
+        if self.options.calibration is None:
+            return None
+        from cucumbervision.calibration.calibration_file import read_site_calibration
+
+        return read_site_calibration(self.options.calibration)
+
+    def _tasks(
+        self, listed: Iterable[Listed | Failure], hashes: StageHashes
+    ) -> Iterator[Task | Outcome]:
+        for one in listed:
+            self.listed += 1
+            if isinstance(one, Failure):
+                yield Outcome(one.input, failures=(one,))
+                continue
+            task = Task(one)
+            known = self.journal.find(task.place)
+            if known is not None and not (
+                known.picture and hashes.still_hold(known.stages, known.digest)
+            ):
+                known = None
+            if known is not None:
+                task = replace(task, known=known.content, trusted=self.batch.stop())
+            if known is not None or not self.batch.stop():
+                yield task
+
+    def _take(self, outcome: Outcome) -> Outcome:
+        """Journal what was measured, count it, and note what went wrong."""
+        self.taken += 1
+        record, failures = outcome.record, list(outcome.failures)
+        if outcome.before:
+            record = self.journal.find(outcome.place)
+            failures += record.failures if record is not None else ()
+            self.before += 1
+        elif record is not None:
+            before = len(failures)
+            with Boundary(failures, outcome.input, outcome.name):
+                self.journal.append(record)
+            record = record if len(failures) == before else None
+        if record is not None:
+            self.summary.add(record.rows, record.models)
+            self.order.append(bytes.fromhex(record.place))
+        self.failures += failures
+        return replace(outcome, record=record, failures=tuple(failures))
+
+    def _records(self) -> Iterator[Record]:
+        return self.journal.records(place.hex() for place in self.order)

@@ -1,4 +1,4 @@
-"""Tables of what was measured: CSV as it comes, Excel and JSON at the end."""
+"""Tables as files: CSV, JSON and Excel, each line written before the next is asked for."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import csv
 import io
 import json
 import platform
-from collections import Counter
 from contextlib import suppress
-from statistics import fmean, median, stdev
+from itertools import islice
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,33 +18,37 @@ from cucumbervision.capture.files import json_value
 from cucumbervision.pipeline.fields import FIELDS, defused
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from datetime import datetime
     from pathlib import Path
     from typing import Self
 
+    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.measurement.result import Measurement
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
+    from cucumbervision.pipeline.measurer import CaptureResult
+    from cucumbervision.pipeline.options import MeasureOptions
 
 __all__ = [
     "FAILURE_COLUMNS",
     "HEAD_COLOR",
+    "MOST_EXCEL_ROWS",
     "CsvSink",
     "capture_json",
     "cell_value",
     "provenance_of",
-    "summary_lines",
     "write_json",
     "write_workbook",
 ]
 
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
 HEAD_COLOR = "#2F6B3A"
+MOST_EXCEL_ROWS = 1_048_575
+"""Rows that a sheet of Excel takes below its head."""
 
 
 class CsvSink:
-    """A CSV file that grows, so that what was measured outlives a crash.
+    """A CSV file that grows by whole rows.
 
     Parameters
     ----------
@@ -102,7 +106,8 @@ class CsvSink:
 def _csv_lines(lines: Sequence[Sequence[Any]]) -> bytes:
     text = io.StringIO(newline="")
     csv.writer(text).writerows(lines)
-    return text.getvalue().encode()
+    # A file's name may hold bytes that are no text.
+    return text.getvalue().encode(errors="backslashreplace")
 
 
 def cell_value(value: Cell) -> str | int | float | None:
@@ -140,7 +145,7 @@ def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> d
         "source": capture.source,
         "simulated": capture.simulated,
         "intrinsics": {"stream": "", **json_value(vars(capture.intrinsics))},
-        "provenance": dict(capture.provenance),
+        "provenance": json_value(dict(capture.provenance)),
         "fill": round(capture.fill, 4),
         "fruit": [
             {**row, "methods": {str(m): _method_json(x) for m, x in one.measurements.items()}}
@@ -160,75 +165,29 @@ def _method_json(measurement: Measurement) -> dict[str, Any]:
     }
 
 
-def provenance_of(measurer: Measurer, started: datetime) -> dict[str, Any]:
+def provenance_of(
+    options: MeasureOptions,
+    models: Sequence[Mapping[str, Any]],
+    site: SiteCalibration | None,
+    started: datetime,
+) -> dict[str, Any]:
     """Return what a run was measured with: software, options, networks, calibration, versions."""
-    site = measurer.site
     return {
         **software(),
         "started": started.isoformat(timespec="seconds"),
-        "config": measurer.options.as_json(),
-        "config_sha256": measurer.options.sha256,
-        "models": measurer.models,
+        "config": options.as_json(),
+        "config_sha256": options.sha256,
+        "models": list(models),
         "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
         "versions": {"python": platform.python_version(), **installed_versions()},
     }
 
 
-def summary_lines(
-    rows: Sequence[Mapping[str, Any]],
-    captures: int,
-    failures: Sequence[Failure],
-    provenance: Mapping[str, Any],
-) -> list[tuple[str, Any]]:
-    """Return the summary of a run as lines of what and value, for the workbook's first sheet.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of all fruit.
-    captures : int
-        How many were measured.
-    failures : sequence of Failure
-        What was not.
-    provenance : mapping
-        As `provenance_of` returns it.
-    """
-    known = [float(row["length_cm"]) for row in rows if row["length_cm"] is not None]
-    lines: list[tuple[str, Any]] = [
-        ("Captures", captures),
-        ("Fruit", len(rows)),
-        ("Fruit measured", len(known)),
-        ("Inputs that could not be read", len(failures)),
-    ]
-    if any(row["simulated"] for row in rows):
-        lines.append(("Note", "simulated captures are among them: drawn, not taken"))
-    if known:
-        lines += [
-            ("Mean length [cm]", round(fmean(known), 2)),
-            ("Median length [cm]", round(median(known), 2)),
-            ("Shortest [cm]", round(min(known), 2)),
-            ("Longest [cm]", round(max(known), 2)),
-        ]
-    if len(known) > 1:
-        lines.append(("Standard deviation [cm]", round(stdev(known), 2)))
-    for what, column in (("method", "method"), ("source of the mask", "mask_source")):
-        counts = Counter(str(row[column] or "none") for row in rows)
-        lines += [(f"Fruit by {what} {name}", count) for name, count in sorted(counts.items())]
-    lines += [
-        ("Software", provenance["software"]),
-        ("Licence", provenance["licence"]),
-        ("Source", provenance["source"]),
-        ("Started (UTC)", provenance["started"]),
-        ("Configuration SHA-256", provenance["config_sha256"]),
-    ]
-    if provenance["calibration"]:
-        lines.append(("Calibration", provenance["calibration"]["tag"]))
-    lines += [(f"Model {m['name']}", f"{m['runtime']} {m['sha256']}") for m in provenance["models"]]
-    return lines
-
-
 def write_workbook(
-    path: Path, rows: Sequence[Mapping[str, Cell]], summary: Sequence[tuple[str, Any]]
+    path: Path,
+    rows: Iterable[Mapping[str, Cell]],
+    summary: Sequence[tuple[str, Any]],
+    most: int = MOST_EXCEL_ROWS,
 ) -> None:
     """Write the rows as an Excel file: the fruit, a summary, and what each column means.
 
@@ -236,16 +195,41 @@ def write_workbook(
     ----------
     path : Path
         The .xlsx file.
-    rows : sequence of mapping
-        As `fields.fruit_row` fills them.
+    rows : iterable of mapping
+        As `fields.fruit_row` fills them; each is written before the next is asked for.
     summary : sequence of (str, value)
         Lines of the summary sheet.
+    most : int
+        Rows that are written at most: a sheet of Excel ends there.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
     """
+    from xlsxwriter.exceptions import FileCreateError
+
+    path.touch()  # what cannot be written is known before the rows are
+    # Its sheets are files until it is closed; they go with the folder, whatever happens.
+    with TemporaryDirectory(prefix="cucumbervision-") as sheets:
+        try:
+            _write_book(path, islice(rows, most), summary, sheets)
+        except FileCreateError as error:
+            raise error.args[0] from None
+
+
+def _write_book(
+    path: Path,
+    rows: Iterable[Mapping[str, Cell]],
+    summary: Sequence[tuple[str, Any]],
+    sheets: str,
+) -> None:
     import xlsxwriter
 
     # Texts are written as texts, whatever they start with: never as formulas or links.
     safe = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
-    with xlsxwriter.Workbook(path, safe) as book:
+    how = {**safe, "constant_memory": True, "tmpdir": sheets}
+    with xlsxwriter.Workbook(path, how) as book:
         head = book.add_format({"bold": True, "font_color": "white", "bg_color": HEAD_COLOR})
         head.set_text_wrap()
         sheet = book.add_worksheet("Summary")
@@ -264,17 +248,20 @@ def write_workbook(
                 sheet.write_string(line, column, text)
 
 
-def _fruit_sheet(book: Any, rows: Sequence[Mapping[str, Cell]], head: Any) -> None:
+def _fruit_sheet(book: Any, rows: Iterable[Mapping[str, Cell]], head: Any) -> None:
+    # Line by line: what is written stays in no memory.
     sheet = book.add_worksheet("Fruit")
     two_digits = book.add_format({"num_format": "0.00"})
-    for index, one in enumerate(FIELDS):
-        sheet.write_string(0, index, one.title, head)
-        sheet.set_column(index, index, 12, two_digits if one.unit == "cm" else None)
-        for line, row in enumerate(rows, start=1):
-            _write(sheet, line, index, cell_value(row[one.name]))
     sheet.set_row(0, 32)
+    for index, one in enumerate(FIELDS):
+        sheet.set_column(index, index, 12, two_digits if one.unit == "cm" else None)
+        sheet.write_string(0, index, one.title, head)
+    line = 0
+    for line, row in enumerate(rows, start=1):
+        for index, one in enumerate(FIELDS):
+            _write(sheet, line, index, cell_value(row[one.name]))
     sheet.freeze_panes(1, 3)
-    sheet.autofilter(0, 0, max(len(rows), 1), len(FIELDS) - 1)
+    sheet.autofilter(0, 0, max(line, 1), len(FIELDS) - 1)
 
 
 def _write(sheet: Any, line: int, column: int, value: Any) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
+from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
-from cucumbervision.pipeline.run import read_captures
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,

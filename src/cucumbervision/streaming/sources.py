@@ -10,8 +10,8 @@ from cucumbervision.capture.camera import FolderCamera, captures_of
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, ReadOptions
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
+from cucumbervision.pipeline.inputs import read_captures
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.pipeline.run import read_captures
 from cucumbervision.streaming.newest import Arrival, in_order, newest_first, paced
 
 if TYPE_CHECKING:

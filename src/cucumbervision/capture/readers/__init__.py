@@ -15,6 +15,7 @@ from cucumbervision.capture.readers.pair import find_pairs, open_pair_file, open
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
+from cucumbervision.capture.urls import as_path, is_remote, patiently
 from cucumbervision.errors import CaptureError
 
 __all__ = ["RECORDING_SUFFIXES", "CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
@@ -28,33 +29,56 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     Parameters
     ----------
     path : Path or str
-        A native capture folder (`capture.json`) or a folder of them, a BOP scene
-        (`scene_camera.json`) or a folder of scenes, RealSense Viewer's exports
-        (`*_Depth.raw`), a folder of colour and depth pictures with matching names, one colour
-        picture with `options.depth`, an `.npz` with colour and depth, or a `.bag` or `.db3`
-        recording.
+        A path, or a URL that `capture.urls.as_path` knows: a native capture folder (`capture.json`)
+        or a folder of them, a BOP scene (`scene_camera.json`) or a folder of scenes, RealSense
+        Viewer's exports (`*_Depth.raw`), a folder of colour and depth pictures with matching names,
+        one colour picture with `options.depth`, an `.npz` with colour and depth, or, on this
+        machine, a `.bag` or `.db3` recording.
     options : ReadOptions, optional
         What the user says beyond the path.
 
     Returns
     -------
     CaptureSource
-        The captures, not read yet.
+        The captures, not read yet; after them, as captures that fail, the folders below the path
+        that may not be looked into.
 
     Raises
     ------
     CaptureError
         If the path is missing, holds nothing that a reader knows, or nothing of it can be read.
     """
-    path = Path(path)
+    path = as_path(path)
     options = options or ReadOptions()
+    source = patiently(path, lambda: _open_or_error(path, options))
+    if isinstance(source, CaptureError):
+        raise source
+    return source
+
+
+def _open_or_error(path: Path, options: ReadOptions) -> CaptureSource | CaptureError:
+    # What a reader refuses is an answer, which is not asked for again.
+    try:
+        return _open(path, options)
+    except CaptureError as error:
+        return error
+
+
+def _open(path: Path, options: ReadOptions) -> CaptureSource:
     if not path.exists():
         raise CaptureError("does not exist", source=path, remedy="check the path")
     if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
+        if is_remote(path):
+            raise CaptureError(
+                "a recording is played from a file of this machine alone",
+                source=path,
+                remedy="copy it here",
+            )
         return open_recording(path, options)
     if path.name == MANIFEST and path.is_file():
         return open_source(path.parent, options)
-    if path.is_file():
+    # On a web server a folder's list is a file, too.
+    if path.is_file() and (path.suffix or not is_remote(path)):
         return open_pair_file(path, options)
     closed: list[CaptureError] = []
     if folders := _folders_with(path, MANIFEST, closed):
@@ -90,6 +114,8 @@ def _folders_with(path: Path, name: str, closed: list[CaptureError] | None = Non
 
     if (path / name).is_file():
         return [path]
+    if is_remote(path):
+        return sorted(found.parent for found in path.rglob(name))
     found = []
     for folder, _, files in os.walk(path, onerror=note):
         if name in files:

@@ -5,6 +5,7 @@ The format is that of the BOP benchmark (Hodaň et al. 2018); `scene_gt.json` is
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,9 +32,10 @@ from cucumbervision.capture.source import CaptureSource, ReadOptions, fail, safe
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.source import Listed
 
 __all__ = ["SCENE_CAMERAS", "open_bop"]
 
@@ -73,7 +75,7 @@ def open_bop(path: Path, scenes: Sequence[Path], options: ReadOptions) -> Captur
 
 def _parts(
     path: Path, scene: Path, given: CameraFile | None, unit_m: float | None
-) -> Iterator[tuple[str, int, Callable[[str], Capture]]]:
+) -> Iterator[Listed]:
     prefix = safe_name("_".join((path.resolve().name, *scene.relative_to(path).parts)))
     files = {kind: _by_image(scene / kind) for kind in ("rgb", "depth", "mask_visib")}
     cameras, fault = dict[str, Any](), None
@@ -89,8 +91,25 @@ def _parts(
     # A mask or depth picture without its colour picture is a broken frame, not none.
     for image in sorted(set().union(*files.values())):
         own = {kind: found.get(image, []) for kind, found in files.items()}
-        load = partial(_load, scene, image, own, cameras, given, unit_m)
-        yield f"{prefix}_{image:06d}", image, partial(fail, fault) if fault else load
+        said = cameras.get(str(image))
+        load = partial(_load, scene, image, own, said, given, unit_m)
+        at, name = scene / f"rgb/{image:06d}", f"{prefix}_{image:06d}"
+        yield (
+            name,
+            image,
+            partial(fail, fault) if fault else load,
+            at,
+            partial(_read_from, own, said, given),
+        )
+
+
+def _read_from(
+    files: dict[str, list[Path]], camera: Any, given: CameraFile | None
+) -> list[Path | bytes]:
+    """Return what a frame is read from: of the scene's cameras its own alone."""
+    beside = [] if given is None else [given.path]
+    pictures = files["rgb"][:1] + files["depth"][:1] + files["mask_visib"]
+    return [json.dumps(camera).encode(), *pictures, *beside]
 
 
 def _by_image(folder: Path) -> dict[int, list[Path]]:
@@ -106,7 +125,7 @@ def _load(
     scene: Path,
     image: int,
     files: dict[str, list[Path]],
-    cameras: dict[str, Any],
+    said: Any,
     given: CameraFile | None,
     unit_m: float | None,
     name: str,
@@ -119,11 +138,10 @@ def _load(
                 remedy="copy the scene again",
             )
     camera_path = scene / SCENE_CAMERAS
-    if str(image) not in cameras:
+    if said is None:
         raise IntrinsicsError(
             f"has no entry for image {image}", source=camera_path, remedy="add its cam_K"
         )
-    said = cameras[str(image)]
     camera = parse_model(_FrameCamera, said, source=camera_path, error=IntrinsicsError)
     color_path, depth_path = files["rgb"][0], files["depth"][0]
     color, raw = read_color(color_path), read_depth(depth_path)

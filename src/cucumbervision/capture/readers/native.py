@@ -32,11 +32,12 @@ from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
 from cucumbervision.errors import CaptureError, as_errors_of, naming_os_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.source import Listed
 
 __all__ = [
     "FORMAT",
@@ -122,17 +123,24 @@ def open_native(path: Path, folders: Sequence[Path], options: ReadOptions) -> Ca
 
 def _parts(
     path: Path, folders: Sequence[Path], given: CameraFile | None, unit_m: float | None
-) -> Iterator[tuple[str, int, Callable[[str], Capture]]]:
+) -> Iterator[Listed]:
     for folder in folders:
         name = "_".join(folder.relative_to(path).parts or (path.resolve().name,))
         source = folder / MANIFEST
         try:
             manifest = parse_model(Manifest, read_json(source), source=source)
         except CaptureError as error:
-            yield name, 0, partial(fail, error)
+            yield name, 0, partial(fail, error), source, None
         else:
             load = partial(_load, folder, manifest, given, unit_m)
-            yield manifest.name or name, manifest.frame, load
+            files = partial(_files, folder, manifest, given)
+            yield manifest.name or name, manifest.frame, load, source, files
+
+
+def _files(folder: Path, manifest: Manifest, given: CameraFile | None) -> list[Path]:
+    pictures = [folder / name for frame in manifest.frames for name in (frame.color, frame.depth)]
+    beside = [] if given is None else [given.path]
+    return [folder / MANIFEST, *pictures, *sorted((folder / MASKS).glob("*.png")), *beside]
 
 
 def _load(

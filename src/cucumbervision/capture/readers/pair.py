@@ -136,10 +136,16 @@ def open_pairs(path: Path, pairs: Sequence[Pair], options: ReadOptions) -> Captu
     if given is None:
         raise no_intrinsics(path)
     parts = (
-        ((p.color or p.depth or path).stem, i, partial(_load_pair, p, i, given, options))
+        (at.stem, i, partial(_load_pair, p, i, given, options), at, partial(_files, p, given))
         for i, p in enumerate(pairs)
+        for at in (p.color or p.depth or path,)
     )
     return CaptureSource.listed(path, "pair", parts)
+
+
+def _files(pair: Pair, given: CameraFile | None) -> list[Path]:
+    files = (pair.color, pair.depth, None if given is None else given.path)
+    return [file for file in files if file is not None]
 
 
 def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
@@ -164,11 +170,12 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
     suffix, given = path.suffix.lower(), given_calibration(options)
     load: Callable[[str], Capture]
     if suffix == ".npz" and options.depth is None:
-        load = partial(_load_npz, path, given, options)
+        pair, load = Pair(path, None), partial(_load_npz, path, given, options)
     elif suffix in COLOR_SUFFIXES and options.depth is not None:
         if given is None:
             raise no_intrinsics(path)
-        load = partial(_load_pair, Pair(path, options.depth), 0, given, options)
+        pair = Pair(path, options.depth)
+        load = partial(_load_pair, pair, 0, given, options)
     else:
         raise CaptureError(
             "a colour picture alone has no distances"
@@ -177,7 +184,8 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
             source=path,
             remedy="name a colour picture with its depth picture, or a capture folder",
         )
-    return CaptureSource.listed(path, "pair", [(path.stem, 0, load)])
+    files = partial(_files, pair, given)
+    return CaptureSource.listed(path, "pair", [(path.stem, 0, load, path, files)])
 
 
 def _load_pair(

@@ -77,7 +77,7 @@ def _refs(
             any_frame, number = True, frames[0].number
             own, place = f"{name}_{number:06d}", f"{path} frame {number}"
             load = partial(burst_capture, frames, intrinsics, own, place=place, **about)
-            yield CaptureRef(own, number, load)
+            yield CaptureRef(own, number, load, place)
     if fault is None and not any_frame:
         fault = CaptureError(
             "has no frame with both colour and depth",

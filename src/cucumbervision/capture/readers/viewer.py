@@ -19,11 +19,12 @@ from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.source import Listed
 
 __all__ = ["find_snapshots", "open_viewer"]
 
@@ -86,17 +87,22 @@ def open_viewer(path: Path, bases: Sequence[Path], options: ReadOptions) -> Capt
     return CaptureSource.listed(path, "viewer", _parts(bases, given, options.depth_unit_m))
 
 
-def _parts(
-    bases: Sequence[Path], given: CameraFile, unit_m: float | None
-) -> Iterator[tuple[str, int, Callable[[str], Capture]]]:
+def _parts(bases: Sequence[Path], given: CameraFile, unit_m: float | None) -> Iterator[Listed]:
     for base in bases:
         try:
             _require_raw(base)
             table = _read_metadata(base.with_name(base.name + _TABLE), Stream.DEPTH)
         except CaptureError as error:
-            yield base.name, 0, partial(fail, error)
+            yield base.name, 0, partial(fail, error), base, partial(_files, base, given)
         else:
-            yield base.name, table.frame, partial(_load, base, table, given, unit_m)
+            load = partial(_load, base, table, given, unit_m)
+            yield base.name, table.frame, load, base, partial(_files, base, given)
+
+
+def _files(base: Path, given: CameraFile) -> list[Path]:
+    endings = (_COLOR, _RAW, _TABLE, _COLOR_TABLE)
+    own = (base.with_name(base.name + ending) for ending in endings)
+    return [*(file for file in own if file.is_file()), given.path]
 
 
 def _require_raw(base: Path) -> None:

@@ -1,0 +1,227 @@
+"""Where the work of many captures is done: in this process, or in several of this machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Protocol
+
+from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.perception.runtime import limit_threads
+from cucumbervision.pipeline.measurer import Failure
+from cucumbervision.pipeline.work import Outcome, ReadCapture, Task, Worker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.pipeline.output import OutputFolder
+
+__all__ = ["Engine", "Processes", "choose_engine", "cores", "in_process", "killed"]
+
+
+class Engine(Protocol):
+    """Does tasks and yields what became of each, in the tasks' order, as they are done."""
+
+    def __call__(
+        self,
+        tasks: Iterable[Task | Outcome],
+        options: MeasureOptions,
+        out: OutputFolder,
+        stop: Callable[[], bool],
+    ) -> Iterator[Outcome]:
+        """Do the tasks; an outcome among them is passed on in its turn.
+
+        Once `stop` says so, what is being measured is measured to its end, and no more is begun.
+        """
+
+
+def in_process(
+    tasks: Iterable[Task | Outcome],
+    options: MeasureOptions,
+    out: OutputFolder,
+    stop: Callable[[], bool],
+) -> Iterator[Outcome]:
+    """Do tasks one after the other in this process; the next is read while one is measured."""
+    worker = Worker(options, out)
+    waiting: deque[tuple[Task, Future[Outcome | ReadCapture]] | Outcome] = deque()
+
+    def first() -> Iterator[Outcome]:
+        one = waiting.popleft()
+        if isinstance(one, Outcome):
+            yield one
+        elif not stop() or one[0].trusted:
+            yield worker.measure(one[1].result())
+        elif dropped := one[0].dropped():
+            yield dropped
+
+    with ThreadPoolExecutor(1) as reader:
+        for task in tasks:
+            if isinstance(task, Outcome):
+                waiting.append(task)
+            else:
+                waiting.append((task, reader.submit(worker.read, task)))
+            if len(waiting) > 1:
+                yield from first()
+        while waiting:
+            yield from first()
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Does tasks in several processes of this machine; each loads the networks once.
+
+    Parameters
+    ----------
+    workers : int
+        How many; they share the machine's cores among them.
+    """
+
+    workers: int
+
+    def __call__(
+        self,
+        tasks: Iterable[Task | Outcome],
+        options: MeasureOptions,
+        out: OutputFolder,
+        stop: Callable[[], bool],
+    ) -> Iterator[Outcome]:
+        """Do the tasks: at most two a worker are begun or wait for their turn.
+
+        A process that is killed costs no row: what it had is done again in a process of its own,
+        and is a failure if that one is killed, too.
+        """
+        pool = _Pool(self.workers, options, out)
+        waiting: deque[tuple[Task, Future[Outcome]] | Outcome] = deque()
+
+        def first() -> Iterator[Outcome]:
+            one = waiting.popleft()
+            if isinstance(one, Outcome):
+                yield one
+            elif stop() and not one[0].trusted and one[1].cancel():
+                dropped = one[0].dropped()
+                yield from () if dropped is None else (dropped,)
+            else:
+                yield pool.result(*one)
+
+        try:
+            for task in tasks:
+                ready = task if isinstance(task, Outcome) else task.portable()
+                waiting.append(ready if isinstance(ready, Outcome) else (ready, pool.submit(ready)))
+                if len(waiting) > 2 * self.workers:
+                    yield from first()
+            while waiting:
+                yield from first()
+        finally:
+            pool.close()
+
+
+class _Pool:
+    """Processes with a worker each, made anew when one of them was killed."""
+
+    def __init__(self, workers: int, options: MeasureOptions, out: OutputFolder) -> None:
+        self._workers, self._options, self._out = workers, options, out
+        self._pool = self._new(workers)
+
+    def _new(self, workers: int) -> ProcessPoolExecutor:
+        # Forking a process that runs threads of OpenCV or a runtime may hang.
+        context = multiprocessing.get_context("spawn")
+        threads = max(1, cores() // self._workers)
+        settings = self._options, self._out, threads
+        return ProcessPoolExecutor(workers, context, _begin, settings)
+
+    def submit(self, task: Task) -> Future[Outcome]:
+        try:
+            return self._pool.submit(_do, task)
+        except BrokenProcessPool:
+            self.close()
+            self._pool = self._new(self._workers)
+            return self._pool.submit(_do, task)
+
+    def result(self, task: Task, future: Future[Outcome]) -> Outcome:
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            with self._new(1) as alone:
+                try:
+                    return alone.submit(_do, task).result()
+                except BrokenProcessPool:
+                    return killed(task)
+
+    def close(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def choose_engine(name: str, workers: int = 0, address: str = "") -> Engine:
+    """Return what the command's options ask for.
+
+    Parameters
+    ----------
+    name : str
+        'local' or 'ray'.
+    workers : int
+        Processes; 0 for one, or with Ray for one a CPU.
+    address : str
+        Of the Ray cluster; empty for one on this machine.
+
+    Raises
+    ------
+    CucumberVisionError
+        If an address is given without Ray.
+    """
+    if name == "ray":
+        from cucumbervision.pipeline.ray_engine import RayEngine
+
+        return RayEngine(address, workers)
+    if address:
+        raise CucumberVisionError(
+            "only a Ray cluster has an address", source="--address", remedy="add --engine ray"
+        )
+    return Processes(workers) if workers > 1 else in_process
+
+
+def killed(task: Task) -> Outcome:
+    """Return the outcome of a task whose process was killed twice."""
+    one = task.listed
+    error = CaptureError(
+        "the process that measured it was killed twice",
+        source=one.name,
+        remedy="look whether there is enough memory, or measure it alone",
+    )
+    return Outcome(
+        one.input, one.name, task.place, failures=(Failure.of(error, one.input, one.name),)
+    )
+
+
+_worker: list[Worker] = []  # this process's
+
+
+def _begin(options: MeasureOptions, out: OutputFolder, threads: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command ends its workers itself
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    limit_threads(threads)
+    _worker.append(Worker(options, out))
+
+
+def _do(task: Task) -> Outcome:
+    return _worker[0](task)
+
+
+def _end_with_parent() -> None:
+    """End this process when the command has been killed: nobody would fetch its results."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,182 @@
+"""What the inputs of a run hold: every capture once, in order, each under a name of its own."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import unique_name
+from cucumbervision.capture.urls import is_remote
+from cucumbervision.pipeline.measurer import Boundary, Failure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
+
+__all__ = [
+    "Listed",
+    "Opener",
+    "count_captures",
+    "distinct",
+    "each_once",
+    "list_captures",
+    "read_captures",
+]
+
+_log = logging.getLogger(__name__)
+
+Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A capture of an input, not read yet.
+
+    Parameters
+    ----------
+    input : str
+        What the user named.
+    ref : CaptureRef
+        The capture.
+    name : str
+        What tables and pictures call it: no two of a run are alike.
+    """
+
+    input: str
+    ref: CaptureRef
+    name: str
+
+
+def list_captures(
+    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
+) -> Iterator[Listed | Failure]:
+    """List the captures of all inputs, each input opened when its turn comes.
+
+    Parameters
+    ----------
+    inputs : iterable of Path
+        Folders and files that `open_source` knows.
+    reading : ReadOptions
+        What is said of them.
+    opener : callable
+        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
+
+    Yields
+    ------
+    Listed or Failure
+        A capture, or why one or a whole input cannot be listed.
+    """
+    for path in inputs:
+        failures: list[Failure] = []
+        refs = None
+        with Boundary(failures, str(path)):
+            refs = iter(opener(path, reading))
+        while refs is not None:
+            ref = None
+            with Boundary(failures, str(path)):
+                ref = next(refs, None)
+            if ref is None:  # the end, or the source itself broke: nothing more will come
+                break
+            yield Listed(str(path), ref, ref.name)
+        yield from failures
+
+
+def read_captures(
+    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
+) -> Iterator[Capture | Failure]:
+    """Read the captures of all inputs, each when its turn comes, and an input given twice once.
+
+    Parameters
+    ----------
+    inputs, reading, opener
+        As for `list_captures`.
+
+    Yields
+    ------
+    Capture or Failure
+        A capture, or why one or a whole input cannot be read.
+    """
+    for one in list_captures(distinct(inputs, _log.warning), reading, opener):
+        if isinstance(one, Failure):
+            yield one
+            continue
+        failures: list[Failure] = []
+        with Boundary(failures, one.input, one.name):
+            yield one.ref.load()
+        yield from failures
+
+
+def each_once(
+    listed: Iterable[Listed | Failure], say: Callable[[str], None]
+) -> Iterator[Listed | Failure]:
+    """Pass on every capture once, however often its place is named, under a name of its own.
+
+    A capture that cannot be read takes its name all the same, so that the others keep theirs when
+    it is repaired.
+
+    Parameters
+    ----------
+    listed : iterable of Listed or Failure
+        From `list_captures`.
+    say : callable
+        Told in a line, when an input is through, how many of its captures were named before.
+    """
+    names, places = set[str](), set[str]()
+    again, current = 0, ""
+    for one in listed:
+        if one.input != current:
+            _say_again(current, again, say)
+            again, current = 0, one.input
+        if isinstance(one, Failure):
+            yield one
+            continue
+        place = one.ref.at if "://" in one.ref.at else os.path.realpath(one.ref.at)
+        if one.ref.at and place in places:
+            again += 1
+            continue
+        places.add(place)
+        yield Listed(one.input, one.ref, unique_name(one.name, names))
+    _say_again(current, again, say)
+
+
+def _say_again(path: str, captures: int, say: Callable[[str], None]) -> None:
+    if captures:
+        what = "1 capture was" if captures == 1 else f"{captures} captures were"
+        say(f"{path}: {what} given before, and measured once")
+
+
+def distinct(inputs: Iterable[Path], say: Callable[[str], None]) -> list[Path]:
+    """Return the inputs without those that name the same place again; `say` is told of each."""
+    places: set[str] = set()
+    kept: list[Path] = []
+    for path in inputs:
+        place = str(path) if is_remote(path) else os.path.realpath(path)
+        if place in places:
+            say(f"{path} is given twice: it is measured once")
+        else:
+            places.add(place)
+            kept.append(path)
+    return kept
+
+
+def count_captures(
+    inputs: Sequence[Path], reading: ReadOptions, opener: Opener = open_source
+) -> int | None:
+    """Return how many captures the inputs hold; None where only reading them would tell."""
+    total = 0
+    for path in distinct(inputs, lambda _: None):
+        source = None
+        with Boundary([], str(path)):
+            source = opener(path, reading)
+        if source is not None and source.total is None:
+            return None
+        # The failure of one that cannot be opened is reported as one step.
+        total += 1 if source is None else source.total or 0
+    return total

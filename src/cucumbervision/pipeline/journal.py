@@ -1,0 +1,272 @@
+"""The journal of an output folder: one record a measured capture, added and never changed.
+
+A folder `journal/` of segments, each written by one run. A line is a checksum, the place of the
+capture and the record as JSON; the last whole line of a place is its record. What a killed program
+left half written is no line, and costs nothing but that capture's time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+import uuid
+import zlib
+from collections import OrderedDict
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from cucumbervision.capture.urls import patiently
+from cucumbervision.errors import naming_os_errors
+from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.measurer import Failure
+from cucumbervision.pipeline.output import sync_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from typing import Self
+
+    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.pipeline.output import OutputFolder
+
+__all__ = ["JOURNAL", "Journal", "Record", "place_of"]
+
+JOURNAL = "journal"
+
+_HEAD = b'{"format": "cucumbervision-journal", "version": 1}\n'
+_CHECK, _PLACE = 8, 32  # hexadecimal digits
+_START = _CHECK + 1 + _PLACE + 1
+
+# A store on the network takes whole objects: records wait for each other this long at most.
+_BATCH, _BATCH_S = 256, 30.0
+_SEGMENTS_HELD = 8
+
+
+def place_of(at: str, name: str) -> str:
+    """Return the key of a capture's place: where it was read from, and its name in the tables.
+
+    Examples
+    --------
+    >>> len(place_of("house/a/capture.json", "a"))
+    32
+    """
+    return hashlib.blake2b(json.dumps([at, name]).encode(), digest_size=_PLACE // 2).hexdigest()
+
+
+@dataclass(frozen=True)
+class Record:
+    """What is known of one measured capture.
+
+    Parameters
+    ----------
+    place : str
+        From `place_of`.
+    content : str
+        Hash of what it was read from.
+    stages : tuple of str
+        What its fruit went through, as `Stage` names it.
+    digest : str
+        Hash of the options and networks of those stages.
+    capture : dict
+        The capture as `measurements.json` has it, with its fruit.
+    failures : tuple of Failure
+        What was refused in it, or could not be written.
+    models : list of dict
+        The networks that took part.
+    picture : str, optional
+        Its annotated picture in the output folder; None where it could not be written, so that
+        the capture is not done.
+    """
+
+    place: str
+    content: str
+    stages: tuple[str, ...]
+    digest: str
+    capture: dict[str, Any]
+    failures: tuple[Failure, ...]
+    models: list[dict[str, Any]]
+    picture: str | None
+
+    @property
+    def rows(self) -> list[dict[str, Cell]]:
+        """The rows of the table of fruit."""
+        return [{one.name: fruit[one.name] for one in FIELDS} for fruit in self.capture["fruit"]]
+
+    def line(self) -> bytes:
+        """Return the record as a line of the journal."""
+        values = asdict(self)
+        del values["place"]
+        body = f"{self.place} {json.dumps(values, separators=(',', ':'))}".encode()
+        return b"%08x %b\n" % (zlib.crc32(body), body)
+
+    @classmethod
+    def from_line(cls, line: bytes) -> Record:
+        """Return the record of a line that `is_whole` has let pass."""
+        values = json.loads(line[_START:])
+        values["failures"] = tuple(Failure(**failure) for failure in values["failures"])
+        values["stages"] = tuple(values["stages"])
+        return cls(place=line[_CHECK + 1 : _START - 1].decode(), **values)
+
+
+def is_whole(line: bytes) -> bool:
+    """Return whether a line is a record, written to its end and not changed since."""
+    if len(line) <= _START or not line.endswith(b"\n") or line[_CHECK : _CHECK + 1] != b" ":
+        return False
+    return line[:_CHECK] == b"%08x" % zlib.crc32(line[_CHECK + 1 : -1])
+
+
+class Journal:
+    """The records of an output folder, by place.
+
+    Parameters
+    ----------
+    out : OutputFolder
+        Its segments lie in `journal/`; they are looked through once, and not held in memory.
+
+    Raises
+    ------
+    CucumberVisionError
+        If they cannot be read, or no new one be begun.
+    """
+
+    def __init__(self, out: OutputFolder) -> None:
+        self._out = out
+        self._folder = out.path / JOURNAL
+        self._index: dict[bytes, tuple[int, int, int]] = {}
+        self._held: OrderedDict[int, bytes] = OrderedDict()
+        self._waiting: list[Record] = []
+        self._since = time.monotonic()
+        self._file: BinaryIO | None = None
+        self._torn = False
+        self.damaged = 0
+        with naming_os_errors("cannot be read", self._folder, "check who may read it"):
+            there = self._folder.glob("*.jsonl") if self._folder.exists() else ()
+            self._segments = sorted(there, key=lambda path: path.name)
+            for number in range(len(self._segments)):
+                self._look_through(number)
+        last = self._segments[-1].name.split("-")[0] if self._segments else "0"
+        # The name tells the run too: on a network's store nothing keeps a second one out.
+        self._run = f"{int(last.removesuffix('.jsonl')) + 1:06d}-{uuid.uuid4().hex[:8]}"
+        self._number = 0
+        self._begin()
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def _look_through(self, number: int) -> None:
+        at = 0
+        with self._segments[number].open("rb") as file:
+            for line in file:
+                if is_whole(line):
+                    self._index[_key(line)] = number, at, len(line)
+                elif line.strip() and not line.startswith(b"{"):
+                    self.damaged += 1
+                at += len(line)
+
+    def _begin(self) -> None:
+        with naming_os_errors("cannot be written", self._out.path):
+            if self._out.is_remote:  # tells at once whether it can be written
+                self._out.write(f"{JOURNAL}/{self._run}-.jsonl", _HEAD)
+                return
+            self._folder.mkdir(parents=True, exist_ok=True)
+            path = self._folder / f"{self._run}.jsonl"
+            # Unbuffered: what a full disk refuses must not come back with the next record.
+            self._file = path.open("xb", buffering=0)
+            self._file.write(_HEAD)
+            os.fsync(self._file.fileno())
+            sync_folder(self._folder)
+        self._segments.append(path)
+
+    def find(self, place: str) -> Record | None:
+        """Return the record of a place, if there is one."""
+        if self._waiting:
+            self.flush()
+        where = self._index.get(bytes.fromhex(place))
+        if where is None:
+            return None
+        number, at, length = where
+        if self._out.is_remote:
+            return Record.from_line(self._segment(number)[at : at + length])
+        with self._segments[number].open("rb") as file:
+            file.seek(at)
+            return Record.from_line(file.read(length))
+
+    def _segment(self, number: int) -> bytes:
+        """Return a segment on a network's store, whole: most often the next record is in it."""
+        if number not in self._held:
+            segment = self._segments[number]
+            self._held[number] = patiently(segment, segment.read_bytes)
+            if len(self._held) > _SEGMENTS_HELD:
+                self._held.popitem(last=False)
+        self._held.move_to_end(number)
+        return self._held[number]
+
+    def records(self, places: Iterable[str]) -> Iterator[Record]:
+        """Yield the records of places that have one, in that order."""
+        for place in places:
+            record = self.find(place)
+            if record is not None:
+                yield record
+
+    def append(self, record: Record) -> None:
+        """Add a record: on this machine it is on disk when this returns.
+
+        On a store on the network it waits for others, for half a minute at most: a run that is
+        killed measures those again.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        if self._file is None:
+            self._waiting.append(record)
+            if len(self._waiting) >= _BATCH or time.monotonic() - self._since > _BATCH_S:
+                self.flush()
+            return
+        # What an earlier attempt left half written ends here, and is no record.
+        line = b"\n" * self._torn + record.line()
+        self._torn = True
+        rest, at = memoryview(line), self._file.tell()
+        while rest:
+            rest = rest[self._file.write(rest) or 0 :]
+        os.fsync(self._file.fileno())
+        self._torn = False
+        at += len(line) - len(record.line())
+        self._index[bytes.fromhex(record.place)] = len(self._segments) - 1, at, len(record.line())
+
+    def flush(self) -> None:
+        """Send what waits.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written; it waits on.
+        """
+        if not self._waiting:
+            return
+        lines = [record.line() for record in self._waiting]
+        name = f"{self._run}-{self._number:06d}.jsonl"
+        self._out.write(f"{JOURNAL}/{name}", _HEAD + b"".join(lines))
+        self._segments.append(self._folder / name)
+        at = len(_HEAD)
+        for line in lines:
+            self._index[_key(line)] = len(self._segments) - 1, at, len(line)
+            at += len(line)
+        self._waiting, self._since, self._number = [], time.monotonic(), self._number + 1
+
+    def close(self) -> None:
+        """End this run's segment; records can still be read."""
+        if self._file is not None:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _key(line: bytes) -> bytes:
+    return bytes.fromhex(line[_CHECK + 1 : _START - 1].decode())

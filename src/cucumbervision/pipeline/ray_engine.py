@@ -1,0 +1,154 @@
+"""The work of many captures on a cluster, by Ray Data; needs the extra 'cluster'."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.perception.runtime import limit_threads
+from cucumbervision.pipeline.work import Outcome, Task, Worker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.pipeline.output import OutputFolder
+
+__all__ = ["RayEngine"]
+
+MEASURING = 0.75
+"""Share of the CPUs that the measuring actors claim together: actors that claim every core starve
+the readers, and the run hangs."""
+
+READING = 0.25  # of a CPU, a reading task
+
+
+@dataclass(frozen=True)
+class RayEngine:
+    """Does tasks on a Ray cluster: tasks read captures, actors with the networks measure them.
+
+    Parameters
+    ----------
+    address : str
+        Of the cluster, as `ray.init` takes it; empty for one that is started on this machine and
+        ends with the run.
+    workers : int
+        Measuring actors; 0 for one a CPU.
+    """
+
+    address: str = ""
+    workers: int = 0
+
+    def __call__(
+        self,
+        tasks: Iterable[Task | Outcome],
+        options: MeasureOptions,
+        out: OutputFolder,
+        stop: Callable[[], bool],
+    ) -> Iterator[Outcome]:
+        """Do the tasks; Ray Data bounds what is in memory between reading and measuring.
+
+        Raises
+        ------
+        MissingExtraError
+            If Ray is not installed.
+        CucumberVisionError
+            If the cluster cannot be reached, or nothing can be measured at all.
+        """
+        ray = _import_ray()
+        listed = list(tasks)
+        if not any(isinstance(one, Task) for one in listed):
+            yield from (one for one in listed if isinstance(one, Outcome))
+            return
+        self._connect(ray)
+        try:
+            dataset = self._dataset(ray, listed, options, out)
+            done = 0
+            for row in dataset.iter_rows():
+                outcome = pickle.loads(row["done"])
+                if isinstance(outcome, CucumberVisionError):
+                    raise outcome
+                done += 1
+                yield outcome
+                if stop():
+                    break
+        finally:
+            ray.shutdown()
+        for one in listed[done:]:
+            left = one if isinstance(one, Outcome) else one.dropped()
+            if left is not None:
+                yield left
+
+    def _connect(self, ray: Any) -> None:
+        try:
+            # A cluster of its own needs no page and writes no lines of its own.
+            own = {} if self.address else {"include_dashboard": False, "num_cpus": None}
+            ray.init(self.address or "local", log_to_driver=False, logging_level="error", **own)
+        except Exception as error:  # Ray's own have no family
+            raise CucumberVisionError(
+                f"no Ray cluster can be reached ({error})",
+                source=self.address or "ray",
+                remedy="check --address, or leave it out for this machine alone",
+            ) from None
+
+    def _dataset(
+        self, ray: Any, listed: list[Task | Outcome], options: MeasureOptions, out: OutputFolder
+    ) -> Any:
+        there = ray.cluster_resources()
+        cpus, gpus = float(there.get("CPU", 1)), float(there.get("GPU", 0))
+        workers = self.workers or max(1, int(cpus))
+        share = MEASURING * cpus / workers
+        context = ray.data.DataContext.get_current()
+        context.execution_options.preserve_order = True
+        context.enable_progress_bars = False
+        items = [
+            {"task": pickle.dumps(one if isinstance(one, Outcome) else one.portable())}
+            for one in listed
+        ]
+        dataset = ray.data.from_items(items, override_num_blocks=len(items))
+        dataset = dataset.map(_Reading(options, out), num_cpus=READING)
+        return dataset.map(
+            _Measuring,
+            fn_constructor_args=(options, out, max(1, int(share))),
+            concurrency=workers,
+            num_cpus=share,
+            num_gpus=gpus / workers if options.runtime in ("cuda", "tensorrt") else 0,
+        )
+
+
+class _Reading:
+    """Reads a capture: a task of its own for Ray, which needs no network."""
+
+    def __init__(self, options: MeasureOptions, out: OutputFolder) -> None:
+        self._worker = Worker(options, out)
+
+    def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
+        task = pickle.loads(row["task"])
+        return {"read": pickle.dumps(self._worker.read(task) if isinstance(task, Task) else task)}
+
+
+class _Measuring:
+    """Measures captures in an actor, whose networks are loaded once."""
+
+    def __init__(self, options: MeasureOptions, out: OutputFolder, threads: int) -> None:
+        limit_threads(threads)
+        self._worker = Worker(options, out)
+
+    def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
+        try:
+            return {"done": pickle.dumps(self._worker.measure(pickle.loads(row["read"])))}
+        except CucumberVisionError as error:  # nothing can be measured at all
+            return {"done": pickle.dumps(error)}
+
+
+def _import_ray() -> Any:
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+        import ray.data
+    except ModuleNotFoundError:
+        raise MissingExtraError("ray", "cluster") from None
+    return ray

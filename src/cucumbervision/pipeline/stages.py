@@ -1,0 +1,152 @@
+"""What a capture's rows depend on besides its own files, as hashes of the stages it went through.
+
+A change of options or networks then touches the captures that they had a part in, and no others:
+a data set's own masks are not measured again because there is a new detector.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision._version import __version__
+from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.perception.registry import file_sha256, load_registry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from cucumbervision.perception.registry import Registry
+    from cucumbervision.pipeline.options import MeasureOptions
+
+__all__ = ["Stage", "StageHashes"]
+
+
+class Stage(StrEnum):
+    """What the fruit of a capture went through before they were measured."""
+
+    DATASET = "dataset"
+    """Taken from the data set's own masks."""
+    LISTED = "listed"
+    """Taken from a user's file of boxes or masks."""
+    DETECTED = "detected"
+    """Found by networks."""
+    POSED = "posed"
+    """Given keypoints by the user's own pose network."""
+    KEPT = "kept"
+    """Masks were there, or none were wanted."""
+    DRAWN = "drawn"
+    """Masks by SAM."""
+
+
+class StageHashes:
+    """The hashes of one run's options and networks, by stage; each file is hashed once.
+
+    Parameters
+    ----------
+    options : MeasureOptions
+        The run's choices.
+    registry : Registry, optional
+        Where networks with a name lie; the package's own if not given.
+
+    Examples
+    --------
+    >>> from cucumbervision.pipeline.options import MeasureOptions
+    >>> by_mask = (Stage.DATASET, Stage.KEPT)
+    >>> hashes, unsure = (StageHashes(MeasureOptions(confidence=c)) for c in (0.3, 0.1))
+    >>> hashes.of(by_mask) == unsure.of(by_mask)
+    True
+    >>> hashes.of([Stage.DETECTED]) == unsure.of([Stage.DETECTED])
+    False
+    """
+
+    def __init__(self, options: MeasureOptions, registry: Registry | None = None) -> None:
+        self._options, self._registry = options, registry or load_registry()
+        self._known: dict[str, Any] = {}
+
+    @cached_property
+    def sources(self) -> frozenset[Stage]:
+        """The stages that fruit may come from, as the options are."""
+        choice = self._options.instances
+        if choice == "auto":
+            return frozenset({Stage.DATASET, Stage.DETECTED})
+        if choice == "models" or Path(choice).suffix.lower() == ".onnx":
+            return frozenset({Stage.DETECTED})
+        return frozenset({Stage.DATASET if choice == "dataset" else Stage.LISTED})
+
+    def of(self, stages: Iterable[Stage | str]) -> str:
+        """Return the hash of all that rows which went through these stages depend on.
+
+        Raises
+        ------
+        CucumberVisionError
+            If a file that the options name cannot be read.
+        """
+        names = [Stage(stage) for stage in stages]
+        key = " ".join(names)
+        if key not in self._known:
+            said = [self._always, *(self._of_stage(name) for name in names)]
+            text = json.dumps([key, said], sort_keys=True)
+            self._known[key] = hashlib.sha256(text.encode()).hexdigest()
+        found: str = self._known[key]
+        return found
+
+    def still_hold(self, stages: Iterable[Stage | str], digest: str) -> bool:
+        """Return whether what was measured through these stages would be measured so again."""
+        names = [Stage(stage) for stage in stages]
+        return bool(names) and names[0] in self.sources and self.of(names) == digest
+
+    @cached_property
+    def _always(self) -> Any:
+        options = self._options
+        site = options.calibration and _path_sha256(options.calibration)
+        how = [list(options.methods), str(options.selector), str(options.length)]
+        return [__version__, how, site, options.reading.depth_unit_m]
+
+    def _of_stage(self, stage: Stage) -> Any:
+        options = self._options
+        computing = [options.runtime, options.full_precision]
+        if stage is Stage.DETECTED:
+            seeing = [options.confidence, list(options.input_sizes)]
+            return [self._detectors(), seeing, computing]
+        if stage is Stage.POSED:
+            posed = [options.pose and _path_sha256(options.pose), self._named("ends")]
+            return [posed, options.confidence, list(options.input_sizes), computing]
+        if stage is Stage.DRAWN:
+            return [self._hashes(options.segmenter or "mobile-sam"), options.prompt, computing]
+        if stage is Stage.KEPT:
+            return options.segmenter
+        return _path_sha256(Path(options.instances)) if stage is Stage.LISTED else None
+
+    def _detectors(self) -> Any:
+        options = self._options
+        own = options.instances not in ("auto", "models")
+        detector = _path_sha256(Path(options.instances)) if own else self._named("segment")
+        posing = None if own or not options.keypoints else self._named("pose")
+        posing = _path_sha256(options.pose) if options.pose else posing
+        return [detector, posing, self._named("ends")]
+
+    def _named(self, task: str) -> Any:
+        model = self._registry.default(task)
+        return model and self._hashes(model.name)
+
+    def _hashes(self, name: str) -> Any:
+        try:
+            return self._registry.hashes(name)
+        except ModelError as error:  # it is not here: measuring will say so
+            return str(error)
+
+
+def _path_sha256(path: Path) -> str:
+    """Hash a file, or all files of a folder with their names."""
+    if not path.exists():
+        raise CucumberVisionError("no such file", source=path, remedy="check the run's options")
+    if path.is_file():
+        return file_sha256(path)
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    named = [[file.relative_to(path).as_posix(), file_sha256(file)] for file in files]
+    return hashlib.sha256(json.dumps(named).encode()).hexdigest()

@@ -1,0 +1,119 @@
+"""What a run comes to: counted while it goes, told on screen, in the workbook and in the JSON."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from dataclasses import dataclass, field
+from statistics import fmean, median, stdev
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from cucumbervision.pipeline.fields import Cell
+
+__all__ = ["Summary"]
+
+
+@dataclass
+class Summary:
+    """Counts and lengths of a run; eight bytes a fruit, whatever its rows take.
+
+    Parameters
+    ----------
+    captures, fruit : int
+        How many were measured, fruit that got no length included.
+    lengths_cm : array of float
+        Of the fruit that got one.
+    methods, masks : Counter
+        Fruit by the method that was chosen, and by who drew the mask; '' for none.
+    simulated : bool
+        Whether drawn captures are among them.
+    models : list of dict
+        The networks that took part, each once.
+
+    Examples
+    --------
+    >>> cells = {"length_cm": 12.5, "method": "M6", "mask_source": None, "simulated": False}
+    >>> summary = Summary()
+    >>> summary.add([cells, cells | {"length_cm": None, "method": None}])
+    >>> summary.captures, summary.fruit, summary.measured, summary.methods
+    (1, 2, 1, Counter({'M6': 1, '': 1}))
+    """
+
+    captures: int = 0
+    fruit: int = 0
+    lengths_cm: array[float] = field(default_factory=lambda: array("d"))
+    methods: Counter[str] = field(default_factory=Counter)
+    masks: Counter[str] = field(default_factory=Counter)
+    simulated: bool = False
+    models: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def measured(self) -> int:
+        """How many fruit got a length."""
+        return len(self.lengths_cm)
+
+    def add(
+        self, rows: Iterable[Mapping[str, Cell]], models: Iterable[dict[str, Any]] = ()
+    ) -> None:
+        """Count a capture."""
+        self.captures += 1
+        for row in rows:
+            self.fruit += 1
+            if row["length_cm"] is not None:
+                self.lengths_cm.append(float(row["length_cm"]))
+            self.methods[str(row["method"] or "")] += 1
+            self.masks[str(row["mask_source"] or "")] += 1
+            self.simulated = self.simulated or bool(row["simulated"])
+        self.models += [model for model in models if model not in self.models]
+
+    def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:
+        """Return lines of what and value, for the workbook's first sheet.
+
+        Parameters
+        ----------
+        failures : int
+            How much could not be read, measured or written.
+        provenance : mapping
+            As `tables.provenance_of` returns it.
+        """
+        lines: list[tuple[str, Any]] = [
+            ("Captures", self.captures),
+            ("Fruit", self.fruit),
+            ("Fruit measured", self.measured),
+            ("Inputs that could not be read", failures),
+        ]
+        if self.simulated:
+            lines.append(("Note", "simulated captures are among them: drawn, not taken"))
+        lines += self._statistics()
+        for what, counts in (("method", self.methods), ("source of the mask", self.masks)):
+            named = sorted((name or "none", count) for name, count in counts.items())
+            lines += [(f"Fruit by {what} {name}", count) for name, count in named]
+        lines += [
+            ("Software", provenance["software"]),
+            ("Licence", provenance["licence"]),
+            ("Source", provenance["source"]),
+            ("Started (UTC)", provenance["started"]),
+            ("Configuration SHA-256", provenance["config_sha256"]),
+        ]
+        if provenance["calibration"]:
+            lines.append(("Calibration", provenance["calibration"]["tag"]))
+        return lines + [
+            (f"Model {m['name']}", f"{m['runtime']} {m['sha256']}") for m in self.models
+        ]
+
+    def _statistics(self) -> list[tuple[str, Any]]:
+        known = self.lengths_cm
+        if not known:
+            return []
+        lines = [
+            ("Mean length [cm]", round(fmean(known), 2)),
+            ("Median length [cm]", round(median(known), 2)),
+            ("Shortest [cm]", round(min(known), 2)),
+            ("Longest [cm]", round(max(known), 2)),
+        ]
+        if len(known) > 1:
+            lines.append(("Standard deviation [cm]", round(stdev(known), 2)))
+        return lines

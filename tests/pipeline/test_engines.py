@@ -1,0 +1,105 @@
+"""Rows are the same wherever captures are measured, and a process that dies costs none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import (
+    CaptureRef,
+    CaptureSource,
+    ReadOptions,
+    bundled_captures,
+)
+from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.engines import Processes, choose_engine, in_process
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import BatchOptions, measure_inputs
+
+OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1, Method.M3))
+
+
+def test_two_processes_give_the_rows_of_one_and_recordings_are_read_in_the_parent(
+    tmp_path: Path,
+) -> None:
+    here = os.getpid()
+
+    def opener(path: Path, options: ReadOptions) -> CaptureSource:
+        """The bundled captures, the second as a recording's: known by loading it alone."""
+        first, second, third = open_source(path, options)
+
+        def load() -> Capture:
+            assert os.getpid() == here
+            return second.load()
+
+        played = replace(second, parts=None, load=load)
+        refs = [first, played, third, CaptureRef("end", -1, _raise, "end")]
+        return CaptureSource(path, "test", lambda: iter(refs), len(refs))
+
+    tables: list[list[bytes]] = []
+    for engine in (in_process, Processes(2)):
+        out = tmp_path / f"out{len(tables)}"
+        batch = BatchOptions(opener=opener, engine=engine)
+        result = measure_inputs([bundled_captures()], out, OPTIONS, batch=batch)
+        assert (result.captures, result.exit_code) == (3, 1)
+        tables.append([(out / f"{n}.csv").read_bytes() for n in ("measurements", "failures")])
+    assert tables[0] == tables[1]
+
+
+def _raise() -> Capture:
+    raise CaptureError("stopped in the middle", source="recording")
+
+
+def killing(path: Path, once: Path) -> Capture:
+    """Kill the process that reads it, the first time or always."""
+    if not once.exists():
+        if once.parent.exists():
+            once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return next(iter(open_source(path))).load()
+
+
+@pytest.mark.parametrize("always", [False, True])
+def test_a_worker_that_is_killed_costs_at_most_its_own_capture(
+    tmp_path: Path, always: bool
+) -> None:
+    house = Path(shutil.copytree(bundled_captures(), tmp_path / "house"))
+    once = tmp_path / ("nowhere" if always else "house") / "once"
+
+    def opener(path: Path, options: ReadOptions) -> CaptureSource:
+        def refs() -> Iterator[CaptureRef]:
+            first, *others = open_source(path, options)
+            yield replace(first, load=Killing(house / first.name, once))
+            yield from others
+
+        return CaptureSource(path, "test", refs, 3)
+
+    batch = BatchOptions(opener=opener, engine=Processes(2))
+    result = measure_inputs([house], tmp_path / "out", OPTIONS, batch=batch)
+    assert (result.captures, result.exit_code) == ((2, 1) if always else (3, 0))
+    assert [failure.capture for failure in result.failures] == ["simulated-bench"] * always
+    assert all("was killed twice" in failure.message for failure in result.failures)
+
+
+class Killing:
+    """A loader that can be sent to another process."""
+
+    def __init__(self, path: Path, once: Path) -> None:
+        self._path, self._once = path, once
+
+    def __call__(self) -> Capture:
+        return killing(self._path, self._once)
+
+
+def test_an_address_without_ray_is_refused() -> None:
+    with pytest.raises(CucumberVisionError, match="--engine ray"):
+        choose_engine("local", 2, "ray://house:10001")

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.engines import choose_engine
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import BatchOptions, measure_inputs
+
+pytest.importorskip("ray")
+
+OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
+# Ray's own threads and sockets are still open when its cluster has ended.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def test_rows_are_those_of_one_process_in_the_same_order(tmp_path: Path) -> None:
+    inputs = [bundled_captures(), tmp_path / "missing"]
+    engine = choose_engine("ray", 1)
+    tables: list[list[bytes]] = []
+    for batch in (BatchOptions(), BatchOptions(engine=engine)):
+        out = tmp_path / f"out{len(tables)}"
+        result = measure_inputs(inputs, out, OPTIONS, batch=batch)
+        assert (result.captures, result.exit_code) == (3, 1)
+        tables.append([(out / f"{n}.csv").read_bytes() for n in ("measurements", "failures")])
+    assert tables[0] == tables[1]
+    again = measure_inputs(inputs, out, OPTIONS, batch=BatchOptions(engine=engine))
+    assert again.before == 3
+
+
+def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
+    options = MeasureOptions(instances="models", segmenter="none", pose=tmp_path / "no.onnx")
+    with pytest.raises(CucumberVisionError, match=r"no\.onnx: "):
+        measure_inputs(
+            [bundled_captures()], tmp_path, options, batch=BatchOptions(engine=choose_engine("ray"))
+        )

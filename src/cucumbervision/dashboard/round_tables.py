@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.measurement.result import Flag
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.store.views import Verdict
@@ -53,6 +54,7 @@ __all__ = [
     "method_lines",
     "name_of_class",
     "read_lists",
+    "remarks",
     "round_day",
     "row_name",
     "span_words",
@@ -153,6 +155,42 @@ def round_day(at_s: float) -> str:
     17
     """
     return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
+
+
+SAYINGS = {
+    Flag.CUT_BY_FRAME: "cut by the picture's edge",
+    Flag.BOX_CLIPPED: "cut by the picture's edge",
+    Flag.END_HIDDEN: "an end is hidden",
+    Flag.ENDS_DISAGREE: "its ends were found at two places",
+    Flag.ENDS_UNSURE: "its ends are not sure",
+    Flag.END_ON: "seen end on",
+    Flag.PART_HIDDEN: "partly hidden",
+    Flag.POOR_FIT: "its shape fits badly",
+    Flag.UNCERTAIN: "the length is uncertain",
+    Flag.INTERVAL_TOO_WIDE: "the length is uncertain",
+    Flag.NOT_COVERED: "the site's calibration does not cover it",
+    Flag.OTHER_MASK: "the site's calibration was made with other outlines",
+    Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
+}
+
+
+def remarks(record: DetectionRecord, units: Units) -> str:
+    """Return what else to know of a fruit, as short sentences; what only we need is left out.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, length_m=0.24, flags="keypoints-logged end-hidden")
+    >>> remarks(fruit, Units("cm"))
+    'an end is hidden: at least 24.0 cm'
+    """
+    known = {str(flag): words for flag, words in SAYINGS.items()}
+    said = dict.fromkeys(known[flag] for flag in record.flags.split() if flag in known)
+    words = "; ".join(said)
+    if record.partial and record.length_m is not None:
+        return f"{words or 'partly hidden'}: {length_words(record, units)}"
+    return words
 
 
 def stop_name(stop: Stop | StopView) -> str:

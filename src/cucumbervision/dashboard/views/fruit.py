@@ -22,7 +22,7 @@ from cucumbervision.dashboard.fruit_view import (
 from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name
+from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name, remarks
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import decode_rle, painted_mask
@@ -98,8 +98,8 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
         "Occluded": None if record.hidden_share is None else f"{100 * record.hidden_share:.0f} %",
     }
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
-    if record.flags:
-        st.caption(f"Remarks: {plain(record.flags.replace('-', ' '))}")
+    if words := remarks(record, units):
+        st.caption(plain(words[0].upper() + words[1:] + "."))
     with st.expander("All figures", icon=":material/list:"):
         page_elements.table(figure_lines(record))
 

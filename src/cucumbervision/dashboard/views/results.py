@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
+from cucumbervision.rounds.walking import is_demonstration
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -88,7 +90,7 @@ def _make(one: RoundView, formats: tuple[ExportFormat, ...]) -> None:
 
 LINES = 20
 
-VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ rejected"}
+VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ deleted"}
 
 
 @page_elements.of_round
@@ -101,13 +103,15 @@ def page(one: RoundView) -> None:
     if not lists.fruit:
         _empty(one)
         return
+    _classes(one, lists)
     _statistics(lists)
     fruit = _filtered(lists)
     if not fruit:
         st.info("No fruit passes these filters.", icon=":material/filter_alt_off:")
         return
-    _charts(lists, fruit)
     _table(lists, fruit)
+    _charts(lists, fruit)
+    _methods(lists, fruit)
     _merge(one)
     with st.expander("Files of this round", icon=":material/download:"):
         _files(one)
@@ -122,6 +126,19 @@ def _empty(one: RoundView) -> None:
         st.info("This round has no stops yet. Go to 'Capture'.", icon=":material/photo_camera:")
 
 
+def _classes(one: RoundView, lists: RoundLists) -> None:
+    """Say first what a grower asks first: how many of each class, and where the list is."""
+    kept = [view for view in lists.fruit if view.verdict is not Verdict.REJECTED]
+    counts = Counter(grade_name(lists.grades[view.key]) for view in kept)
+    words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
+    says, go = st.columns([3, 1], vertical_alignment="center")
+    says.markdown(f"**{plain(words)}**")
+    if is_demonstration(one.key):
+        says.caption("All fruit of this round are drawn, not grown.")
+    with go:
+        page_elements.link("today", "What is ready today")
+
+
 def _statistics(lists: RoundLists) -> None:
     found, units = tables.statistics(lists), resources.settings().units
     shown = {
@@ -132,7 +149,7 @@ def _statistics(lists: RoundLists) -> None:
             f"± {units.text(found['sd_m'])}" if found["sd_m"] else None,
         ),
         "Picked": (found["picked"], None),
-        "Rejected": (found["rejected"], None),
+        "Deleted": (found["rejected"], None),
     }
     for column, (label, (value, below)) in zip(st.columns(5), shown.items(), strict=True):
         column.metric(label, value, below, delta_color="off", delta_arrow="off")
@@ -170,13 +187,17 @@ def _filtered(lists: RoundLists) -> list[DetectionView]:
 
 def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
-    lengths, methods = st.columns(2)
     if lines := tables.length_lines(fruit, lists.grades, units):
-        lengths.markdown("**Lengths**: line at the mean, band of one standard deviation")
-        lengths.altair_chart(tables.histogram(lines, units))
+        st.markdown("**Lengths**: line at the mean, band of one standard deviation")
+        st.altair_chart(tables.histogram(lines, units))
+
+
+def _methods(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
+    units = resources.settings().units
     if lines := tables.method_lines(lists, {view.key for view in fruit}, units):
-        methods.markdown("**Lengths by method**: box from quartile to quartile, lines to the ends")
-        methods.altair_chart(tables.method_chart(lines, units))
+        with st.expander("Lengths by method", icon=":material/straighten:"):
+            st.caption("Box from quartile to quartile, lines to the ends.")
+            st.altair_chart(tables.method_chart(lines, units))
 
 
 def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
@@ -227,5 +248,6 @@ def _line(lists: RoundLists, view: DetectionView) -> dict[str, Any]:
         "Kind": record.length_kind or "–",
         "Views": view.views,
         "Checked": VERDICTS[view.verdict] + (", corrected" if view.corrected else ""),
-        "Remarks": record.flags.replace("-", " "),
+        "Drawn": "drawn" if view.simulated else "",
+        "Remarks": tables.remarks(record, units),
     }

@@ -489,27 +489,34 @@ def _scale(lines: list[dict[str, Any]], name: str) -> alt.Scale:
 def forecast_chart(found: Forecast) -> alt.LayerChart:
     """Return the expected number in each class on each day, with its interval."""
     drawn = expected_classes(found)
+    share = 0.8 / max(len(drawn), 1)  # of a day, which is 1 wide
     lines = [
         {
             "day": day_name(day),
             "class": class_name(found, k),
+            "from": day - 0.4 + n * share,
+            "to": day - 0.4 + (n + 0.85) * share,
+            "middle": day - 0.4 + (n + 0.425) * share,
+            "floor": 0.0,
             "expected": float(found.house.expected[day, k]),
             "low": float(found.house.low[day, k]),
             "high": float(found.house.high[day, k]),
         }
         for day in found.days.tolist()
-        for k in drawn
+        for n, k in enumerate(drawn)
     ]
-    table = _data(lines)
     names = [class_name(found, k) for k in drawn]
-    order = [day_name(day) for day in found.days.tolist()]
-    base = alt.Chart(table).encode(
-        x=alt.X("day:N", sort=order, title="Day", axis=alt.Axis(labelAngle=0)),
-        xOffset=alt.XOffset("class:N", sort=names),
-        color=alt.Color("class:N", scale=class_colors(names), title=None),
-    )
+    days = found.days.tolist()
+    said = " : ".join(f"datum.value == {day} ? '{day_name(day)}'" for day in days) + " : ''"
+    axis = alt.Axis(values=days, labelExpr=said, labelAngle=0, grid=False)
+    ends = alt.Scale(domain=[-0.5, days[-1] + 0.5], nice=False)
+    base = alt.Chart(_data(lines))
     bars = base.mark_bar().encode(
+        x=alt.X("from:Q", title="Day", axis=axis, scale=ends),
+        x2="to:Q",
         y=alt.Y("expected:Q", title="Fruit"),
+        y2="floor:Q",
+        color=alt.Color("class:N", scale=class_colors(names), title=None),
         tooltip=[
             alt.Tooltip("day:N", title="Day"),
             alt.Tooltip("class:N", title="Class"),
@@ -518,12 +525,8 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
             alt.Tooltip("high:Q", title="to", format=".0f"),
         ],
     )
-    # A band of its own width, so that it stands in the middle of its bar.
-    whiskers = base.mark_rule(strokeWidth=2).encode(
-        y="low:Q",
-        y2="high:Q",
-        color=alt.value("#222"),
-        xOffset=alt.XOffset("class:N", sort=names, bandPosition=0.5),
+    whiskers = base.mark_rule(strokeWidth=2, color="#222").encode(
+        x="middle:Q", y="low:Q", y2="high:Q"
     )
     chart: alt.LayerChart = (bars + whiskers).properties(height=320)
     return chart

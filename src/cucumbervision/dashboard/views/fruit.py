@@ -87,7 +87,8 @@ def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
         delta_color="off",
         delta_arrow="off",
     )
-    st.markdown(f"**{plain(grade_name(found).capitalize())}**")
+    name = grade_name(found)
+    st.markdown(f"**{plain(name[0].upper() + name[1:])}**")
     for rule in found.rules:
         st.caption(plain(rule))
     traits = {

@@ -91,7 +91,7 @@ def _parts(
     # A mask or depth picture without its colour picture is a broken frame, not none.
     for image in sorted(set().union(*files.values())):
         own = {kind: found.get(image, []) for kind, found in files.items()}
-        said = cameras.get(str(image))
+        said = None if fault else cameras.get(str(image))
         load = partial(_load, scene, image, own, said, given, unit_m)
         at, name = scene / f"rgb/{image:06d}", f"{prefix}_{image:06d}"
         yield (

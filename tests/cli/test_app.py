@@ -37,6 +37,8 @@ def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
         "measurements.json",
         "failures.csv",
         "overlays",
+        "journal",
+        ".lock",
     }
 
 

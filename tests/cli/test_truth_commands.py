@@ -94,7 +94,7 @@ def test_calibrate_and_measure_with_it(folder: Path, tmp_path: Path) -> None:
         (("evaluate", "lengths", "{run}", "{tmp}/no.csv", "--out", "{tmp}"), "no.csv: cannot be"),
         (
             ("measure", "{run}", "--out", "{tmp}/o", "--calibration", "{tmp}/no.json"),
-            "no.json: cannot be read",
+            "no.json: the file is missing",
         ),
     ],
 )

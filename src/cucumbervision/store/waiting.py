@@ -127,7 +127,7 @@ class WaitingCaptures:
         StoreError, CaptureError
             If it cannot be written; nothing is left behind.
         """
-        name = f"{round(1000 * pressed_s):013d}-{key}"
+        name = f"{round(1e6 * pressed_s):016d}-{key}"
         one = Waiting(key, round_key, capture.stop, pressed_s, self.folder / name, capture.source)
         half = self.folder / f"{_TEMPORARY}{name}"
         about = {

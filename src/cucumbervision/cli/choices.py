@@ -10,6 +10,7 @@ import typer
 __all__ = [
     "EXIT_CODES",
     "AsJson",
+    "Calibration",
     "Confidence",
     "Images",
     "InputSize",
@@ -38,6 +39,9 @@ Prompt = Annotated[PromptChoice, typer.Option(help="What SAM is shown.")]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
 Confidence = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
+]
+Calibration = Annotated[
+    Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
 ]
 InputSize = Annotated[
     str,

@@ -10,6 +10,7 @@ import typer
 from cucumbervision.capture.urls import as_path
 from cucumbervision.cli.choices import (
     AsJson,
+    Calibration,
     Confidence,
     InputSize,
     Prompt,
@@ -115,9 +116,7 @@ def measure(
     burst: Annotated[
         int, typer.Option(min=1, max=99, help="Frames of a recording fused to one capture.")
     ] = 5,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
-    ] = None,
+    calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",
     fast: Fast = False,

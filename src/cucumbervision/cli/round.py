@@ -11,6 +11,7 @@ import typer
 
 from cucumbervision.cli.choices import (
     EXIT_CODES,
+    Calibration,
     Images,
     RoundName,
     RuntimeChoice,
@@ -113,7 +114,7 @@ def add(
     ] = LengthDefinition.THREAD,
     confidence: Annotated[float, typer.Option(min=0.0, max=1.0, help="As in `measure`.")] = 0.30,
     input_size: Annotated[str, typer.Option(help="As in `measure`.", metavar="PX[,PX]")] = "",
-    calibration: Annotated[Path | None, typer.Option(help="Site's calibration.")] = None,
+    calibration: Calibration = None,
     runtime: Annotated[RuntimeChoice, typer.Option(help="As in `measure`.")] = "auto",
     images: Images = None,
 ) -> None:

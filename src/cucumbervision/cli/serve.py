@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import Confidence, InputSize, Prompt, Runtime, SegmenterChoice
+from cucumbervision.cli.choices import (
+    Calibration,
+    Confidence,
+    InputSize,
+    Prompt,
+    Runtime,
+    SegmenterChoice,
+)
 
 __all__ = ["serve"]
 
@@ -37,9 +43,7 @@ def serve(
     ] = None,
     prompt: Prompt = "box+point",
     confidence: Confidence = 0.30,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
-    ] = None,
+    calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",
     fast: Annotated[

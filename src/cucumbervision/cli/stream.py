@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import Confidence, InputSize, Quiet, Runtime, SegmenterChoice
+from cucumbervision.cli.choices import (
+    Calibration,
+    Confidence,
+    InputSize,
+    Quiet,
+    Runtime,
+    SegmenterChoice,
+)
 
 __all__ = ["stream"]
 
@@ -55,9 +62,7 @@ def stream(
     intrinsics: Annotated[
         Path | None, typer.Option(help="Camera file (JSON) of a folder's colour stream.")
     ] = None,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
-    ] = None,
+    calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",
     quiet: Quiet = False,

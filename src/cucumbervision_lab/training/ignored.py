@@ -90,25 +90,19 @@ def take_out_ignored(batch: dict[str, Any]) -> dict[str, Any]:
     if not ignored.any():
         return batch | {"ignored": region}
     own = dict(batch)
-    numbers = torch.zeros_like(masks) if masks is not None else None
+    if masks is not None:
+        own["masks"], own["sem_masks"] = masks.clone(), torch.zeros_like(batch["sem_masks"])
     for picture in batch["batch_idx"][ignored].unique().long().tolist():
         here = batch["batch_idx"] == picture
         out = ignored[here]
-        if masks is None or numbers is None:
+        if masks is None:
             region[picture] = _between(batch["bboxes"][here], out, region[picture])
             continue
         # Number k + 1 of the map is row k; the rows that stay are counted anew.
         new = torch.where(out, 0, torch.cumsum(~out, 0))
-        table = torch.cat([new.new_zeros(1), new]).to(masks.dtype)
-        hidden = torch.cat([out.new_zeros(1), out])
-        numbers[picture] = table[masks[picture].long()]
-        region[picture] = hidden[masks[picture].long()]
-    if masks is not None and numbers is not None:
-        whole = ignored.new_ones(len(masks))
-        whole[batch["batch_idx"][ignored].unique().long()] = False
-        numbers[whole] = masks[whole]
-        own["masks"] = numbers
-        own["sem_masks"] = torch.zeros_like(batch["sem_masks"])
+        number = masks[picture].long()
+        own["masks"][picture] = torch.cat([new.new_zeros(1), new]).to(masks.dtype)[number]
+        region[picture] = torch.cat([out.new_zeros(1), out])[number]
     for key in ("cls", "bboxes", "batch_idx", "keypoints"):
         if key in own:
             own[key] = own[key][~ignored]

@@ -14,7 +14,7 @@ from cucumbervision.perception.masks import Rle
 from cucumbervision_lab.datasets.bop import write_bop
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import SPLITS, keep_classes, ticked
-from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.datasets.yolo_writer import write_yolo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -454,7 +454,7 @@ def coco_set(folder: Path) -> None:
 
 def yolo_set(folder: Path) -> None:
     """Write a data set as Ultralytics reads it."""
-    from cucumbervision_lab.datasets.yolo import write_yolo
+    from cucumbervision_lab.datasets.yolo_writer import write_yolo
 
     spare = folder / "spare"
     write_yolo(_data_set(spare), folder, "pose", link=False, paint_ignored=())

@@ -13,7 +13,8 @@ import yaml
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.checks import check_folder, require_clean
-from cucumbervision_lab.datasets.yolo import load_data_yaml, write_yolo
+from cucumbervision_lab.datasets.yolo import load_data_yaml
+from cucumbervision_lab.datasets.yolo_writer import write_yolo
 
 __all__ = ["DATA_CARD", "KEYPOINT_SIGMA", "TASKS", "prepare_data", "write_data_file"]
 

@@ -11,7 +11,7 @@ from typing import Any
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.datasets.yolo_writer import write_yolo
 from cucumbervision_lab.training.curve import Curve
 from cucumbervision_lab.training.data import DATA_CARD, TASKS, write_data_file
 from cucumbervision_lab.training.plan import RunState

@@ -21,7 +21,7 @@ from cucumbervision_lab.datasets.checks import (
 )
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label
-from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.datasets.yolo_writer import write_yolo
 
 MakeSet = Callable[..., DataSet]
 

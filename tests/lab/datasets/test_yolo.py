@@ -11,7 +11,8 @@ import pytest
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, keep_classes
-from cucumbervision_lab.datasets.yolo import read_yolo, write_yolo
+from cucumbervision_lab.datasets.yolo import read_yolo
+from cucumbervision_lab.datasets.yolo_writer import write_yolo
 
 MakeSet = Callable[..., DataSet]
 

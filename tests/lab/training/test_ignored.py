@@ -14,7 +14,7 @@ if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("the extra train is not installed", allow_module_level=True)
 
 from cucumbervision_lab.datasets.labels import Label
-from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.datasets.yolo_writer import write_yolo
 from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.ignored import (
     add_ignored,

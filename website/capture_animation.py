@@ -21,7 +21,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.fruit_view import depth_picture
 from cucumbervision.measurement.result import FruitMeasurement
-from cucumbervision.pipeline.overlay import COLORS, _draw_path, _draw_region
+from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,11 +40,11 @@ def partly_measured(
     """Return the picture with masks, and a share of each measured line."""
     picture, size = capture.color.copy(), max(capture.height / 720, 0.5)
     for one, colour in zip(fruit, COLORS, strict=False):
-        _draw_region(picture, one, colour, size)
+        draw_region(picture, one, colour, size)
         if share > 0 and one.selected is not None and one.selected.path_m is not None:
             count = max(2, round(share * len(one.selected.path_m)))
             part = replace(one.selected, path_m=one.selected.path_m[:count])
-            _draw_path(picture, part, capture.intrinsics, colour, size)
+            draw_path(picture, part, capture.intrinsics, colour, size)
     return picture
 
 

@@ -26,7 +26,7 @@ from cucumbervision.accuracy.plots import STYLES
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.geometry.axis import align_near
-from cucumbervision.measurement.m1 import WINDOW_PX, _reference_depth, _sample_grid, window_depths
+from cucumbervision.measurement.m1 import WINDOW_PX, reference_depth, sample_grid, window_depths
 from cucumbervision.measurement.m2_m3 import GATE_M
 from cucumbervision.measurement.m4 import WINDOW_PX as KEYPOINT_PX
 from cucumbervision.measurement.m6 import TubeView, view_tube
@@ -131,9 +131,9 @@ def used_by(method: Method, region: Region) -> Used:
 
 
 def _samples(region: Region) -> Used:
-    u, v = (grid.ravel() for grid in _sample_grid(region.box))
+    u, v = (grid.ravel() for grid in sample_grid(region.box))
     depths = window_depths(region.depth_m, u, v, WINDOW_PX)
-    middle = _reference_depth(region.depth_m, region.box)
+    middle = reference_depth(region.depth_m, region.box)
     assert middle is not None
     points = _lifted(region, u, v, depths)
     counts = np.abs(depths - middle) <= GATE_M

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["measure_m1", "window_depths"]
+__all__ = ["measure_m1", "reference_depth", "sample_grid", "window_depths"]
 
 LINES = (0.25, 0.5, 0.75)
 SAMPLES = 13
@@ -64,10 +64,10 @@ def measure_m1(
     >>> round(result.length_m, 4)  # 200 px at 0.6 m and f = 600 px
     0.2
     """
-    reference = _reference_depth(depth_m, box)
+    reference = reference_depth(depth_m, box)
     if reference is None:
         return Measurement(Method.M1, reason=Reason.NO_DEPTH)
-    u, v = _sample_grid(box)
+    u, v = sample_grid(box)
     z = window_depths(depth_m, u, v, WINDOW_PX)
     with np.errstate(invalid="ignore"):
         counts = np.abs(z - reference) <= GATE_M
@@ -86,7 +86,16 @@ def measure_m1(
     return Measurement(Method.M1, length, LengthKind.BOX_CHORD, path_m=path)
 
 
-def _reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | None:
+def reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | None:
+    """Return the median depth of a box's middle ninth, metres, or None without a reading.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres; 0 where there is no reading.
+    box : ndarray of float, shape (4,)
+        Edges x1, y1, x2, y2 in pixels.
+    """
     third = (box[2:] - box[:2]) / 3
     middle = np.concatenate([box[:2] + third, box[2:] - third])
     left, top, right, bottom = box_pixels(middle, depth_m.shape)
@@ -95,7 +104,20 @@ def _reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float |
     return float(np.median(readings)) if len(readings) else None
 
 
-def _sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the pixels u and v of a box's samples, each of shape (lines, samples).
+
+    Parameters
+    ----------
+    box : ndarray of float, shape (4,)
+        Edges x1, y1, x2, y2 in pixels; lines run along the longer side.
+
+    Examples
+    --------
+    >>> u, v = sample_grid(np.array([0.0, 0.0, 24.0, 8.0]))
+    >>> u.shape, u[0, :3].tolist(), v[:, 0].tolist()
+    ((3, 13), [0.0, 2.0, 4.0], [2.0, 4.0, 6.0])
+    """
     # The longer side: 0 where the box is wide, 1 where it is high.
     side = int(box[3] - box[1] > box[2] - box[0])
     other = 1 - side

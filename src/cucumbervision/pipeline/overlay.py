@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["COLORS", "draw_detections", "draw_overlay"]
+__all__ = ["COLORS", "draw_detections", "draw_overlay", "draw_path", "draw_region"]
 
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -53,9 +53,9 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
     size = max(capture.height / 720, 0.5)
     for number, one in enumerate(fruit, start=1):
         color = COLORS[(number - 1) % len(COLORS)]
-        _draw_region(picture, one, color, size)
+        draw_region(picture, one, color, size)
         if one.selected is not None and one.selected.path_m is not None:
-            _draw_path(picture, one.selected, capture.intrinsics, color, size)
+            draw_path(picture, one.selected, capture.intrinsics, color, size)
     for number, one in enumerate(fruit, start=1):
         _draw_label(picture, _label(number, one), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
@@ -64,9 +64,22 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
     return picture
 
 
-def _draw_region(
+def draw_region(
     picture: NDArray[np.uint8], fruit: FruitMeasurement, color: tuple[int, int, int], size: float
 ) -> None:
+    """Tint a fruit's mask, or draw its box where there is none, in place.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB; changed.
+    fruit : FruitMeasurement
+        Whose mask.
+    color : tuple of int
+        RGB.
+    size : float
+        Scale of the lines; 1 for a picture 720 pixels high.
+    """
     if fruit.mask is None:
         x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
         cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
@@ -86,13 +99,28 @@ def _tint_mask(
     cv2.drawContours(picture, outline[0], -1, color, max(1, round(1.5 * size)), cv2.LINE_AA)
 
 
-def _draw_path(
+def draw_path(
     picture: NDArray[np.uint8],
     chosen: Measurement,
     camera: Intrinsics,
     color: tuple[int, int, int],
     size: float,
 ) -> None:
+    """Draw the line that was measured, with its tips, in place.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB; changed. It stays as it is where the measurement has no line in front of the camera.
+    chosen : Measurement
+        Whose line.
+    camera : Intrinsics
+        That took the picture.
+    color : tuple of int
+        RGB of the tips.
+    size : float
+        Scale of the lines; 1 for a picture 720 pixels high.
+    """
     if chosen.path_m is None or (chosen.path_m[:, 2] <= 0).any():
         return
     pixels = np.rint(camera.project(chosen.path_m)).astype(np.int32)

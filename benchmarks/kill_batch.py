@@ -191,11 +191,6 @@ def kill_all(folder: Path, kills: int, captures: int, seed: int) -> list[str]:
     faults: list[str] = []
     since = time.monotonic()
     while outcome["killed"] < kills and not faults:
-        if len(acknowledged) == captures:
-            # All is done: what is to be killed begins anew.
-            shutil.rmtree(out)
-            acknowledged.clear()
-            outcome["batches finished between kills"] += 1
         at_start = rng.random() < 0.25
         write = 0 if at_start or rng.random() < 0.25 else rng.randint(1, 3 * captures // 8)
         blow = Blow(at_start, rng.uniform(0, 0.2 if at_start else 0.1), write)
@@ -206,6 +201,11 @@ def kill_all(folder: Path, kills: int, captures: int, seed: int) -> list[str]:
         where = "while starting" if at_start else "inside a write" if write else "between writes"
         outcome[f"killed {where}" if killed else "ended before the kill"] += 1
         outcome["records acknowledged"] += len(places)
+        if not killed:
+            # All is done: what is to be killed begins anew.
+            shutil.rmtree(out)
+            acknowledged.clear()
+            outcome["batches finished between kills"] += 1
     faults = faults or final_faults(house, out, whole)
     for name, count in sorted(outcome.items()):
         print(f"{name:32} {count}")

@@ -181,6 +181,12 @@ def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: 
     [
         ("measurements.json", "{}", "holds no measurements"),
         ("measurements.json", "{", "is no JSON"),
+        (
+            "measurements.json",
+            '{"captures": [{"name": "a", "intrinsics": {}, "fruit": '
+            '[{"capture": "a", "fruit": 1, "mask_source": ["sam"]}]}]}',
+            "mask_source is no word",
+        ),
         ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
         ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),
         ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "is damaged or of another form"),

@@ -85,7 +85,10 @@ def test_a_bucket_that_is_not_there_is_said_at_once(bucket: str, tmp_path: Path)
     assert result.failures[0].message.startswith(f"{bucket}/nothing: does not exist")
 
 
-def test_a_store_that_is_gone_for_a_while_is_asked_again(bucket: str) -> None:
+def test_a_store_that_is_gone_for_a_while_is_asked_again(
+    bucket: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("cucumbervision.capture.urls._SAID_S", 0.0)
     answers: Iterator[Exception | bytes] = iter(
         [ConnectionError("gone"), RuntimeError("gone"), b"back"]
     )
@@ -98,6 +101,8 @@ def test_a_store_that_is_gone_for_a_while_is_asked_again(bucket: str) -> None:
 
     place = as_path(f"{bucket}/captures/a.png")
     assert patiently(place, read, waits_s=(0, 0)) == b"back"
+    said = f"{bucket}/captures/a.png: does not answer (ConnectionError); asked again in 0 s"
+    assert caplog.messages[0] == said
     with pytest.raises(OSError, match=r"the store does not answer \(StopIteration"):
         patiently(place, read, waits_s=(0,))
 

@@ -162,14 +162,21 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
         fruit=int(row["fruit"]),
         lengths_m={**lengths, REPORTED: _metres(row.get("length_cm"))},
         fell_back=frozenset(m for m, said in methods.items() if said.get("fallback")),
-        kind=row.get("length_kind") or "",
-        method=row.get("method") or "",
-        mask_source=row.get("mask_source") or "",
+        kind=_word(row, "length_kind"),
+        method=_word(row, "method"),
+        mask_source=_word(row, "mask_source"),
         distance_m=math.nan if distance is None else distance,
         fill=math.nan if row.get("fill") is None else float(row["fill"]),
         tilt_deg=_tilt_deg(methods.get(row.get("method"), {}).get("tips_m")),
-        flags=row.get("flags") or "",
+        flags=_word(row, "flags"),
     )
+
+
+def _word(row: Mapping[str, Any], name: str) -> str:
+    found = row.get(name) or ""
+    if not isinstance(found, str):
+        raise ValueError(f"{name} is no word")
+    return found
 
 
 def _metres(length_cm: float | None) -> float | None:

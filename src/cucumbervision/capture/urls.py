@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
 
 __all__ = ["as_path", "is_remote", "patiently"]
 
+_log = logging.getLogger(__name__)
+
+_SAID_S = 2.0  # of shorter waits nothing is said
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 32.0)
 _FINAL = (
     FileNotFoundError,
@@ -109,5 +113,8 @@ def patiently(
             if wait_s is None:
                 said = f"the store does not answer ({type(error).__name__}: {error})"
                 raise OSError(errno.EIO, said, str(place)) from error
+            if wait_s >= _SAID_S:
+                fault = f"does not answer ({type(error).__name__})"
+                _log.warning("%s: %s; asked again in %g s", place, fault, wait_s)
             time.sleep(wait_s)
     raise AssertionError  # the last wait is None

@@ -13,7 +13,7 @@ from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from cucumbervision.errors import MissingExtraError, StoreError, StoreVersionError
+from cucumbervision.errors import MissingExtraError, StoreError, StoreVersionError, refusing
 from cucumbervision.store.images import ImageStore
 from cucumbervision.store.schema import Base
 
@@ -216,9 +216,17 @@ class Database:
             )
         return ImageStore(self._images)
 
-    def reading(self) -> AbstractContextManager[Connection]:
-        """Open a transaction that only reads."""
-        return begin(self.engine)
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """Open a transaction that only reads.
+
+        Raises
+        ------
+        StoreError
+            If the database reports an error, or holds what no record is made of.
+        """
+        with refusing(self.name, StoreError, _DAMAGED), begin(self.engine) as connection:
+            yield connection
 
     def writing(self) -> AbstractContextManager[Connection]:
         """Open a transaction that writes."""
@@ -234,6 +242,8 @@ class Database:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+
+_DAMAGED = "the database is damaged: take its last backup"
 
 REVISIONS = ("0001",)
 HEAD = REVISIONS[-1]

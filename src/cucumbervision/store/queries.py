@@ -98,16 +98,16 @@ class Queries(Database):
             query = query.where(Round.house == house)
         with self.reading() as connection:
             rows = cells_of(connection, query)
-        return [RoundView(RoundRecord(*row[:6]), *row[6:]) for row in rows]
+            return [RoundView(RoundRecord(*row[:6]), *row[6:]) for row in rows]
 
     def stops(self, round_key: str) -> list[StopView]:
         """Return a round's stops in the order in which they were made."""
         with self.reading() as connection:
             rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
-        return [
-            built(StopView, row[0], round_key, *row[1:12], len(row[12]), image_ref(row[13:18]))
-            for row in rows
-        ]
+            return [
+                built(StopView, row[0], round_key, *row[1:12], len(row[12]), image_ref(row[13:18]))
+                for row in rows
+            ]
 
     def detections(
         self, round_key: str, only: DetectionFilter | None = None
@@ -160,7 +160,7 @@ class Queries(Database):
         """Return when detections were marked as picked, by their keys."""
         with self.reading() as connection:
             marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
-        return {key: float(own["picked"]) for key, own in marks.items()}
+            return {key: float(own["picked"]) for key, own in marks.items()}
 
     def judged(self, round_key: str) -> tuple[int, int]:
         """Return what people said of the finds of a round's house.

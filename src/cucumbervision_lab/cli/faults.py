@@ -13,8 +13,8 @@ def faults(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="truncated, flipped, folder, disk, permission, unreadable, postgres, camera, "
-            "clock; all without one."
+            help="truncated, flipped, folder, disk, permission, unreadable, worker, measure, s3, "
+            "postgres, camera, clock; all without one."
         ),
     ] = None,
     kills: Annotated[
@@ -25,7 +25,8 @@ def faults(
     """Do the software harm; print what the user sees and what is left.
 
     Exit code 1 tells that something is lost. Everything happens in folders of its own; the full
-    disk is a small file system in memory, which needs root, and PostgreSQL is a server of its own.
+    disk is a small file system in memory, which needs root; PostgreSQL and S3 are servers of their
+    own on loopback, of which S3 goes for a minute.
     """
     from cucumbervision.accuracy.page import Table
     from cucumbervision_lab.cli.screen import show_tables, ticking

@@ -29,6 +29,10 @@ def fuzz(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Also write the figures here.")
     ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(help="Add the run to this file, and print the sum of all runs in it."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but finds.")] = False,
 ) -> None:
     """Read damaged files of every kind; only named errors may come of them.
@@ -38,8 +42,9 @@ def fuzz(
     the end of the process; exit code 1 tells that there was one.
     """
     from cucumbervision_lab.cli.screen import show, show_tables, ticking
-    from cucumbervision_lab.robustness.fuzz import as_json, find_doors
+    from cucumbervision_lab.robustness.fuzz import find_doors
     from cucumbervision_lab.robustness.fuzz import fuzz as run
+    from cucumbervision_lab.robustness.fuzz_log import add_to_log, as_json
 
     with ticking("reading damaged files", inputs, quiet=quiet) as tick:
         seconds = None if minutes is None else 60 * minutes
@@ -54,6 +59,13 @@ def fuzz(
         )
     for place, count in result.found.most_common():
         show(f"{count} x {place} (input {result.finds[place][0].number})", error=True)
+    if log is not None:
+        together = add_to_log(result, log)
+        show(
+            f"{log}: {together.runs} runs, {together.inputs:,} inputs, "
+            f"{together.refused:,} refused by name, {together.finds} finds, "
+            f"{together.seconds / 60:.0f} min"
+        )
     if json_file is not None:
         json_file.write_text(as_json(result) + "\n", encoding="utf-8")
     raise typer.Exit(1 if result.found else 0)

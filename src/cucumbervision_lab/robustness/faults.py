@@ -2,103 +2,30 @@
 
 from __future__ import annotations
 
-import csv
 import os
-import signal
 import subprocess
-import sys
 import tempfile
-import time
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
 from pathlib import Path
-from random import Random
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision_lab.robustness.kills import kill_measure, kill_rounds, kill_worker
+from cucumbervision_lab.robustness.store_gone import s3_gone
+from cucumbervision_lab.robustness.trial import (
+    MASKS,
+    Outcome,
+    captures,
+    command,
+    rows_in,
+    rows_of,
+    stops_in,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["FAULTS", "Outcome", "kill_rounds", "try_faults"]
-
-_MASKS = ("--instances", "dataset", "--segmenter", "none", "--methods", "M1,M2")
-# Root may write anywhere: without these two it may as little as any owner.
-_BOUND = ("setpriv", "--bounding-set=-dac_override,-dac_read_search")
-_TABLE = "measurements.csv"
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What came of a fault.
-
-    Parameters
-    ----------
-    fault : str
-        What was done.
-    seen : str
-        What the user sees: the program's own line.
-    kept : str
-        What is there afterwards.
-    lost : bool
-        Whether something is lost, doubled or nameless that should not be.
-    """
-
-    fault: str
-    seen: str
-    kept: str
-    lost: bool = False
-
-
-@dataclass(frozen=True)
-class _Ran:
-    code: int
-    said: str
-
-    def line(self, word: str = "") -> str:
-        """Return the last line with a word in it, without the folder of this trial."""
-        lines = [" ".join(line.split()) for line in self.said.splitlines() if line.strip()]
-        found = [line for line in lines if word in line] or lines or ["nothing"]
-        return found[-1]
-
-
-def _command(*words: object, before: str = "", bound: bool = False) -> _Ran:
-    """Run the program as a user does; `before` runs first in its process."""
-    code = f"{before}\nfrom cucumbervision.cli.app import main\nmain()"
-    done = subprocess.run(
-        [*(_BOUND if bound else ()), sys.executable, "-c", code, *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "COLUMNS": "400", "PYTHONDONTWRITEBYTECODE": "1"},
-    )
-    return _Ran(done.returncode, done.stdout + done.stderr)
-
-
-def _captures(folder: Path, count: int = 3) -> Path:
-    """Write some captures, all of them different."""
-    from cucumbervision.capture.readers import open_source
-    from cucumbervision.capture.readers.native import write_native
-
-    one = next(iter(open_source(bundled_captures() / "simulated-row-b"))).load()
-    for k in range(count):
-        depth_m = one.depth_m + (one.depth_m > 0) * 0.001 * k
-
-        write_native(
-            replace(one, depth_m=depth_m.astype("float32"), name=f"c{k}"), folder / f"c{k}"
-        )
-    return folder
-
-
-def _rows(out: Path) -> list[list[str]]:
-    """Return a run's rows without what tells one run from another."""
-    with (out / _TABLE).open(encoding="utf-8-sig", newline="") as stream:
-        return [list(row.values()) for row in csv.DictReader(stream)]
-
-
-def _of(rows: Sequence[Sequence[str]], *captures: str) -> list[Sequence[str]]:
-    return [row for row in rows if set(captures) & set(row)]
+__all__ = ["FAULTS", "try_faults"]
 
 
 def _truncated(folder: Path) -> Outcome:
@@ -113,19 +40,19 @@ def _flipped(folder: Path) -> Outcome:
 
 
 def _damaged_picture(folder: Path, fault: str, damage: Callable[[bytes], bytes]) -> Outcome:
-    source = _captures(folder / "in")
-    _command("measure", source, "--out", folder / "whole", *_MASKS)
+    source = captures(folder / "in")
+    command("measure", source, "--out", folder / "whole", *MASKS)
     file = source / "c1" / "depth_000000.png"
     file.write_bytes(damage(file.read_bytes()))
-    ran = _command("measure", source, "--out", folder / "out", *_MASKS)
-    wanted = _of(_rows(folder / "whole"), "c0", "c2")
-    lost = _rows(folder / "out") != wanted or ran.code != 1
+    ran = command("measure", source, "--out", folder / "out", *MASKS)
+    wanted = rows_of(rows_in(folder / "whole"), "c0", "c2")
+    lost = rows_in(folder / "out") != wanted or ran.code != 1
     return Outcome(fault, ran.line("depth_000000"), "the rows of the two others", lost)
 
 
 def _folder_gone(folder: Path) -> Outcome:
-    source = _captures(folder / "in")
-    _command("measure", source, "--out", folder / "whole", *_MASKS)
+    source = captures(folder / "in")
+    command("measure", source, "--out", folder / "whole", *MASKS)
     # As soon as the first picture of the run is drawn, what is left to read goes.
     gone = (
         "import shutil\nfrom cucumbervision.pipeline.work import Worker\nadd = Worker._draw\n"
@@ -133,10 +60,10 @@ def _folder_gone(folder: Path) -> Outcome:
         "def once(self, result):\n    add(self, result)\n    shutil.rmtree(gone, True)\n"
         "Worker._draw = once"
     )
-    ran = _command("measure", source, "--out", folder / "out", *_MASKS, before=gone)
-    whole, rows = _rows(folder / "whole"), _rows(folder / "out")
+    ran = command("measure", source, "--out", folder / "out", *MASKS, before=gone)
+    whole, rows = rows_in(folder / "whole"), rows_in(folder / "out")
     # The second one may have been read while the first was measured.
-    lost = rows not in (_of(whole, "c0"), _of(whole, "c0", "c1")) or ran.code != 1
+    lost = rows not in (rows_of(whole, "c0"), rows_of(whole, "c0", "c1")) or ran.code != 1
     return Outcome("the folder goes in mid-run", ran.line("c2"), "the rows of what was read", lost)
 
 
@@ -158,33 +85,33 @@ def _small_disk(folder: Path, size: str) -> Iterator[str]:
 
 
 def _disk_full(folder: Path) -> Outcome:
-    source = _captures(folder / "in", 6)
-    _command("measure", source, "--out", folder / "whole", *_MASKS)
+    source = captures(folder / "in", 6)
+    command("measure", source, "--out", folder / "whole", *MASKS)
     one = sum(p.stat().st_size for p in (folder / "whole" / "overlays").iterdir()) // 6
     with _small_disk(folder / "disk", f"{(3 * one) // 1024 + 64}k") as disk:
-        ran = _command("measure", source, "--out", f"{disk}/out", *_MASKS)
+        ran = command("measure", source, "--out", f"{disk}/out", *MASKS)
         subprocess.run(["mount", "-o", "remount,size=64m", disk], check=True)
-        again = _command("measure", source, "--out", f"{disk}/out", *_MASKS)
-        rows = _rows(Path(disk) / "out")
-    lost = rows != _rows(folder / "whole") or ran.code not in (1, 2) or again.code != 0
+        again = command("measure", source, "--out", f"{disk}/out", *MASKS)
+        rows = rows_in(Path(disk) / "out")
+    lost = rows != rows_in(folder / "whole") or ran.code not in (1, 2) or again.code != 0
     kept = "the journal; with room again the same command goes on to all rows"
     return Outcome("the disk is full (tmpfs)", ran.line("No space"), kept, lost)
 
 
 def _no_permission(folder: Path) -> Outcome:
-    source, out = _captures(folder / "in"), folder / "out"
+    source, out = captures(folder / "in"), folder / "out"
     out.mkdir(mode=0o555)
-    ran = _command("measure", source, "--out", out / "new", *_MASKS, bound=os.getuid() == 0)
+    ran = command("measure", source, "--out", out / "new", *MASKS, bound=os.getuid() == 0)
     lost = ran.code != 2 or any(out.iterdir())
     return Outcome("no permission to write", ran.line("cucumbervision:"), "nothing begun", lost)
 
 
 def _unreadable_folder(folder: Path) -> Outcome:
-    source, out = _captures(folder / "in", 2), folder / "out"
+    source, out = captures(folder / "in", 2), folder / "out"
     (source / "c1").chmod(0)
-    ran = _command("measure", source, "--out", out, *_MASKS, bound=os.getuid() == 0)
+    ran = command("measure", source, "--out", out, *MASKS, bound=os.getuid() == 0)
     (source / "c1").chmod(0o755)
-    lost = ran.code != 1 or not _of(_rows(out), "c0") or "c1" not in ran.said
+    lost = ran.code != 1 or not rows_of(rows_in(out), "c0") or "c1" not in ran.said
     return Outcome("a folder may not be read", ran.line("c1"), "the row of the other", lost)
 
 
@@ -248,100 +175,14 @@ def _camera_gone(folder: Path) -> Outcome:
 
 
 def _clock_back(folder: Path) -> Outcome:
-    source, store = _captures(folder / "in"), folder / "house.db"
-    _command("round", "new", "walk", "--store", store)
-    _command("round", "add", source / "c0", "--store", store, "--instances", "dataset")
+    source, store = captures(folder / "in"), folder / "house.db"
+    command("round", "new", "walk", "--store", store)
+    command("round", "add", source / "c0", "--store", store, "--instances", "dataset")
     back = "import time\nnow = time.time\ntime.time = lambda: now() - 86400"
     add = ("round", "add", source, "--store", store, "--instances", "dataset")
-    ran = _command(*add, before=back)
-    lost = _stops(store) != ["c0", "c1", "c2"]
+    ran = command(*add, before=back)
+    lost = stops_in(store) != ["c0", "c1", "c2"]
     return Outcome("the clock is set back by a day", ran.line("stops added"), "three stops", lost)
-
-
-def _stops(store: Path) -> list[str]:
-    """Return the captures of a store's only round, sorted; each stop must be whole."""
-    from cucumbervision.store.repository import open_store
-
-    with open_store(store, create=False) as opened:
-        (one,) = opened.rounds()
-        stops = [opened.stop(stop.key) for stop in opened.stops(one.key)]
-        for fruit in opened.detections(one.key):
-            opened.detection(fruit.key)
-    return sorted(capture.name for stop in stops for capture in stop.captures)
-
-
-def kill_rounds(
-    folder: Path, kills: int, seed: int = 1, tick: Callable[[int], None] | None = None
-) -> Outcome:
-    """Kill `round add` with signal 9 at random moments and begin it again, until it is through.
-
-    Parameters
-    ----------
-    folder : Path
-        Empty.
-    kills : int
-        How many; a new round is begun whenever one is through before.
-    seed : int
-        Of the moments.
-    tick : callable, optional
-        Called with 1 after each kill.
-    """
-    from cucumbervision.store.images import check_store
-    from cucumbervision.store.repository import open_store
-
-    random, source = Random(seed), _captures(folder / "in", 8)
-    killed, rounds = 0, 0
-    lost: list[str] = []
-    while killed < kills and not lost:
-        rounds += 1
-        store = folder / f"house{rounds}.db"
-        _command("round", "new", "walk", "--store", store)
-        there: list[str] = []
-        while len(there) < 8 and killed < kills:
-            killed += _killed_add(source, store, random)
-            if tick is not None:
-                tick(1)
-            now = _stops(store)
-            if set(there) - set(now) or len(set(now)) != len(now):
-                lost.append(f"after {there} there was {now}")
-            there = now
-        _command("round", "add", source, "--store", store, "--instances", "dataset")
-        if _stops(store) != [f"c{k}" for k in range(8)]:
-            lost.append(f"at the end there was {_stops(store)}")
-        with open_store(store, create=False) as opened:
-            report = check_store(opened, grace_s=0, remove=True)
-            if not check_store(opened, grace_s=0).sound:
-                lost.append(f"pictures: {report}")
-    kept = f"{rounds} rounds of 8 stops, each stop whole and once" if not lost else lost[0]
-    seen = "nothing; the same command again goes on"
-    return Outcome(f"`round add` killed {killed} times (kill -9)", seen, kept, bool(lost))
-
-
-def _killed_add(source: Path, store: Path, random: Random) -> int:
-    """Run `round add`, kill it within some stops after its first write, tell if it was killed."""
-    code = (
-        "from cucumbervision.store.repository import Store\nimport os, sys\n"
-        "save = Store.save_stop\n"
-        "def said(self, stop):\n    os.write(3, b'.')\n    return save(self, stop)\n"
-        "Store.save_stop = said\nfrom cucumbervision.cli.app import main\nmain()"
-    )
-    heard, said = os.pipe()
-    words = ("round", "add", source, "--store", store, "--instances", "dataset")
-    process = subprocess.Popen(
-        ["/bin/sh", "-c", f'exec "$@" 3>&{said}', "sh", sys.executable, "-c", code]
-        + [str(word) for word in words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        pass_fds=(said,),
-    )
-    os.close(said)
-    os.read(heard, 1)  # a stop is being written, or the program is through
-    # Most writes take some milliseconds: most kills fall into one.
-    time.sleep(random.choice((0.0, random.uniform(0, 0.02), random.uniform(0, 0.5))))
-    with suppress(ProcessLookupError):
-        process.send_signal(signal.SIGKILL)
-    os.close(heard)
-    return int(process.wait() == -signal.SIGKILL)
 
 
 FAULTS: dict[str, Callable[[Path], Outcome]] = {
@@ -351,6 +192,9 @@ FAULTS: dict[str, Callable[[Path], Outcome]] = {
     "disk": _disk_full,
     "permission": _no_permission,
     "unreadable": _unreadable_folder,
+    "worker": kill_worker,
+    "measure": kill_measure,
+    "s3": s3_gone,
     "postgres": _postgres_gone,
     "camera": _camera_gone,
     "clock": _clock_back,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import faulthandler
 import multiprocessing
 import os
 import resource
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Find", "FuzzResult", "Limits", "find_doors", "fuzz", "replay"]
 
+_CRASH = "crash.txt"  # where the process was when a signal ended it
 _KEPT = 3  # inputs kept of each place
 _BATCH = 500  # inputs between two reports of a worker
 _PATIENCE = 6.0  # times the limit, by the clock: a busy machine gives a process its turn late
@@ -175,6 +176,8 @@ def fuzz(
                 done = worker.follow(result, out, tick, _until(began, seconds))
             finally:
                 worker.end()
+                for door in doors:  # one that ended by itself left a damaged file behind
+                    _tidy(place / door.name, everything=True)
     result.seconds = time.monotonic() - began
     return result
 
@@ -193,6 +196,8 @@ def _workplace(doors: Sequence[Door]) -> Iterator[Path]:
             folder = Path(tmp) / door.name
             folder.mkdir()
             door.seed(folder)
+            _tidy(folder)
+        (Path(tmp) / _CRASH).touch()
         yield Path(tmp)
 
 
@@ -254,15 +259,17 @@ class _Worker:
                 return self._ended(result, out, at, stuck=stuck)
 
     def _ended(self, result: FuzzResult, out: Path | None, at: int, *, stuck: bool) -> int:
+        crashed = (self._place / _CRASH).read_text(encoding="utf-8", errors="replace")
         if at < 0:
             raise CucumberVisionError(
-                f"the reading process did not start (exit {self._process.exitcode})",
+                f"the reading process did not start (exit {self._process.exitcode}) {crashed}",
                 remedy="give it more memory",
             )
         door = _door_of(self._doors, self._seed, at)
         code = self._process.exitcode
         kind, how = ("time", "no end") if stuck else ("crash", f"exit {code}")
-        find = Find(door.name, at, kind, how, f"the process ended: {how}")
+        find = Find(door.name, at, kind, how, f"the process ended: {how}\n{crashed}")
+        _tidy(self._place / door.name, everything=True)
         if result.note(find) and out is not None:
             self._keep(find, out)
         result.tried[door.name] += 1
@@ -329,6 +336,7 @@ def _work(
 ) -> None:
     doors = [next(d for d in DOORS if d.name == name) for name in names]
     signal.signal(signal.SIGPROF, _ring)
+    faulthandler.enable((Path(place) / _CRASH).open("w"), all_threads=False)
     _silence()
     warnings.simplefilter("ignore")
     _warm_up(doors, Path(place))
@@ -378,19 +386,21 @@ def _warm_up(doors: Sequence[Door], place: Path) -> None:
 _SEEDS: dict[Path, dict[Path, bytes]] = {}
 
 
-def _tidy(folder: Path) -> None:
-    """Put a folder back as its seeds were."""
+def _tidy(folder: Path, *, everything: bool = False) -> None:
+    """Put a folder back as its seeds were when it was first seen."""
     if folder not in _SEEDS:
         _SEEDS[folder] = {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
     wanted = _SEEDS[folder]
     for path in sorted(folder.rglob("*"), reverse=True):
         if path not in wanted and not path.is_dir():
             path.unlink()
+        elif path in wanted and path.is_dir():
+            shutil.rmtree(path)
         elif path.is_dir():
             with suppress(OSError):  # one that is not empty stays
                 path.rmdir()
     for path, data in wanted.items():
-        if path.suffix == ".db" or not path.is_file():
+        if everything or path.suffix == ".db" or not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
 
@@ -440,18 +450,3 @@ def _place_of(error: BaseException) -> str:
 
 def _ring(*_: object) -> None:
     raise _TooLongError
-
-
-def as_json(result: FuzzResult) -> str:
-    """Return a result as JSON, for figures in documents."""
-    return json.dumps(
-        {
-            "seed": result.seed,
-            "inputs": sum(result.tried.values()),
-            "refused": sum(result.refused.values()),
-            "seconds": round(result.seconds, 1),
-            "doors": dict(result.tried),
-            "finds": dict(result.found),
-        },
-        indent=1,
-    )

@@ -1,4 +1,4 @@
-"""A few faults that need no server, as the command tries them."""
+"""A few faults, as the command tries them; the store of the network goes for seconds only."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.robustness.faults import Outcome, _without, try_faults
+from cucumbervision_lab.robustness.faults import FAULTS, _without, try_faults
+from cucumbervision_lab.robustness.store_gone import s3_gone
+from cucumbervision_lab.robustness.trial import Outcome
 
 
 def test_damage_and_a_folder_that_goes_lose_no_other_row() -> None:
@@ -26,3 +28,25 @@ def test_an_unknown_fault_is_named() -> None:
 def test_the_trials_folder_is_not_shown(tmp_path: Path) -> None:
     one = Outcome("x", f"cucumbervision: {tmp_path}/a.png: broken", "kept")
     assert _without(one, str(tmp_path)).seen == "a.png: broken"
+
+
+def test_killed_processes_lose_no_row() -> None:
+    worker, itself = try_faults(["worker", "measure"])
+    assert (worker.lost, worker.kept) == (False, "12 of 12 rows, those of one worker")
+    assert worker.seen.startswith("12 of 12 fruit measured in 6 captures;")
+    assert (itself.lost, itself.seen) == (False, "no tables yet")
+    assert "12 of 12 fruit measured in 6 captures, 2 of them by an earlier run" in itself.kept
+
+
+def test_a_store_that_goes_is_waited_for(tmp_path: Path) -> None:
+    pytest.importorskip("moto.server")
+    found = s3_gone(tmp_path, gone_s=5.0)
+    assert (found.lost, found.kept) == (False, "12 of 12 rows; the run waited and went on")
+
+
+def test_every_fault_has_a_name_and_the_help_says_all() -> None:
+    from cucumbervision_lab.cli.faults import faults
+
+    said = str(faults.__annotations__["names"])
+    assert [name for name in FAULTS if name not in said] == []
+    assert len(FAULTS) == 12

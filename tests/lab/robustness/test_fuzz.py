@@ -12,6 +12,7 @@ import pytest
 from cucumbervision_lab.robustness import fuzz as fuzzing
 from cucumbervision_lab.robustness.doors import DOORS, Door
 from cucumbervision_lab.robustness.fuzz import Limits, find_doors, fuzz, replay
+from cucumbervision_lab.robustness.fuzz_log import add_to_log
 from cucumbervision_lab.robustness.mutations import damaged
 
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
@@ -93,6 +94,28 @@ def test_json_damage_reaches_values(tmp_path: Path) -> None:
     assert len(longest) > 50_000
     with pytest.raises((RecursionError, ValueError)):
         json.loads(longest)
+
+
+def test_counts_of_several_runs_add_up(tmp_path: Path) -> None:
+    log = tmp_path / "runs.jsonl"
+    poses = find_doors(["poses"])
+    sums = [add_to_log(fuzz(n, seed=seed, doors=poses), log) for n, seed in ((30, 1), (20, 2))]
+    assert [(one.runs, one.inputs, one.finds) for one in sums] == [(1, 30, 0), (2, 50, 0)]
+    # The same run made again is the same inputs: it counts once.
+    assert add_to_log(fuzz(20, seed=2, doors=poses), log).inputs == 50
+
+
+def test_a_crash_spoils_no_later_input(tmp_path: Path) -> None:
+    door = find_doors(["poses"])[0]
+    door.seed(tmp_path)
+    fuzzing._tidy(tmp_path)
+    whole = {p: p.read_bytes() for p in tmp_path.iterdir()}
+    # As a process leaves it that ends while it reads a damaged file.
+    (tmp_path / "poses.csv").unlink()
+    (tmp_path / "poses.csv").mkdir()
+    (tmp_path / "poses.json").write_text("{")
+    fuzzing._tidy(tmp_path, everything=True)
+    assert {p: p.read_bytes() for p in tmp_path.iterdir()} == whole
 
 
 def test_damage_does_not_depend_on_what_was_damaged_before() -> None:

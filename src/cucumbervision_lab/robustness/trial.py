@@ -1,0 +1,134 @@
+"""A trial of the real program: its captures, what it says, and the rows that it leaves."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cucumbervision.capture.source import bundled_captures
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+__all__ = [
+    "MASKS",
+    "Outcome",
+    "Ran",
+    "begin",
+    "captures",
+    "command",
+    "ended",
+    "rows_in",
+    "rows_of",
+    "stops_in",
+]
+
+MASKS = ("--instances", "dataset", "--segmenter", "none", "--methods", "M1,M2")
+# Root may write anywhere: without these two it may as little as any owner.
+_BOUND = ("setpriv", "--bounding-set=-dac_override,-dac_read_search")
+_TABLE = "measurements.csv"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a fault.
+
+    Parameters
+    ----------
+    fault : str
+        What was done.
+    seen : str
+        What the user sees: the program's own line.
+    kept : str
+        What is there afterwards.
+    lost : bool
+        Whether something is lost, doubled or nameless that should not be.
+    """
+
+    fault: str
+    seen: str
+    kept: str
+    lost: bool = False
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command said, and its exit code; below 0 the signal that ended it."""
+
+    code: int
+    said: str
+
+    def line(self, word: str = "") -> str:
+        """Return the last line with a word in it, without the folder of this trial."""
+        lines = [" ".join(line.split()) for line in self.said.splitlines() if line.strip()]
+        found = [line for line in lines if word in line] or lines or ["nothing"]
+        return found[-1]
+
+
+def begin(
+    *words: object, before: str = "", bound: bool = False, env: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
+    """Start the program as a user does; `before` runs first in its process."""
+    code = f"{before}\nfrom cucumbervision.cli.app import main\nmain()"
+    return subprocess.Popen(
+        [*(_BOUND if bound else ()), sys.executable, "-c", code, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "COLUMNS": "400", "PYTHONDONTWRITEBYTECODE": "1", **(env or {})},
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> Ran:
+    """Wait until a program, and whatever it started, has ended."""
+    said, _ = process.communicate()
+    return Ran(process.returncode, said)
+
+
+def command(
+    *words: object, before: str = "", bound: bool = False, env: Mapping[str, str] | None = None
+) -> Ran:
+    """Run the program as `begin` starts it."""
+    return ended(begin(*words, before=before, bound=bound, env=env))
+
+
+def captures(folder: Path, count: int = 3) -> Path:
+    """Write some captures, all of them different."""
+    from cucumbervision.capture.readers import open_source
+    from cucumbervision.capture.readers.native import write_native
+
+    one = next(iter(open_source(bundled_captures() / "simulated-row-b"))).load()
+    for k in range(count):
+        depth_m = one.depth_m + (one.depth_m > 0) * 0.001 * k
+        write_native(
+            replace(one, depth_m=depth_m.astype("float32"), name=f"c{k}"), folder / f"c{k}"
+        )
+    return folder
+
+
+def rows_in(out: Path) -> list[list[str]]:
+    """Return a run's rows without what tells one run from another."""
+    with (out / _TABLE).open(encoding="utf-8-sig", newline="") as stream:
+        return [list(row.values()) for row in csv.DictReader(stream)]
+
+
+def rows_of(rows: Sequence[Sequence[str]], *captures: str) -> list[Sequence[str]]:
+    """Return the rows of some captures."""
+    return [row for row in rows if set(captures) & set(row)]
+
+
+def stops_in(store: Path) -> list[str]:
+    """Return the captures of a store's only round, sorted; each stop must be whole."""
+    from cucumbervision.store.repository import open_store
+
+    with open_store(store, create=False) as opened:
+        (one,) = opened.rounds()
+        stops = [opened.stop(stop.key) for stop in opened.stops(one.key)]
+        for fruit in opened.detections(one.key):
+            opened.detection(fruit.key)
+    return sorted(capture.name for stop in stops for capture in stop.captures)

@@ -17,7 +17,13 @@ from streamlit.testing.v1 import AppTest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.shutter import Press
-from cucumbervision.rounds.walking import DEMONSTRATION, NextPlace, next_place
+from cucumbervision.rounds.walking import (
+    DEMONSTRATION,
+    NextPlace,
+    home_of,
+    next_place,
+    put_right,
+)
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
@@ -188,6 +194,75 @@ def test_the_row_map_tells_two_fruit_from_one_and_takes_that_back(house: Path) -
     next(button for button in test.button if button.label == "No fruit").click().run()
     with open_store(house) as store:
         assert store.detection(first.key).view.verdict is Verdict.REJECTED
+
+
+def tap(test: AppTest, label: str) -> None:
+    next(button for button in test.button if button.label == label).click().run()
+    assert not test.exception
+    wait_for_jobs()
+
+
+def test_a_stop_is_moved_deleted_and_both_are_undone(house: Path) -> None:
+    def places() -> list[tuple[str | None, float | None]]:
+        with open_store(house) as store:
+            return [(stop.row, stop.position_m) for stop in store.stops(WALK)]
+
+    before = places()
+    with open_store(house) as store:
+        first = store.stops(WALK)[0]
+    test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+    next(box for box in test.text_input if box.label == "Row").set_value("12").run()
+    next(box for box in test.number_input if box.label == "At [m]").set_value(7.5).run()
+    tap(test, "Save")
+    moved = places()
+    assert moved == [("12", 7.5), *before[1:]]
+    tap(test.run(), "Delete this stop")
+    assert places() == before[1:]
+    for left in (moved, before):
+        test.run().button(key=f"stop_undo_{WALK}").click().run()
+        wait_for_jobs()
+        assert places() == left
+
+
+def test_fruit_turn_with_the_side_of_their_stop(store: Store) -> None:
+    first = store.stops(WALK)[0]
+    at_m = first.position_m or 0.0
+
+    def offsets() -> list[float]:
+        views = [view for view in store.detections(WALK) if view.stop_key == first.key]
+        return [round((view.along_m or 0.0) - at_m, 6) for view in views]
+
+    before = offsets()
+    other = "left" if first.side == "right" else "right"
+    put_right(store, first, Stop(first.row, other, first.position_m, first.step))
+    assert offsets() == [-x for x in before]
+    turned = store.stops(WALK)[0]
+    put_right(store, turned, Stop(first.row, first.side, first.position_m, first.step))
+    assert offsets() == before
+
+
+def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
+    def rounds() -> list[str]:
+        with open_store(house) as store:
+            return [one.record.name for one in store.rounds()]
+
+    test = app("results", round=WALK)
+    test.text_input(key=f"name_{WALK}").set_value("Evening").run()
+    tap(test, "Rename")
+    assert rounds() == ["Evening"]
+    tap(test, "Delete this round")
+    assert rounds() == []
+    assert "There is no round yet" in said(test)
+    test.button(key=f"back_{WALK}").click().run()
+    assert rounds() == ["Evening"]
+    assert test.session_state["round"] == WALK
+
+
+def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:
+    home_of(store, WALK, simulated=True)
+    store.delete_round(DEMONSTRATION)
+    assert home_of(store, WALK, simulated=True) == DEMONSTRATION
+    assert DEMONSTRATION in {one.key for one in store.rounds()}
 
 
 def test_an_old_round_says_nothing_of_today(house: Path) -> None:

@@ -1,9 +1,8 @@
-"""Elements that several pages draw: the choice of a round, a job's progress, columns, tables."""
+"""Elements that several pages draw: buttons, a job's progress, columns, tables."""
 
 from __future__ import annotations
 
 import math
-import time
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +10,7 @@ import streamlit as st
 
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.rounds.walking import is_demonstration
-from cucumbervision.store.records import RoundRecord
+from cucumbervision.dashboard.round_choice import choose_round
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -81,7 +79,7 @@ def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
 
     @wraps(draw)
     def page() -> None:
-        one = _pick_round()
+        one = choose_round()
         if one is None:
             st.info("There is no round yet: begin one with 'New round'.", icon=":material/flag:")
         else:
@@ -110,47 +108,6 @@ def work_words(fruit: int, rows: int, rates: Rates) -> str:
     time = f"{hours:.1f} hours" if hours >= 1.5 else f"{math.ceil(60 * hours - 1e-9)} minutes"
     crates = math.ceil(fruit / rates.fruit_per_crate)
     return f"{time} and {crates} {'crate' if crates == 1 else 'crates'}"
-
-
-def _pick_round() -> RoundView | None:
-    every = resources.store().rounds()
-    # The grower's own first: the demonstration is no work of anybody's.
-    every.sort(key=lambda one: is_demonstration(one.key))
-    rounds = {one.key: one for one in every}
-    if st.session_state.get("round") not in rounds:
-        st.session_state["round"] = next(iter(rounds), None)
-    chosen, new = st.columns([4, 1], vertical_alignment="bottom")
-    key = chosen.selectbox(
-        "Round",
-        list(rounds),
-        format_func=lambda key: _round_name(rounds[key]),
-        key="round",
-        placeholder="No round yet",
-    )
-    with new.popover("New round", icon=":material/add:", width="stretch"):
-        _new_round()
-    return rounds.get(key) if key else None
-
-
-def _round_name(one: RoundView) -> str:
-    day = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.record.started_s))
-    house = f", {one.record.house}" if one.record.house else ""
-    stops = "1 stop" if one.stops == 1 else f"{one.stops} stops"
-    return f"{one.record.name or 'Round'}{house} · {day} · {stops}"
-
-
-def _new_round() -> None:
-    name = st.text_input("Name", placeholder="Morning round", key="new_name")
-    house = st.text_input("House", placeholder="House 1", key="new_house")
-
-    def begin() -> None:
-        record = RoundRecord(
-            name=name.strip(), house=house.strip(), profile=resources.settings().profile
-        )
-        resources.store().save_round(record)
-        st.session_state["round"] = record.key
-
-    st.button("Begin this round", type="primary", width="stretch", on_click=begin)
 
 
 def start_job(key: str, title: str, work: Work) -> None:

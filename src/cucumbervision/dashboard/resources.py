@@ -316,7 +316,7 @@ def prepare() -> Job | None:
     waiting().clean()
     if wake() is not None:
         return None
-    if store().rounds():
+    if store().rounds() or store().rounds(deleted=True):
         return worker().submit("Loading the networks", _warm_up)
     home_of(store(), "", simulated=True, profile=settings().profile)
     return worker().submit("Measuring the bundled captures", _demonstrate)

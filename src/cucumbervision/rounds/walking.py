@@ -5,14 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from cucumbervision.rounds.poses import sign_of_side
+from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.records import RoundRecord, key_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cucumbervision.capture.frames import Stop
     from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import StopView
 
-__all__ = ["DEMONSTRATION", "NextPlace", "home_of", "is_demonstration", "last_step", "next_place"]
+__all__ = [
+    "DEMONSTRATION",
+    "NextPlace",
+    "home_of",
+    "is_demonstration",
+    "last_step",
+    "next_place",
+    "put_right",
+]
 
 DEMONSTRATION = key_of("demonstration")
 """Key of the one round that drawn captures go into."""
@@ -123,7 +135,8 @@ def home_of(store: Store, round_key: str, *, simulated: bool, profile: str = "")
     Parameters
     ----------
     store : Store
-        Where the rounds are; the demonstration is begun where it is missing.
+        Where the rounds are; the demonstration is begun where it is missing, and comes back where
+        it was deleted.
     round_key : str
         The round that is open.
     simulated : bool
@@ -138,6 +151,20 @@ def home_of(store: Store, round_key: str, *, simulated: bool, profile: str = "")
     """
     if not simulated:
         return round_key
-    if all(one.key != DEMONSTRATION for one in store.rounds()):
+    if any(one.key == DEMONSTRATION for one in store.rounds(deleted=True)):
+        store.restore_round(DEMONSTRATION)
+    elif all(one.key != DEMONSTRATION for one in store.rounds()):
         store.save_round(RoundRecord(DEMONSTRATION, _DEMONSTRATION_NAME, profile=profile))
     return DEMONSTRATION
+
+
+def put_right(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
+    """Say where a stop was taken really; return the change's number in the log.
+
+    Where the side changes, what lay to the left of the camera lies to the right of it.
+    """
+    turned = sign_of_side(place.side) != sign_of_side(stop.side)
+    where = StopPlace(
+        place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned
+    )
+    return store.place_stop(stop.key, where)

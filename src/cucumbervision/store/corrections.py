@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import and_, insert, or_, select, update
+from sqlalchemy import and_, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.engine import Database
+from cucumbervision.store.edits import Edits, restore
 from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
@@ -33,7 +33,7 @@ __all__ = ["Corrections", "find_detections", "lock_rounds", "mark_added"]
 _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
 
 
-class Corrections(Database):
+class Corrections(Edits):
     """What can be said of a stored round by hand. Each method returns its line's number in the log.
 
     `by` names the person. All raise `StoreError` where a detection is not there.
@@ -163,9 +163,31 @@ class Corrections(Database):
                     _end(connection, table, made, table.action_id == action.id)
                     begun_again = update(table).where(table.ended_by_id == action.id)
                     connection.execute(begun_again.values(ended_by_id=None))
+                if "before" in action.details:
+                    restore(connection, action.details)
             except IntegrityError:  # something newer stands where the old would stand again
                 raise _stands_on(action.id) from None
         return made
+
+    def restore_round(self, key: str, *, by: str = "") -> int:
+        """Put a deleted round back into the list of rounds.
+
+        Raises
+        ------
+        StoreError
+            If it was not deleted.
+        """
+        with self.reading() as connection:
+            undone = select(Action.undoes_id).where(Action.undoes_id.is_not(None))
+            deleted = select(func.max(Action.id)).where(
+                Action.round_id == round_id_of(connection, key),
+                Action.kind == "delete-round",
+                Action.id.not_in(undone),
+            )
+            number = connection.execute(deleted).scalar()
+        if number is None:
+            raise StoreError(f"round {key} is not deleted", remedy="see the list of rounds")
+        return self.undo(number=number, by=by)
 
 
 class DetectionId(NamedTuple):
@@ -260,7 +282,7 @@ def _group_of(connection: Connection, one: DetectionId) -> frozenset[str]:
 
 def _action_to_undo(connection: Connection, number: int | None, round_key: str | None) -> Any:
     undone = select(Action.undoes_id).where(Action.undoes_id.is_not(None))
-    query = select(Action.id, Action.kind, Action.round_id, Action.fruit).where(
+    query = select(Action.id, Action.kind, Action.round_id, Action.fruit, Action.details).where(
         Action.kind != "undo", Action.id.not_in(undone)
     )
     if number is not None:

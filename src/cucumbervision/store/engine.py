@@ -245,7 +245,7 @@ class Database:
 
 _DAMAGED = "the database is damaged: take its last backup"
 
-REVISIONS = ("0001",)
+REVISIONS = ("0001", "0002")
 HEAD = REVISIONS[-1]
 VERSION_TABLE = "cucumbervision_version"
 MIGRATIONS = Path(__file__).with_name("migrations")

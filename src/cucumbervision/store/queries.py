@@ -49,6 +49,7 @@ from cucumbervision.store.schema import (
     detection_from_json,
     image_ref,
     points,
+    stands,
     unpack_um,
 )
 from cucumbervision.store.views import (
@@ -83,9 +84,12 @@ _IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, DetectionLine.nu
 class Queries(Database):
     """What a store can be asked. Each method sees the database as it was when it began."""
 
-    def rounds(self, house: str | None = None) -> list[RoundView]:
-        """Return the rounds, the newest first; those of one house where one is named."""
-        of_round = StopLine.round_id == Round.id
+    def rounds(self, house: str | None = None, *, deleted: bool = False) -> list[RoundView]:
+        """Return the rounds, the newest first; those of one house where one is named.
+
+        `deleted` gives those that were deleted instead.
+        """
+        of_round = and_(StopLine.round_id == Round.id, ~StopLine.deleted)
         query = select(
             *columns_of(Round, ROUND_CELLS),
             select(func.count(StopLine.id)).where(of_round).scalar_subquery(),
@@ -94,6 +98,7 @@ class Queries(Database):
             .scalar_subquery(),
             select(func.max(StopLine.taken_s)).where(of_round).scalar_subquery(),
         ).order_by(Round.started_s.desc(), Round.id.desc())
+        query = query.where(Round.deleted == deleted)
         if house is not None:
             query = query.where(Round.house == house)
         with self.reading() as connection:
@@ -105,7 +110,7 @@ class Queries(Database):
         with self.reading() as connection:
             rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
             return [
-                built(StopView, row[0], round_key, *row[1:12], len(row[12]), image_ref(row[13:18]))
+                built(StopView, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19]))
                 for row in rows
             ]
 
@@ -178,7 +183,7 @@ class Queries(Database):
                 select(DetectionLine.round_id, Mark.value, func.count())
                 .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
                 .join(other, other.id == DetectionLine.round_id)
-                .where(other.house == house.scalar_subquery(), *kept)
+                .where(other.house == house.scalar_subquery(), ~other.deleted, STANDS, *kept)
                 .group_by(DetectionLine.round_id, Mark.value)
             )
             rows = cells_of(connection, counts)
@@ -229,16 +234,18 @@ class Queries(Database):
         """Return where the cameras of a round stood, by the stops' keys."""
         query = (
             select(
-                StopLine.key, StopLine.pose, CaptureLine.id, CaptureLine.name, CaptureLine.camera
+                *columns_of(StopLine, ("key", "pose", "mirrored")),
+                *columns_of(CaptureLine, ("id", "name", "camera")),
             )
             .join(Round, Round.id == StopLine.round_id)
             .outerjoin(CaptureLine, CaptureLine.stop_id == StopLine.id)
-            .where(Round.key == round_key)
+            .where(Round.key == round_key, ~StopLine.deleted)
             .order_by(StopLine.id, CaptureLine.number)
         )
         found: dict[str, CameraAt] = {}
         with self.reading() as connection:
-            for key, pose, number, name, camera in connection.execute(query):
+            for key, given, mirrored, number, name, camera in connection.execute(query):
+                pose = [*(-x for x in given[:3]), *given[3:]] if mirrored else given
                 at = found.setdefault(key, CameraAt(pose, {}, camera or {}))
                 if number is not None:
                     at.captures[name] = number
@@ -247,7 +254,7 @@ class Queries(Database):
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
         """Return what the stops of a round were measured with, by the stops' keys."""
         with self.reading() as connection:
-            return _artifacts_of(connection, Round.key == round_key)
+            return _artifacts_of(connection, and_(Round.key == round_key, ~StopLine.deleted))
 
     def stop(self, stop_key: str) -> StopRecord:
         """Return a stop with everything, as it was saved.
@@ -313,6 +320,7 @@ def links_of(
         .where(
             Link.ended_by_id.is_(None),
             or_(Link.first_round_id == round_id, Link.second_round_id == round_id),
+            *(stands(first), stands(second)),
         )
         .order_by(Link.id)
     )
@@ -337,7 +345,7 @@ def _stop_query(round_id: int) -> Any:
         select(
             StopLine.key,
             Row.name,
-            *columns_of(StopLine, ("side", *_PLACE, "step", "taken_s", "note")),
+            *columns_of(StopLine, ("side", *_PLACE, "step", "taken_s", "note", "mirrored")),
             captures.scalar_subquery(),
             detections.scalar_subquery(),
             StopLine.failures,
@@ -346,7 +354,7 @@ def _stop_query(round_id: int) -> Any:
         .outerjoin(Row, Row.id == StopLine.row_id)
         .outerjoin(first, and_(first.stop_id == StopLine.id, first.number == 0))
         .outerjoin(Image, Image.sha256 == first.thumbnail_sha256)
-        .where(StopLine.round_id == round_id)
+        .where(StopLine.round_id == round_id, ~StopLine.deleted)
         .order_by(StopLine.taken_s, StopLine.id)
     )
 
@@ -366,7 +374,7 @@ def _detections_of(
     rows = [
         (row, marks.get(row[0], {})) for row in cells_of(connection, query.order_by(*_IN_ORDER))
     ]
-    records = {row[0]: own.get("mask") or DetectionRecord(*row[17:]) for row, own in rows}
+    records = {row[0]: own.get("mask") or DetectionRecord(*row[18:]) for row, own in rows}
     candidates = {
         row[0]: Candidate(
             own.get("verdict") is not Verdict.REJECTED,
@@ -392,7 +400,7 @@ def _detection_query(round_id: int) -> Any:
             Row.name,
             *columns_of(StopLine, ("side", "step", "taken_s")),
             CaptureLine.simulated,
-            *columns_of(StopLine, _PLACE),
+            *columns_of(StopLine, (*_PLACE, "mirrored")),
             *IMAGE_COLUMNS,
             *columns_of(DetectionLine, DETECTION_CELLS),
         )
@@ -411,9 +419,10 @@ def _detection_view(
     marks: Mapping[str, Any],
     group: Standing,
 ) -> DetectionView:
-    given, given_sd, fitted, fitted_sd = row[8:12]
+    given, given_sd, fitted, fitted_sd, mirrored = row[8:13]
     stop_m, stop_sd_m = (given, given_sd) if fitted is None else (fitted, fitted_sd)
-    along_m = None if stop_m is None else stop_m + (record.offset_m or 0.0)
+    offset_m = (record.offset_m or 0.0) * (-1.0 if mirrored else 1.0)
+    along_m = None if stop_m is None else stop_m + offset_m
     sd_known = stop_m is not None and stop_sd_m is not None
     return built(
         DetectionView,
@@ -422,7 +431,7 @@ def _detection_view(
         *row[2:8],
         along_m,
         hypot(stop_sd_m, record.offset_sd_m or 0.0) if sd_known else None,
-        image_ref(row[12:17]),
+        image_ref(row[13:18]),
         record,
         marks.get("verdict"),
         group.picked_s,

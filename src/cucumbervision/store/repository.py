@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import delete, func, insert, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.corrections import (
@@ -17,6 +16,7 @@ from cucumbervision.store.corrections import (
     mark_added,
 )
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
+from cucumbervision.store.insertion import id_of, insert_new, row_id_of
 from cucumbervision.store.queries import Queries, round_id_of
 from cucumbervision.store.records import (
     RoundRecord,
@@ -132,11 +132,12 @@ class Store(Queries, Corrections):
         """
         record = replace(record, key=checked_key(record.key, "round"))
         with self.writing() as connection:
-            if _insert_new(connection, Round, _cells(record, ROUND_CELLS), "key") is not None:
+            if insert_new(connection, Round, _cells(record, ROUND_CELLS), "key") is not None:
                 return Saved.NEW
             columns = columns_of(Round, ROUND_CELLS)
             found = connection.execute(select(*columns).where(Round.key == record.key)).one()
-            if RoundRecord(*found) != record:
+            # It may have been renamed since.
+            if replace(RoundRecord(*found), name=record.name) != record:
                 raise _conflict("round", record.key)
             return Saved.ALREADY_THERE
 
@@ -162,11 +163,11 @@ class Store(Queries, Corrections):
                 **_cells(stop, _STOP_CELLS),
                 "content_sha256": sha256,
                 "round_id": round_id,
-                "row_id": None if stop.row is None else _row_id(connection, round_id, stop.row),
+                "row_id": None if stop.row is None else row_id_of(connection, round_id, stop.row),
                 "pose": list(stop.pose),
                 "failures": [dict(failure) for failure in stop.failures],
             }
-            stop_id = _insert_new(connection, StopLine, cells, "key")
+            stop_id = insert_new(connection, StopLine, cells, "key")
             if stop_id is None:
                 stored = select(StopLine.content_sha256).where(StopLine.key == stop.key)
                 if connection.execute(stored).scalar_one() != sha256:
@@ -318,40 +319,13 @@ def _cells(record: Any, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(record, name) for name in names}
 
 
-def _insert_new(
-    connection: Connection, table: type[Base], cells: dict[str, Any], *unique: str
-) -> int | None:
-    """Insert one line and return its id; None where one with that key is there already.
-
-    Where another transaction is just inserting the same key, PostgreSQL waits for its end.
-    """
-    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
-    line = dialect.insert(table).values(**cells).on_conflict_do_nothing(index_elements=unique)
-    key: Any = next(iter(table.__table__.primary_key))
-    return cast("int | None", connection.execute(line.returning(key)).scalar())
-
-
-def _id_of(connection: Connection, table: Any, cells: dict[str, Any], *unique: str) -> int:
-    """Return the id of the line with these cells, inserted where it is not there yet."""
-    query = select(table.id).where(*(getattr(table, name) == cells[name] for name in unique))
-    found = connection.execute(query).scalar()
-    if found is None:
-        found = _insert_new(connection, table, cells, *unique)
-    return cast("int", connection.execute(query).scalar_one() if found is None else found)
-
-
-def _row_id(connection: Connection, round_id: int, name: str) -> int:
-    house = connection.execute(select(Round.house).where(Round.id == round_id)).scalar_one()
-    return _id_of(connection, Row, {"house": house, "name": name}, "house", "name")
-
-
 def _add_artifacts(
     connection: Connection, stop_id: int, artifacts: Sequence[ArtifactRecord]
 ) -> None:
     unique = ("kind", "name", "sha256")
     # In one order for all, so that two writers never wait for each other in a circle.
     ids = {
-        number: _id_of(connection, Artifact, record_json(artifacts[number]), *unique)
+        number: id_of(connection, Artifact, record_json(artifacts[number]), *unique)
         for number in sorted(
             range(len(artifacts)), key=lambda n: [getattr(artifacts[n], one) for one in unique]
         )
@@ -366,7 +340,7 @@ def _add_images(connection: Connection, captures: Sequence[CaptureRecord]) -> No
     refs = (ref for one in captures for ref in (one.color, one.depth, one.thumbnail))
     images = {ref.sha256: ref for ref in refs if ref is not None}
     for sha256 in sorted(images):
-        _insert_new(connection, Image, vars(images[sha256]), "sha256")
+        insert_new(connection, Image, vars(images[sha256]), "sha256")
 
 
 def _add_capture(connection: Connection, stop_id: int, number: int, capture: CaptureRecord) -> int:

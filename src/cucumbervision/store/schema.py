@@ -1,8 +1,9 @@
 """The tables, for SQLite and PostgreSQL alike, and how records are laid into them.
 
 What was measured is written once and never changed. What people and algorithms say of it later
-stands in `marks`, `links` and the stops' fitted positions; every manual action is a line of
-`actions`, which the database itself keeps from being changed or removed.
+stands in `marks`, `links` and the stops' fitted positions; where a stop was taken and what a round
+is called can be put right (`edits.py`). Every manual action is a line of `actions`, which the
+database itself keeps from being changed or removed.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from sqlalchemy import (
     MetaData,
     Text,
     UniqueConstraint,
+    and_,
+    false,
     select,
     text,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, aliased, mapped_column
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.records import (
@@ -73,6 +76,7 @@ __all__ = [
     "image_ref",
     "pack_um",
     "points",
+    "stands",
     "unpack_um",
 ]
 
@@ -111,6 +115,7 @@ class Round(Base):
     started_s: Mapped[float] = mapped_column(index=True)
     profile: Mapped[str]
     note: Mapped[str]
+    deleted: Mapped[bool] = mapped_column(server_default=false())
 
 
 class Row(Base):
@@ -170,6 +175,9 @@ class StopLine(Base):
     # Where an algorithm puts the stop, from the fruit that it shares with its neighbours.
     fitted_m: Mapped[float | None]
     fitted_sd_m: Mapped[float | None]
+    # Whether its offsets along the row count the other way: its side was put right later.
+    mirrored: Mapped[bool] = mapped_column(server_default=false())
+    deleted: Mapped[bool] = mapped_column(server_default=false())
 
 
 class StopArtifact(Base):
@@ -301,10 +309,20 @@ class Shift(Base):
 ADDED = "added"
 """The slot of a mark on a fruit that was added by hand."""
 
-STANDS = DetectionLine.id.not_in(
-    select(Mark.fruit_id).where(Mark.slot == ADDED, Mark.ended_by_id.is_not(None))
-)
-"""Whether a detection counts: all do but those that were added by hand and taken back."""
+
+def stands(fruit: Any = DetectionLine) -> Any:
+    """Return whether a detection counts, for a query.
+
+    All do but those that were added by hand and taken back, and those of deleted stops.
+    """
+    mark, capture, stop = aliased(Mark), aliased(CaptureLine), aliased(StopLine)
+    taken_back = select(mark.fruit_id).where(mark.slot == ADDED, mark.ended_by_id.is_not(None))
+    gone = select(capture.id).join(stop, stop.id == capture.stop_id).where(stop.deleted)
+    return and_(fruit.id.not_in(taken_back), fruit.capture_id.not_in(gone))
+
+
+STANDS = stands()
+"""`stands` of the detections themselves."""
 
 _TYPES = {float: Double, int: Integer, str: Text, bool: Boolean}
 

@@ -135,6 +135,8 @@ class StopView:
         As it was given.
     fitted_m, fitted_sd_m : float, optional
         Where the merging puts it.
+    mirrored : bool
+        Whether its side was put right: offsets along the row count the other way.
     captures, fruit, failures : int
         How many.
     thumbnail : ImageRef, optional
@@ -152,6 +154,7 @@ class StopView:
     step: int | None
     taken_s: float
     note: str
+    mirrored: bool
     captures: int
     fruit: int
     failures: int
@@ -279,7 +282,8 @@ class ActionView:
         Who.
     kind : str
         'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'add', 'merge', 'unmerge',
-        'link-growth', 'unlink-growth' or 'undo'.
+        'link-growth', 'unlink-growth', 'place-stop', 'delete-stop', 'rename-round',
+        'delete-round' or 'undo'.
     round_key : str, optional
         Of its last fruit: of growth between two rounds the later.
     fruit : tuple of str

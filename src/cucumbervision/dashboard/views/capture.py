@@ -22,6 +22,7 @@ from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import grade_name, length_words, stop_name
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
+from cucumbervision.dashboard.views.stops import change_stop
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.walking import (
@@ -330,7 +331,10 @@ def _last_stop(one: RoundView, home: str) -> None:
         st.caption("No stops yet. Each capture's result is shown here.")
         return
     last = stops[-1]
-    st.markdown(f"**{plain(stop_name(last))}: saved**")
+    says, change = st.columns([3, 1], vertical_alignment="center")
+    says.markdown(f"**{plain(stop_name(last))}: saved**")
+    with change.popover("Put right", icon=":material/edit_location:", width="stretch"):
+        change_stop(last)
     if last.failures:
         found = resources.store().stop(last.key).failures[0]
         st.warning(f"Saved, but not measured: {plain(found['message'])}", icon=":material/warning:")

@@ -20,6 +20,7 @@ from cucumbervision.dashboard.round_tables import (
     round_day,
     row_name,
 )
+from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.around import around, doubtful_first
 from cucumbervision.store.views import Verdict
@@ -48,6 +49,7 @@ def page(one: RoundView) -> None:
             "No fruit of this round has a position yet. Enter row and position when capturing.",
             icon=":material/map:",
         )
+        list_stops(one)
         return
     by, where = st.columns([2, 3], vertical_alignment="bottom")
     colored = by.segmented_control(
@@ -73,6 +75,7 @@ def page(one: RoundView) -> None:
     )
     _doubtful(lists)
     _fruit(one, lists)
+    list_stops(one)
 
 
 def _choose(chart: str, keys: Sequence[str]) -> None:

@@ -1,0 +1,98 @@
+"""The choice of a round above every page; rounds are begun, renamed, deleted and brought back."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.dashboard import resources
+from cucumbervision.rounds.walking import is_demonstration
+from cucumbervision.store.records import RoundRecord
+
+if TYPE_CHECKING:
+    from cucumbervision.store.views import RoundView
+
+__all__ = ["choose_round"]
+
+
+def choose_round() -> RoundView | None:
+    """Draw the choice, and return the round that is open; None where there is none."""
+    every = resources.store().rounds()
+    # The grower's own first: the demonstration is no work of anybody's.
+    every.sort(key=lambda one: is_demonstration(one.key))
+    rounds = {one.key: one for one in every}
+    if st.session_state.get("round") not in rounds:
+        st.session_state["round"] = next(iter(rounds), None)
+    chosen, new, change = st.columns([6, 2, 1], vertical_alignment="bottom")
+    key = chosen.selectbox(
+        "Round",
+        list(rounds),
+        format_func=lambda key: _name(rounds[key]),
+        key="round",
+        placeholder="No round yet",
+    )
+    one = rounds.get(key) if key else None
+    with new.popover("New round", icon=":material/add:", width="stretch"):
+        _begin()
+    with change.popover("", icon=":material/edit:", width="stretch", help="Rename or delete"):
+        _change(one)
+    return one
+
+
+def _name(one: RoundView) -> str:
+    day = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.record.started_s))
+    house = f", {one.record.house}" if one.record.house else ""
+    stops = "1 stop" if one.stops == 1 else f"{one.stops} stops"
+    return f"{one.record.name or 'Round'}{house} · {day} · {stops}"
+
+
+def _begin() -> None:
+    name = st.text_input("Name", placeholder="Morning round", key="new_name")
+    house = st.text_input("House", placeholder="House 1", key="new_house")
+
+    def begin() -> None:
+        record = RoundRecord(
+            name=name.strip(), house=house.strip(), profile=resources.settings().profile
+        )
+        resources.store().save_round(record)
+        st.session_state["round"] = record.key
+
+    st.button("Begin this round", type="primary", width="stretch", on_click=begin)
+
+
+def _change(one: RoundView | None) -> None:
+    store = resources.store()
+
+    def rename(key: str, name: str) -> None:
+        store.rename_round(key, name)
+
+    def delete(key: str) -> None:
+        store.delete_round(key)
+
+    def bring_back(key: str) -> None:
+        store.restore_round(key)
+        st.session_state["round"] = key
+
+    if one is not None:
+        name = st.text_input("Name of this round", one.record.name, key=f"name_{one.key}").strip()
+        st.button(
+            "Rename", width="stretch", on_click=rename, args=(one.key, name), disabled=not name
+        )
+        st.button(
+            "Delete this round",
+            icon=":material/delete:",
+            width="stretch",
+            on_click=delete,
+            args=(one.key,),
+        )
+    for gone in store.rounds(deleted=True):
+        st.button(
+            f"Bring back: {_name(gone)}",
+            icon=":material/undo:",
+            width="stretch",
+            key=f"back_{gone.key}",
+            on_click=bring_back,
+            args=(gone.key,),
+        )

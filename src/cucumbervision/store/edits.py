@@ -1,0 +1,131 @@
+"""Stops and rounds put right by hand: moved, renamed, deleted; each logged, each to be undone.
+
+The line itself is changed, since every list reads it; what it said before is in the log. What is
+deleted stays in the tables, and is in no list.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import insert, select, update
+
+from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.store.engine import Database
+from cucumbervision.store.insertion import row_id_of
+from cucumbervision.store.records import checked_key
+from cucumbervision.store.schema import Action, Round, StopLine
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection
+
+__all__ = ["Edits", "StopPlace", "restore"]
+
+
+@dataclass(frozen=True)
+class StopPlace:
+    """What of a stop can be put right by hand.
+
+    Parameters
+    ----------
+    row, side : str, optional
+        Row of the house, and side of the row.
+    position_m : float, optional
+        Along the row.
+    step : int, optional
+        Its number.
+    note : str
+        What it is called beside its number.
+    mirrored : bool
+        Whether positions grow the other way in its pictures than they did when it was measured.
+    """
+
+    row: str | None
+    side: str | None
+    position_m: float | None
+    step: int | None
+    note: str = ""
+    mirrored: bool = False
+
+
+class Edits(Database):
+    """What can be put right of stops and rounds. Each method returns its line's number in the log.
+
+    `by` names the person. All raise `StoreError` where the stop or round is not there.
+    """
+
+    def place_stop(self, key: str, place: StopPlace, *, by: str = "") -> int:
+        """Say where a stop was taken, and what it is called; its fitted position is forgotten."""
+        with self.writing() as connection:
+            after = asdict(place)
+            row, stop = after.pop("row"), _line(connection, StopLine, key)
+            after["row_id"] = row if row is None else row_id_of(connection, stop.round_id, row)
+            return _edit(connection, StopLine, stop, "place-stop", after, by)
+
+    def delete_stop(self, key: str, *, by: str = "") -> int:
+        """Take a stop with all its fruit out of every list."""
+        with self.writing() as connection:
+            stop = _line(connection, StopLine, key)
+            return _edit(connection, StopLine, stop, "delete-stop", {"deleted": True}, by)
+
+    def rename_round(self, key: str, name: str, *, by: str = "") -> int:
+        """Call a round something else."""
+        with self.writing() as connection:
+            found = _line(connection, Round, key)
+            return _edit(connection, Round, found, "rename-round", {"name": name}, by)
+
+    def delete_round(self, key: str, *, by: str = "") -> int:
+        """Take a round with all its stops out of the list of rounds."""
+        with self.writing() as connection:
+            found = _line(connection, Round, key)
+            return _edit(connection, Round, found, "delete-round", {"deleted": True}, by)
+
+
+_TABLES: dict[str, Any] = {"stops": StopLine, "rounds": Round}
+
+
+def _line(connection: Connection, table: Any, key: str) -> Any:
+    what = "stop" if table is StopLine else "round"
+    query = select(*table.__table__.columns).where(table.key == checked_key(key, what))
+    found = connection.execute(query.with_for_update(key_share=True)).one_or_none()
+    if found is None or found.deleted:
+        raise StoreError(f"{what} {key} is not in the store", remedy=f"see the list of {what}s")
+    return found
+
+
+def _edit(
+    connection: Connection, table: Any, line: Any, kind: str, after: dict[str, Any], by: str
+) -> int:
+    before = {name: getattr(line, name) for name in after}
+    details = {"table": table.__tablename__, "key": line.key, "before": before, "after": after}
+    logged = insert(Action).values(
+        at_s=time.time(),
+        by=by,
+        kind=kind,
+        round_id=line.id if table is Round else line.round_id,
+        fruit=[],
+        details=details,
+    )
+    number = connection.execute(logged.returning(Action.id)).scalar_one()
+    restore(connection, {**details, "before": after, "after": before})
+    return number
+
+
+def restore(connection: Connection, details: dict[str, Any]) -> None:
+    """Let a stop or round say again what it said before an edit, where it says what that made it.
+
+    Raises
+    ------
+    StoreConflictError
+        If it says something else by now.
+    """
+    table = _TABLES[details["table"]]
+    now = [getattr(table, name).is_not_distinct_from(x) for name, x in details["after"].items()]
+    # Where merging put a stop that is moved no longer holds: the next merging finds it anew.
+    moved = "position_m" in details["before"]
+    fitted = {"fitted_m": None, "fitted_sd_m": None} if moved else {}
+    line = update(table).where(table.key == details["key"], *now)
+    if connection.execute(line.values(**details["before"], **fitted)).rowcount != 1:
+        raise StoreConflictError("it was changed again since", remedy="undo the later change first")

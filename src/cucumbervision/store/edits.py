@@ -21,7 +21,7 @@ from cucumbervision.store.schema import Action, Round, StopLine
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-__all__ = ["Edits", "StopPlace", "restore"]
+__all__ = ["Edits", "StopPlace", "first_name", "restore"]
 
 
 @dataclass(frozen=True)
@@ -129,3 +129,16 @@ def restore(connection: Connection, details: dict[str, Any]) -> None:
     line = update(table).where(table.key == details["key"], *now)
     if connection.execute(line.values(**details["before"], **fitted)).rowcount != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
+
+
+def first_name(connection: Connection, round_key: str) -> str | None:
+    """Return what a round was called before it was renamed; None where it never was."""
+    renamed = (
+        select(Action.details)
+        .join(Round, Round.id == Action.round_id)
+        .where(Round.key == round_key, Action.kind == "rename-round")
+        .order_by(Action.id)
+        .limit(1)
+    )
+    details = connection.execute(renamed).scalar()
+    return None if details is None else str(details["before"]["name"])

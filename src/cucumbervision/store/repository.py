@@ -15,6 +15,7 @@ from cucumbervision.store.corrections import (
     lock_rounds,
     mark_added,
 )
+from cucumbervision.store.edits import first_name
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
 from cucumbervision.store.insertion import id_of, insert_new, row_id_of
 from cucumbervision.store.queries import Queries, round_id_of
@@ -136,8 +137,10 @@ class Store(Queries, Corrections):
                 return Saved.NEW
             columns = columns_of(Round, ROUND_CELLS)
             found = connection.execute(select(*columns).where(Round.key == record.key)).one()
-            # It may have been renamed since.
-            if replace(RoundRecord(*found), name=record.name) != record:
+            first = RoundRecord(*found)
+            if (name := first_name(connection, record.key)) is not None:
+                first = replace(first, name=name)
+            if first != record:
                 raise _conflict("round", record.key)
             return Saved.ALREADY_THERE
 

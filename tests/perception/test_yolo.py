@@ -8,6 +8,7 @@ import pytest
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.yolo import (
+    SIZES_KEY,
     YoloDetector,
     choose_raw,
     choose_rows,
@@ -151,6 +152,18 @@ def test_an_input_size_scales_the_picture_and_is_told() -> None:
     assert (large.box.tolist(), large.input_size_px) == ([3.5, 1.5, 19.5, 5.5], 128)
     both = YoloDetector(free, input_sizes=(64, 128)).detect(PICTURE)
     assert sorted(one.input_size_px or 0 for one in both) == [64, 128]
+
+
+def test_a_file_says_at_which_sizes_it_is_run_where_nobody_asks() -> None:
+    rows = chosen([8, 4, 40, 12, 0.8, 0])
+    props = CUCUMBER | {"task": "detect", "end2end": True, SIZES_KEY: "128,64"}
+    free = network(rows, props=props, shape=FREE)
+    found = YoloDetector(free).detect(PICTURE)
+    assert sorted(one.input_size_px or 0 for one in found) == [64, 128]
+    (asked,) = YoloDetector(free, input_sizes=(96,)).detect(PICTURE)
+    assert asked.input_size_px == 96
+    with pytest.raises(ModelError, match="its 'input_sizes' is '650'"):
+        YoloDetector(network(rows, props=props | {SIZES_KEY: "650"}, shape=FREE))
 
 
 def test_what_two_sizes_find_alike_is_found_once() -> None:

@@ -29,6 +29,7 @@ __all__ = [
     "DEFAULT_CONFIDENCE",
     "ONE_TO_ONE_KEY",
     "ORDER_KEY",
+    "SIZES_KEY",
     "YoloDetector",
     "YoloLayout",
     "choose_raw",
@@ -42,6 +43,9 @@ ONE_TO_ONE_KEY = "one2one"
 
 ORDER_KEY = "keypoint_order"
 """Metadata key of our pose exports; without it points run from blossom to stem."""
+
+SIZES_KEY = "input_sizes"
+"""Metadata key of our exports: the long sides that a network is shown where none is asked for."""
 
 BY_PLACE = "place"
 """Its value where points run from a fruit's lower left end to its upper right one."""
@@ -68,6 +72,8 @@ class YoloLayout:
         The outputs; no prototypes ('') unless the task is 'segment'.
     size_px : tuple of int
         Height and width of the input.
+    sizes_px : tuple of int
+        Long sides at which the file asks to be run; empty for `size_px` alone.
     free_size : bool
         True where the network takes any size that is a multiple of the stride.
     stride_px : int
@@ -92,6 +98,7 @@ class YoloLayout:
     rows_name: str
     prototypes_name: str
     size_px: tuple[int, int]
+    sizes_px: tuple[int, ...]
     free_size: bool
     stride_px: int
     extra: int
@@ -165,6 +172,7 @@ def _read_layout(network: Network) -> YoloLayout:
         rows_name=rows[0].name,
         prototypes_name=prototypes[0].name if prototypes else "",
         size_px=size,
+        sizes_px=_own_sizes(data, source),
         free_size=free_size,
         stride_px=int(_literal(data, "stride", _DEFAULT_STRIDE_PX, source)),
         extra=int(prototypes[0].shape[1] or 32) if prototypes else keypoints[0] * keypoints[1],
@@ -199,6 +207,13 @@ def _input_size(network: Network) -> tuple[bool, tuple[int, int]]:
         return False, (height, width)
     default = (_DEFAULT_SIZE_PX, _DEFAULT_SIZE_PX)
     return True, _pair(network.metadata, "imgsz", default, source)
+
+
+def _own_sizes(data: Mapping[str, str], source: str) -> tuple[int, ...]:
+    try:
+        return parse_input_sizes(data.get(SIZES_KEY, ""))
+    except CucumberVisionError as error:
+        raise _bad_metadata(data, SIZES_KEY, source) from error
 
 
 def _shape(info: TensorInfo) -> str:
@@ -443,7 +458,8 @@ class YoloDetector:
         self._most, self.ends = most, ends
         self._layout = _read_layout(self._network)
         self._confidence = confidence
-        self._sizes_px = tuple((side, side) for side in input_sizes) or (self._layout.size_px,)
+        sides_px = input_sizes or self._layout.sizes_px
+        self._sizes_px = tuple((side, side) for side in sides_px) or (self._layout.size_px,)
         self._check_sizes()
         if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
             _log.warning(

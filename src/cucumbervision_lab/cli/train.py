@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from cucumbervision.cli.choices import InputSize
+
 __all__ = ["app"]
 
 app = typer.Typer(
@@ -300,13 +302,22 @@ def export(
     credit: Annotated[
         list[str] | None, typer.Option("--credit", help="Whom the card is to name; repeatable.")
     ] = None,
+    input_size: InputSize = "",
 ) -> None:
     """Write the ONNX file and its card, and show its entry for the registry."""
+    from cucumbervision.perception.yolo import parse_input_sizes
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.export import export_trained
     from cucumbervision_lab.training.publish import registry_entry
 
-    card = export_trained(source, out, name, evaluation=evaluation, credits=credit or ())
+    card = export_trained(
+        source,
+        out,
+        name,
+        evaluation=evaluation,
+        credits=credit or (),
+        input_sizes=parse_input_sizes(input_size),
+    )
     show(*(out / f"{name}{suffix}" for suffix in (".onnx", ".md", ".json")))
     show(f"\n{registry_entry(card)}")
 

@@ -24,7 +24,7 @@ import numpy as np
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY
+from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
 from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.plan import RunState
@@ -89,6 +89,7 @@ def export_yolo(
     size_px: int | tuple[int, int] = 640,
     dynamic: bool = False,
     half: bool = False,
+    input_sizes: Sequence[int] = (),
 ) -> Path:
     """Export a checkpoint to ONNX.
 
@@ -106,6 +107,9 @@ def export_yolo(
         Let the network take any size.
     half : bool
         Store the weights in half precision; inputs and outputs stay float32.
+    input_sizes : sequence of int
+        Long sides at which the network is run where nobody asks for others, pixels; without any
+        `size_px` alone.
 
     Returns
     -------
@@ -122,7 +126,9 @@ def export_yolo(
     if head not in HEADS:
         raise ModelError(f"no head is called {head!r}", remedy=f"choose one of {', '.join(HEADS)}")
     model = _load(checkpoint)
-    return export_model(model, out, head=head, size_px=size_px, dynamic=dynamic, half=half)
+    return export_model(
+        model, out, head=head, size_px=size_px, dynamic=dynamic, half=half, input_sizes=input_sizes
+    )
 
 
 def _load(checkpoint: Path | str) -> Any:
@@ -146,6 +152,7 @@ def export_model(
     size_px: int | tuple[int, int] = 640,
     dynamic: bool = False,
     half: bool = False,
+    input_sizes: Sequence[int] = (),
 ) -> Path:
     """Export a loaded `ultralytics.YOLO`; see `export_yolo`."""
     detect = model.model.model[-1]
@@ -174,8 +181,13 @@ def export_model(
         finally:
             detect.__dict__.pop("postprocess", None)
         out.parent.mkdir(parents=True, exist_ok=True)
-        order = str(getattr(model.model, "keypoint_order", ""))
-        _finish(Path(written), one_to_one=head == "one-to-one", half=half, order=order)
+        own = {
+            ORDER_KEY: str(getattr(model.model, "keypoint_order", "")),
+            SIZES_KEY: ",".join(map(str, input_sizes)),
+        }
+        if head == "one-to-one":
+            own |= {"end2end": "False", ONE_TO_ONE_KEY: "True"}
+        _finish(Path(written), own, half=half)
         shutil.move(written, out)
     return out
 
@@ -191,18 +203,15 @@ def _corners_to_centres(rows: Any) -> Any:
     return torch.cat(((low + high) / 2, high - low, rest), dim=-1).permute(0, 2, 1)
 
 
-def _finish(path: Path, *, one_to_one: bool, half: bool, order: str) -> None:
-    """Say in the metadata which head and order of points it is, and halve the weights' storage."""
+def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
+    """Add what is not empty of our own metadata, and halve the weights' storage."""
     import onnx
 
     network = onnx.load(path)
     entries = {entry.key: entry.value for entry in network.metadata_props}
     # Where the data lay on the machine of whoever trained is nobody's business.
     entries["description"] = entries.get("description", "").split(" trained on ")[0]
-    if one_to_one:
-        entries |= {"end2end": "False", ONE_TO_ONE_KEY: "True"}
-    if order:
-        entries[ORDER_KEY] = order
+    entries |= {key: value for key, value in own.items() if value}
     onnx.helper.set_model_props(network, entries)
     if half:
         # Ultralytics' own half precision computes in it too: positions from 512 px on then lie on
@@ -223,6 +232,7 @@ def export_trained(
     *,
     evaluation: Path | None = None,
     credits: Sequence[str] = (),
+    input_sizes: Sequence[int] = (),
 ) -> ModelCard:
     """Export a run's newest weights, or a checkpoint, and write the card beside them.
 
@@ -241,6 +251,8 @@ def export_trained(
         A JSON file of an evaluation, taken into the card as it is.
     credits : sequence of str
         Whom the card names beside the network's makers: publishers of pictures.
+    input_sizes : sequence of int
+        As for `export_yolo`.
 
     Returns
     -------
@@ -278,7 +290,14 @@ def export_trained(
             source=checkpoint,
             remedy="give one of one class for segment or pose",
         )
-    path = export_model(model, out / f"{name}.onnx", size_px=_SIZE_PX, dynamic=True, half=True)
+    path = export_model(
+        model,
+        out / f"{name}.onnx",
+        size_px=_SIZE_PX,
+        dynamic=True,
+        half=True,
+        input_sizes=input_sizes,
+    )
     known = _known_of_run(source) if source.is_dir() else {}
     card = ModelCard(
         name=name,

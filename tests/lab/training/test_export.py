@@ -230,15 +230,18 @@ def test_bad_checkpoints_are_named(tmp_path: Path) -> None:
         export_model(older, tmp_path / "out.onnx")
 
 
-def test_the_order_of_the_points_goes_into_the_file(tmp_path: Path) -> None:
+def test_the_order_of_the_points_and_the_sizes_go_into_the_file(tmp_path: Path) -> None:
     ultralytics = import_ultralytics()
     model = ultralytics.YOLO(random_network("pose", tmp_path))
     orders = {}
     for order in ("", "place"):
         model.model.keypoint_order = order
-        path = export_model(model, tmp_path / f"pose-{order}.onnx", size_px=SIZE_PX)
+        path = export_model(
+            model, tmp_path / f"pose-{order}.onnx", size_px=SIZE_PX, dynamic=True, input_sizes=(96,)
+        )
         orders[order] = YoloDetector(path, "onnxruntime").by_place
     assert orders == {"": False, "place": True}
     # Without the network that tells the ends apart nobody knows them.
     detector = YoloDetector(tmp_path / "pose-place.onnx", "onnxruntime", 0.05)
-    assert {one.end_confidence for one in detector.detect(picture(160, 160))} == {0.5}
+    found = detector.detect(picture(160, 160))
+    assert {(one.end_confidence, one.input_size_px) for one in found} == {(0.5, 96)}

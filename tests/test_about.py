@@ -22,4 +22,10 @@ def test_the_source_is_the_one_of_the_packages_metadata(
     for url in urls:
         message["Project-URL"] = url
     monkeypatch.setattr(about, "metadata", lambda name: message)
+    monkeypatch.delenv("CUCUMBERVISION_SOURCE", raising=False)
     assert about.source_offer().startswith(offer)
+
+
+def test_one_line_of_the_environment_names_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_SOURCE", " https://git.example/ours ")
+    assert about.source_offer() == "https://git.example/ours"

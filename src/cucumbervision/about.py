@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.metadata import PackageNotFoundError, metadata, version
 
 from cucumbervision._version import __version__
@@ -24,12 +25,15 @@ def source_offer() -> str:
 
     The AGPL-3.0, section 13, asks for the offer. The address is the installed package's `Source` in
     `[project.urls]` of `pyproject.toml`: whoever distributes a changed program changes it there.
+    Whoever runs one sets it by the environment's `CUCUMBERVISION_SOURCE`, which comes first.
 
     Examples
     --------
     >>> isinstance(source_offer(), str)
     True
     """
+    if chosen := os.environ.get("CUCUMBERVISION_SOURCE", "").strip():
+        return chosen
     for line in metadata("cucumbervision").get_all("Project-URL") or []:
         label, _, address = line.partition(", ")
         if label.lower() == "source":

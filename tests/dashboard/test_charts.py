@@ -16,7 +16,7 @@ COLORS = {
 def test_every_class_of_the_lines_has_its_colour() -> None:
     named = ("not graded", "class II", "out of grade", "class I", "class II")
     lines = [
-        {"length": 20.0 + k, "class": name, "along": 0.1 * k, "height": 0.0, "picked": False}
+        {"length": 20.0 + k, "class": name, "along": 0.1 * k, "height": 0.0, "mark": "seen"}
         for k, name in enumerate(named)
     ]
     bars = charts.histogram(lines, Units("cm")).to_dict()["layer"][1]

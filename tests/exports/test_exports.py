@@ -21,7 +21,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
-from cucumbervision.exports.writers import render_sheet, write_exports
+from cucumbervision.exports.writers import render_sheet, to_read, write_exports
 from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -250,7 +250,8 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     write_exports(tables, tmp_path, [ExportFormat.XLSX])
     book = openpyxl.load_workbook(tmp_path / "round.xlsx")
     for name, (title, frozen) in SHEETS.items():
-        table, sheet = tables[name], book[title]
+        table = to_read(tables) if name == "fruit" else tables[name]
+        sheet = book[title]
         head, *rows = sheet.iter_rows(values_only=True)
         assert list(head) == [column.title for column in table.columns]
         for row, cells in zip(rows, table.rows, strict=True):
@@ -259,12 +260,13 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
                     assert got == "picture"
                 else:
                     assert got == (defused(cell) if isinstance(cell, str) else cell)
-        assert sheet.freeze_panes == f"{'ABCD'[frozen]}2"
+        assert sheet.freeze_panes == f"{'ABCDEF'[frozen]}2"
     assert "length [cm]" in [cell.value for cell in book["Fruit"][1]]
     lengths = next(cell for cell in book["Fruit"][1] if cell.value == "length [cm]")
     assert book["Fruit"].cell(2, lengths.column).number_format == "0.00"
     picture = next(cell for cell in book["Fruit"][1] if cell.value == "picture")
     target = book["Fruit"].cell(2, picture.column).hyperlink.target
+    assert target.replace("\\", "/") == "pictures/morning_row-3_fruit-0001.jpg"
     assert (tmp_path / target.replace("\\", "/")).is_file()  # Excel's own way to write paths
     assert len(book["Summary"]._charts) == 2
     values = [str(cell.value) for row in book["Summary"].iter_rows() for cell in row]
@@ -281,7 +283,33 @@ def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:
     assert "&lt;script&gt;" in page
     assert not re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?https?:""", page)
     assert "default-src 'none'" in page
-    assert all(sha in page for sha in (CONFIG, MODEL, SITE))
+    # It begins with numbers and ends with one line of what it rests on.
+    first, last = page.index("ready that day"), page.index("<footer>")
+    assert page.index("<h1>") < first < page.index("<p")
+    assert page[last:].count("<p>") == 1
+    assert all(sha[:8] in page[last:] for sha in (CONFIG, MODEL, SITE))
+
+
+def test_the_workbook_begins_with_what_people_read(tables: RoundTables) -> None:
+    table = to_read(tables)
+    assert [column.title for column in table.columns[:10]] == [
+        *("date", "round", "row", "position [m]", "fruit"),
+        *("length [cm]", "low [cm]", "high [cm]", "class", "remarks"),
+    ]
+    # 18 cm, give or take 3 %, at 0 m and 10 cm to the right of it; its only flag is 'uncertain'.
+    assert table.rows[0][:10] == (
+        *("2024-10-04", "morning", "3", 0.1, 1),
+        *(18.0, 17.46, 18.54, "out of grade", "the length is uncertain"),
+    )
+    assert {c.name for c in tables["fruit"].columns} <= {c.name for c in table.columns} | {
+        *("along_m", "number", "grade")
+    }
+
+
+def test_days_are_counted_from_the_day_of_the_round(tables: RoundTables) -> None:
+    house = [line for line in tables["forecast"].records() if line["scope"] == "house"]
+    assert [line["date_utc"] for line in house[:5:4]] == ["2024-10-04", "2024-10-05"]
+    assert tables["work"].records()[0]["date_utc"] == "2024-10-04"
 
 
 def test_the_page_prints_on_a4(tables: RoundTables, tmp_path: Path) -> None:
@@ -318,7 +346,9 @@ def test_the_command_writes_what_is_asked_for(store: Store, house: Path, tmp_pat
     done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out"), "--days", "2"])
     assert done.exit_code == 0, done.output
     assert done.stdout.split() == [str(tmp_path / "out" / "round.json")]
-    assert len(list((tmp_path / "out" / "pictures").iterdir())) == 8
+    assert (
+        len(list((tmp_path / "out" / "pictures").iterdir())) == 8 + 15
+    )  # of the stops and of the fruit
     read = json.loads((tmp_path / "out" / "round.json").read_text(encoding="utf-8"))
     assert {line["day"] for line in read["tables"]["forecast"]} == {0, 1, 2}
 

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow as pa
 
 from cucumbervision.agronomy.grades import Verdict as GradeVerdict
-from cucumbervision.measurement.result import Flag
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.forecasting import grade_of
+from cucumbervision.rounds.remarks import remarks as said_of
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
@@ -157,23 +157,6 @@ def round_day(at_s: float) -> str:
     return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
 
 
-SAYINGS = {
-    Flag.CUT_BY_FRAME: "cut by the picture's edge",
-    Flag.BOX_CLIPPED: "cut by the picture's edge",
-    Flag.END_HIDDEN: "an end is hidden",
-    Flag.ENDS_DISAGREE: "its ends were found at two places",
-    Flag.ENDS_UNSURE: "its ends are not sure",
-    Flag.END_ON: "seen end on",
-    Flag.PART_HIDDEN: "partly hidden",
-    Flag.POOR_FIT: "its shape fits badly",
-    Flag.UNCERTAIN: "the length is uncertain",
-    Flag.INTERVAL_TOO_WIDE: "the length is uncertain",
-    Flag.NOT_COVERED: "the site's calibration does not cover it",
-    Flag.OTHER_MASK: "the site's calibration was made with other outlines",
-    Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
-}
-
-
 def remarks(record: DetectionRecord, units: Units) -> str:
     """Return what else to know of a fruit, as short sentences; what only we need is left out.
 
@@ -185,12 +168,8 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     >>> remarks(fruit, Units("cm"))
     'an end is hidden: at least 24.0 cm'
     """
-    known = {str(flag): words for flag, words in SAYINGS.items()}
-    said = dict.fromkeys(known[flag] for flag in record.flags.split() if flag in known)
-    words = "; ".join(said)
-    if record.partial and record.length_m is not None:
-        return f"{words or 'partly hidden'}: {length_words(record, units)}"
-    return words
+    is_bound = record.partial and record.length_m is not None
+    return said_of(record.flags, length_words(record, units) if is_bound else "")
 
 
 def stop_name(stop: Stop | StopView) -> str:
@@ -309,12 +288,21 @@ def map_lines(lists: RoundLists, units: Units) -> list[dict[str, Any]]:
             "length": units.value(view.record.length_m),
             "class": grade_name(lists.grades[view.key]),
             "views": view.views,
-            "picked": view.picked_s is not None,
+            "mark": _mark_of(view),
             "capture": view.capture,
         }
         for view in lists.fruit
         if view.along_m is not None
     ]
+
+
+MARKS = {"seen": "circle", "picked": "cross", "drawn": "diamond"}  # on the map
+
+
+def _mark_of(view: DetectionView) -> str:
+    if view.simulated:
+        return "drawn"
+    return "seen" if view.picked_s is None else "picked"
 
 
 MANY = 40  # fruit from which narrow bars say more than they scatter
@@ -448,6 +436,7 @@ def map_chart(
         alt.Tooltip("along:Q", title="Along the row [m]", format=".2f"),
         alt.Tooltip("height:Q", title="Above the camera [m]", format=".2f"),
         alt.Tooltip("views:Q", title="Views"),
+        alt.Tooltip("mark:N", title="Mark"),
         alt.Tooltip("capture:N", title="Capture"),
     ]
     chart: alt.Chart = (
@@ -459,8 +448,8 @@ def map_chart(
             y=alt.Y("height:Q", title="Height [m]", scale=_scale(shown, "height")),
             color=color,
             shape=alt.Shape(
-                "picked:N",
-                scale=alt.Scale(domain=[False, True], range=["circle", "cross"]),
+                "mark:N",
+                scale=alt.Scale(domain=list(MARKS), range=list(MARKS.values())),
                 legend=None,
             ),
             tooltip=tooltip,

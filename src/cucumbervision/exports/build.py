@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.agronomy.picking import pick_list, plan_work
+from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.tables import Charts, RoundTables, Table, utc
 from cucumbervision.measurement.result import Method
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.rounds.service import RoundFruit, RowReport
-    from cucumbervision.store.records import ArtifactRecord, ImageRef, MethodRecord
+    from cucumbervision.store.records import ArtifactRecord, MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
@@ -83,21 +84,21 @@ def round_tables(
     content = read_round(store, round_key)
     table = fruit_table(content)
     forecast, note = _forecast(store, content, profile, days)
-    kept = _pictures(
-        store, [*(x.thumbnail for x in content.stops), *(x.view.thumbnail for x in table)]
-    )
-    names = {sha: f"{PICTURES}/{path.name}" for sha, path in kept.items()} if pictures else {}
+    kept = _pictures(store, content, table, view.record.name) if pictures else {}
     measured_with = store.artifacts(round_key)
     called = profile_name or (profile.title if profile else view.record.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
-    beside = _Beside(names, {key: _hashes(used) for key, used in measured_with.items()})
+    beside = _Beside(
+        {key: name for key, (name, _) in kept.items()},
+        {key: _hashes(used) for key, used in measured_with.items()},
+    )
     started_s = view.record.started_s
     lines: dict[str, Iterable[Any]] = {
         "summary": [_summary(view, content, table, row_reports(content), forecast, called)],
         "rows": row_reports(content),
         "fruit": _fruit_lines(table, store.measurements(round_key), profile, forecast, beside),
         "stops": (
-            {"number": n, "stop": one, **beside.of(one.key, one.thumbnail)}
+            {"number": n, "stop": one, **beside.of(one.key, one.key)}
             for n, one in enumerate(content.stops, 1)
         ),
         "forecast": [] if forecast is None else _forecast_lines(forecast, started_s),
@@ -110,7 +111,7 @@ def round_tables(
         _about(view, provenance),
         {name: Table.of(name, own) for name, own in lines.items()},
         _charts(table, forecast),
-        {names[sha]: path for sha, path in kept.items() if sha in names},
+        dict(kept.values()),
         note,
     )
 
@@ -126,24 +127,36 @@ def _forecast(
         return None, str(error)
 
 
-def _pictures(store: Store, thumbnails: list[ImageRef | None]) -> dict[str, Path]:
-    wanted = {ref.sha256: ref for ref in thumbnails if ref is not None}
-    if not wanted:
-        return {}
-    paths = {sha: store.images.path(ref) for sha, ref in sorted(wanted.items())}
-    return {sha: path for sha, path in paths.items() if path.is_file()}
+def _pictures(
+    store: Store, content: RoundContent, table: Sequence[RoundFruit], called: str
+) -> dict[str, tuple[str, Path]]:
+    """Return name and path of the small pictures that are there, by the keys of fruit and stops."""
+    wanted = [
+        (one.key, one.row, f"stop-{n:03d}", one.thumbnail) for n, one in enumerate(content.stops, 1)
+    ]
+    wanted += [
+        (one.view.key, one.view.row, f"fruit-{one.number:04d}", one.view.thumbnail) for one in table
+    ]
+    found = {}
+    for key, row, what, thumbnail in wanted:
+        path = None if thumbnail is None else store.images.path(thumbnail)
+        if path is not None and path.is_file():
+            parts = (called, row and f"row-{row}", what)
+            name = safe_name("_".join(filter(None, parts)))
+            found[key] = f"{PICTURES}/{name}{path.suffix}", path
+    return found
 
 
 @dataclass(frozen=True)
 class _Beside:
-    """Names of small pictures by their hash, and hashes of what stops were measured with."""
+    """Names of small pictures by what they show, and hashes of what stops were measured with."""
 
     pictures: Mapping[str, str]
     hashes: Mapping[str, Mapping[str, str]]
 
-    def of(self, stop_key: str, thumbnail: ImageRef | None) -> Line:
+    def of(self, stop_key: str, shows: str) -> Line:
         return {
-            "picture": thumbnail and self.pictures.get(thumbnail.sha256),
+            "picture": self.pictures.get(shows),
             "hashes": self.hashes.get(stop_key),
         }
 
@@ -247,7 +260,7 @@ def _fruit_lines(
             **_grade_cells(one, profile),
             "ready": ready.get(view.key),
             "methods": {str(method): by_method.get(str(method)) for method in Method},
-            **beside.of(view.stop_key, view.thumbnail),
+            **beside.of(view.stop_key, view.key),
         }
 
 
@@ -292,9 +305,13 @@ def _forecast_lines(forecast: Forecast, started_s: float) -> Iterator[Line]:
 
 
 def _pick_lines(forecast: Forecast, table: Sequence[RoundFruit]) -> Iterator[Line]:
-    numbers = {line.view.key: line.number for line in table}
+    lines = {line.view.key: line for line in table}
     for order, pick in enumerate(pick_list(forecast), 1):
-        yield {"order": order, "number": numbers.get(pick.fruit.fruit_id), "pick": pick}
+        line = lines[pick.fruit.fruit_id]
+        yield {
+            **{"order": order, "number": line.number, "pick": pick},
+            "simulated": line.view.simulated,
+        }
 
 
 def _work_lines(forecast: Forecast, started_s: float, rates: Rates | None) -> Iterator[Line]:

@@ -223,7 +223,7 @@ _SUMMARY = _columns(
     "sd_length_cm|cm|number|spread of it",
     "shortest_cm|cm|number|shortest fruit on the plant",
     "longest_cm|cm|number|longest fruit on the plant",
-    "ready_today||number 2|fruit expected to be ready today",
+    "ready_today||number 2|fruit expected to be ready on the day of the round",
     "simulated||yes/no|whether drawn captures are among them",
 )
 
@@ -264,7 +264,7 @@ _FRUIT = (
         "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing|grade.verdict",
         "grade_probability||number 4|probability of that class|grade_probability",
         "grade_rule||text|the rule that decided|grade_rule",
-        "ready_today||number 4|probability to be in a class that is picked today|ready",
+        "ready_today||number 4|probability to be in a picked class on the day of the round|ready",
         "weight_class||text|class by weight|grade.weight_class",
         "shape||text|class by crookedness|grade.shape",
         "mass_g|g|number|volume times the profile's density|mass_kg",
@@ -337,9 +337,10 @@ _PICKS = _columns(
     "side||text|side of the row|pick.fruit.side",
     "along_m|m|number 4|where along the row|pick.fruit.position_m",
     "length_cm|cm|number|length believed|pick.fruit.length_m",
-    "class||text|likeliest class today|pick.name",
+    "class||text|likeliest class on the day of the round|pick.name",
     "ready||number 4|probability to be in a class that is picked|pick.ready",
     "key||text|key of the fruit|pick.fruit.fruit_id",
+    "simulated||yes/no|whether the fruit was drawn, not grown",
 )
 
 _WORK = _columns(

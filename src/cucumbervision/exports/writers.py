@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
+from cucumbervision.exports.tables import Table
+from cucumbervision.pipeline.fields import Column
 from cucumbervision.pipeline.parquet import arrow_schema, import_arrow
 from cucumbervision.pipeline.tables import HEAD_COLOR, CsvSink, cell_value, write_json
+from cucumbervision.rounds.remarks import remarks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -19,10 +22,10 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-    from cucumbervision.exports.tables import Charts, RoundTables, Table
-    from cucumbervision.pipeline.fields import Cell, Column
+    from cucumbervision.exports.tables import Charts, RoundTables
+    from cucumbervision.pipeline.fields import Cell
 
-__all__ = ["SHEETS", "ExportFormat", "render_sheet", "write_exports"]
+__all__ = ["SHEETS", "ExportFormat", "render_sheet", "to_read", "write_exports"]
 
 
 def write_exports(
@@ -124,7 +127,7 @@ def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
 
 
 SHEETS = {
-    "fruit": ("Fruit", 3),
+    "fruit": ("Fruit", 5),
     "stops": ("Stops", 2),
     "forecast": ("Forecast", 0),
     "picks": ("Pick list", 0),
@@ -135,7 +138,20 @@ SHEETS = {
 
 _FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.000", "g": "0", "ml": "0", "deg": "0.0", "h": "0.00"}
 
-_WIDE = frozenset({"key", "stop_key", "grade_rule", "reason", "flags", "name", "sha256", "note"})
+_WIDE = frozenset(
+    {
+        "remarks",
+        "round",
+        "key",
+        "stop_key",
+        "grade_rule",
+        "reason",
+        "flags",
+        "name",
+        "sha256",
+        "note",
+    }
+)
 
 # Texts are written as texts, whatever they start with: never as formulas or links.
 _SAFE = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
@@ -161,10 +177,60 @@ def _write_round_workbook(tables: RoundTables, out: Path) -> list[Path]:
         summary = book.add_worksheet("Summary")
         writer.summary(summary, tables)
         for name, (title, frozen) in SHEETS.items():
-            writer.table(book.add_worksheet(title), tables[name], frozen)
+            table = to_read(tables) if name == "fruit" else tables[name]
+            writer.table(book.add_worksheet(title), table, frozen)
         writer.columns(book.add_worksheet("Columns"), tables)
         writer.charts(summary, book.add_worksheet("Charts"), tables)
     return [path]
+
+
+_READ = (
+    Column("date", "", "text", "when it was seen, UTC"),
+    Column("round", "", "text", "what the round is called"),
+    Column("row", "", "text", "row of the house"),
+    Column("position_m", "m", "number", "where along the row"),
+    Column("fruit", "", "whole", "number of the fruit in the round"),
+    Column("length_cm", "cm", "number", "length"),
+    Column("low_cm", "cm", "number", "lower end of its 90 % interval"),
+    Column("high_cm", "cm", "number", "upper end of its 90 % interval"),
+    Column("class", "", "text", "likeliest class"),
+    Column("remarks", "", "text", "what else to know, in words"),
+)
+_IS_READ = frozenset({"row", "along_m", "number", "length_cm", "grade"})
+
+
+def to_read(tables: RoundTables) -> Table:
+    """Return the fruit with ten columns to read before the others of `fruit.csv`."""
+    table = tables["fruit"]
+    others = [column for column in table.columns if column.name not in _IS_READ]
+    rows = [
+        (
+            str(one["taken_utc"])[:10],
+            tables.title,
+            *(one[name] for name in ("row", "along_m", "number", "length_cm")),
+            *(one[name] for name in ("interval_low_cm", "interval_high_cm", "grade")),
+            said(one) or None,
+            *(one[column.name] for column in others),
+        )
+        for one in table.records()
+    ]
+    return Table("fruit", (*_READ, *others), tuple(rows))
+
+
+def said(fruit: dict[str, Cell]) -> str:
+    """Return what else to know of a line of `fruit`, in words.
+
+    Examples
+    --------
+    >>> said({"flags": "part-hidden", "picked_utc": "2026-05-01T08:00:00Z", "simulated": True})
+    'picked; drawn, not grown; partly hidden'
+    """
+    parts = (
+        "picked" if fruit["picked_utc"] else "",
+        "drawn, not grown" if fruit["simulated"] else "",
+        remarks(str(fruit["flags"] or "")),
+    )
+    return "; ".join(filter(None, parts))
 
 
 class _Writer:
@@ -232,7 +298,7 @@ class _Writer:
         elif isinstance(cell, int | float):
             sheet.write_number(line, at, cell, self.number(column))
         elif column.name == "picture":
-            # Named by hash: nothing of a stranger's is in it.
+            # Its letters, digits, dots and dashes are safe in a link, whatever a round is called.
             sheet.write_url(line, at, f"external:{cell}", self.link, "picture")
         else:
             sheet.write_string(line, at, str(cell_value(cell)))
@@ -363,23 +429,30 @@ def write_sheet(tables: RoundTables, out: Path) -> list[Path]:
     return [path]
 
 
+_NUMBERS = (
+    *("ready_today", "fruit", "expected_fruit", "picked", "mean_length_cm", "sd_length_cm"),
+    *("shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
+)
+
+
 def render_sheet(tables: RoundTables) -> str:
-    """Return the page: summary, charts, forecast, work, pick list, fruit, and what it rests on.
+    """Return the page: numbers, charts, forecast, work, pick list, fruit, and what it rests on.
 
     Every text of it is escaped, and it loads nothing from anywhere.
     """
     house = [line for line in tables["forecast"].records() if line["scope"] == "house"]
+    columns = {column.name: column for column in tables["summary"].columns}
     return _template().render(
         title=tables.title,
         about=tables.provenance,
         note=tables.note,
-        summary=[
-            (column, cell)
-            for column, cell in zip(
-                tables["summary"].columns, tables["summary"].rows[0], strict=True
-            )
-            if cell is not None and column.name not in {"round", "round_key", "simulated"}
+        numbers=[
+            (columns[name], tables.summary[name])
+            for name in _NUMBERS
+            if tables.summary[name] is not None
         ],
+        where=[tables.summary[name] for name in ("house", "profile") if tables.summary[name]],
+        day=str(tables.summary["started_utc"])[:10],
         simulated=tables.summary["simulated"],
         bars=bars(tables.charts),
         stacks=stacks(tables.charts),
@@ -404,7 +477,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["figure"] = _figure
+    environment.filters.update(figure=_figure, said=said)
     return environment.get_template("round.html")
 
 

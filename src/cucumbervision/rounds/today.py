@@ -68,6 +68,8 @@ class Today:
         What is to be picked, in the order of the walk; fruit picked today are still in it.
     best : mapping of str to str
         Which view of its fruit stands, by the keys of all views.
+    drawn : frozenset of str
+        Views of drawn captures.
     """
 
     age_days: int
@@ -75,6 +77,7 @@ class Today:
     forecast: Forecast | None
     rows: tuple[RowPicks, ...]
     best: Mapping[str, str]
+    drawn: frozenset[str] = frozenset()
 
     @property
     def ready(self) -> tuple[Pick, ...]:
@@ -166,7 +169,8 @@ def read_today(store: Store, one: RoundView, profile: CropProfile, now_s: float)
         )
     except ForecastError:
         return Today(days, age, None, (), best)
-    return Today(days, age, found, _by_row(pick_list(found)), best)
+    drawn = frozenset(view.key for view in content.views if view.simulated)
+    return Today(days, age, found, _by_row(pick_list(found)), best, drawn)
 
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:

@@ -70,8 +70,9 @@ def page(one: RoundView) -> None:
         event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
         _choose(f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])])
     st.caption(
-        "One mark a fruit, a cross where it was picked, hollow where one view alone shows it. Tap "
-        "a mark to see the fruit's views. Heights are relative to the camera."
+        "One mark a fruit, a cross where it was picked, a diamond where it is drawn and not grown, "
+        "hollow where one view alone shows it. Tap a mark to see the fruit's views. Heights are "
+        "relative to the camera."
     )
     _doubtful(lists)
     _fruit(one, lists)

@@ -143,7 +143,8 @@ def _picks(one: RoundView, today: Today) -> None:
                 continue
             if kind == TOO_LONG:
                 st.markdown("**Too long**: outgrown every class; they cost the others growth")
-            for tap in _list(f"{kind}_{one.key}_{row.row}", picks, picked, words):
+            lines = _lines(picks, picked, today.drawn)
+            for tap in _list(f"{kind}_{one.key}_{row.row}", lines, words):
                 _tap(tap)
         _all_picked(row, picked)
         _work(today)
@@ -161,18 +162,23 @@ def _picked(one: RoundView, today: Today) -> set[str]:
     return {today.best.get(key, key) for key in keys}
 
 
-def _list(key: str, picks: Sequence[Pick], picked: set[str], words: str) -> list[dict[str, Any]]:
+def _lines(picks: Sequence[Pick], picked: set[str], drawn: frozenset[str]) -> list[dict[str, Any]]:
     units = resources.settings().units
-    lines = [
+    return [
         {
             "key": pick.fruit.fruit_id,
             "at": f"{pick.fruit.position_m:.2f} m {pick.fruit.side}".strip(),
             "length": units.text(pick.fruit.length_m),
-            "grade": name_of_class(pick.name) + ("" if pick.ready >= 0.8 else ", perhaps"),
+            "grade": name_of_class(pick.name)
+            + ("" if pick.ready >= 0.8 else ", perhaps")
+            + (", drawn" if pick.fruit.fruit_id in drawn else ""),
             "picked": _is_picked(pick, picked),
         }
         for pick in picks
     ]
+
+
+def _list(key: str, lines: list[dict[str, Any]], words: str) -> list[dict[str, Any]]:
     data = {"fruit": lines, "words": words}
     made = component("picklist")(key=f"picks_{key}", data=data, on_taps_change=lambda: None)
     return list(made.taps or ())

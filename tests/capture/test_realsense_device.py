@@ -55,6 +55,8 @@ def test_settings_reach_their_sensors(device: Any) -> None:
     assert found["RGB Camera", "exposure"] == 80  # in the SDK's hundreds of microseconds
     assert found["RGB Camera", "enable_auto_exposure"] == 0
     assert found["RGB Camera", "gain"] == 32
+    apply_settings(rs, device, CameraSettings(exposure_us=0), "camera 0042")
+    assert values(device) == found | {("RGB Camera", "enable_auto_exposure"): 1.0}
 
 
 def test_what_is_not_asked_for_stays(device: Any) -> None:

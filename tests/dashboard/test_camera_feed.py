@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense import CameraConfig
+from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.recorder import Walk
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay
+from cucumbervision.dashboard.recording import Recorder
 from cucumbervision.errors import CameraError, CaptureError
 
 
@@ -81,3 +85,47 @@ def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -
     assert not feed.open
     feed.retry()
     assert wait_for(feed, "absent", other_than=absent.number).number > absent.number
+
+
+def test_new_settings_open_the_camera_again(recording: Path) -> None:
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), paced=True)
+    wait_for(feed, "playing")
+    before = feed.take(1, Stop()).frame
+    feed.configure(CameraSettings("high-accuracy", exposure_us=8000))
+    # From its beginning: the recording was opened anew.
+    until = time.monotonic() + 300
+    while feed.take(1, Stop()).frame > max(before, 3) and time.monotonic() < until:
+        pass
+    assert feed.open
+    feed.close()
+
+
+def test_a_feed_is_recorded_until_it_is_ended(recording: Path, tmp_path: Path) -> None:
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), paced=True)
+    recorder = Recorder(tmp_path / "recordings")
+    begun = recorder.begin(feed, 3, Walk("4", "left"), every_s=0.05)
+    assert recorder.begin(feed, 3, Walk("5", "left")) is begun
+    until = time.monotonic() + 300
+    while begun.taken < 3 and time.monotonic() < until:
+        time.sleep(0.02)
+    recorder.end()
+    assert begun.thread is not None
+    begun.thread.join(60)
+    feed.close()
+    captures = [ref.load() for ref in open_source(begun.folder)]
+    assert len(captures) == begun.taken >= 3
+    assert {(one.stop.row, one.stop.side, one.burst_size) for one in captures} == {("4", "left", 3)}
+    assert [one.name for one in captures][:2] == ["capture_0001", "capture_0002"]
+    assert begun.fault == ""
+
+
+def test_a_recording_of_nothing_says_why(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "capture.json").write_text("{")
+    begun = Recorder(tmp_path / "recordings").begin(Replay(tmp_path), 1, Walk(), every_s=0.01)
+    until = time.monotonic() + 300
+    while not begun.fault and time.monotonic() < until:
+        time.sleep(0.02)
+    begun.ending.set()
+    assert "capture.json" in begun.fault
+    assert begun.taken == 0

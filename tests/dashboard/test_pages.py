@@ -15,6 +15,8 @@ import streamlit as st
 from streamlit.testing.v1 import AppTest
 
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.rounds.walking import (
@@ -307,8 +309,32 @@ def test_the_absent_camera_is_told_and_the_replay_offered(
     test = app("capture", source="camera", source_chosen=True)
     assert "No camera was found" in said(test)
     assert "choose 'Replay'" in said(test)
+    # Exposure and preset are chosen all the same, and the next camera is opened with them.
+    next(box for box in test.selectbox if box.label == "Depth preset").select("hand").run()
+    exposure = next(box for box in test.selectbox if box.label.startswith("Exposure"))
+    exposure.select("fixed").run()
+    next(box for box in test.number_input if box.label == "Microseconds").set_value(5000.0).run()
+    assert not test.exception
+    assert resources.settings().camera == CameraSettings("hand", 5000.0)
     # Who chose nothing is shown the replay at once.
     assert app("capture", source="camera").session_state["source"] == "replay"
+
+
+def test_the_replay_is_recorded_beside_the_store(house: Path) -> None:
+    test = app("capture", round=WALK, source="replay")
+    test.button(key="record").click().run()
+    recording = resources.recorder().newest
+    assert recording is not None
+    until = time.monotonic() + 300
+    while not recording.taken and time.monotonic() < until:
+        time.sleep(0.05)
+    test.run().button(key="record_stop").click().run()
+    assert recording.thread is not None
+    recording.thread.join(300)
+    assert "recorded, one a second" in said(test)
+    written = [ref.load() for ref in open_source(recording.folder)]
+    assert len(written) == recording.taken
+    assert recording.folder.parent == house.with_suffix(".recordings")
 
 
 def test_a_round_is_begun(house: Path) -> None:

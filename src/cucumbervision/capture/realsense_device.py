@@ -116,7 +116,8 @@ class CameraSettings:
         'medium_density', 'hand', 'default'.
     exposure_us, gain : float, optional
         Of the colour camera, microseconds and the sensor's own steps; its automatic exposure is
-        switched off. In the SDK's units a colour exposure is a hundred microseconds.
+        switched off, or on again by an exposure of 0. In the SDK's units a colour exposure is a
+        hundred microseconds.
     depth_exposure_us, depth_gain : float, optional
         The same of the depth camera.
     laser_mw : float, optional
@@ -154,12 +155,13 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
         If the camera does not have the setting, or the value is out of its range.
     """
     depth, color, o = "Stereo Module", "RGB Camera", rs.option
-    exposure = settings.exposure_us and settings.exposure_us / _COLOR_STEP_US
+    automatic = None if settings.exposure_us is None else float(settings.exposure_us == 0)
+    exposure = settings.exposure_us / _COLOR_STEP_US if settings.exposure_us else None
     power = settings.laser_mw
     wanted = (
         # A preset sets the depth camera's other options too, so it comes first.
         (depth, o.visual_preset, _preset(rs, settings.preset, source)),
-        (color, o.enable_auto_exposure, None if exposure is None else 0.0),
+        (color, o.enable_auto_exposure, automatic),
         (color, o.exposure, exposure),
         (color, o.gain, settings.gain),
         (depth, o.enable_auto_exposure, None if settings.depth_exposure_us is None else 0.0),

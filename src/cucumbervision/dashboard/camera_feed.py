@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.realsense_device import CameraSettings
 
 __all__ = ["PREVIEW_FPS", "Burst", "CameraFeed", "Feed", "Preview", "Replay"]
 
@@ -171,6 +172,13 @@ class CameraFeed:
             if not self.open:
                 self._newest = Preview("opening", number=self._newest.number)
 
+    def configure(self, settings: CameraSettings) -> None:
+        """Stream with these settings: a camera that is open is opened again."""
+        with self._changed:
+            if settings != self._config.settings:
+                self._config = replace(self._config, settings=settings)
+                self.retry()
+
     def grab(self, burst: int, pressed_s: float) -> CameraBurst:
         """Begin a burst about a moment: the frames just before it are there, the others come.
 
@@ -242,30 +250,32 @@ class CameraFeed:
     def _stream(self) -> None:
         try:
             while not self._stream_once():
-                pass  # a recording is over: it begins again
+                pass  # a recording is over, or the settings are new: it begins again
             self._show(Preview("opening", number=self._newest.number + 1))
         except CucumberVisionError as error:
             self._show(Preview("absent", number=self._newest.number + 1, message=str(error)))
 
     def _stream_once(self) -> bool:
-        """Show frames; return True where nobody looks any more, False at a recording's end."""
-        shown = 0
-        with RealSenseCamera(self._config) as camera:
+        """Show frames; return True where nobody looks any more, False where it is to begin anew."""
+        shown, config = 0, self._config
+        with RealSenseCamera(config) as camera:
             begun_s = time.monotonic()
             while not self._stopping:
+                if self._config is not config:
+                    return False
                 if time.monotonic() - self._watched_s > self._unwatched_s:
                     return True
                 try:
                     capture = camera.capture_burst()
                 except CameraError:
-                    if self._config.playback is None or not shown:
+                    if config.playback is None or not shown:
                         raise
                     return False
                 number = self._newest.number + 1
                 self._show(Preview(self._state, capture, depth_quality(capture), number))
                 shown += 1
                 if self._paced:
-                    time.sleep(max(0.0, begun_s + shown / self._config.fps - time.monotonic()))
+                    time.sleep(max(0.0, begun_s + shown / config.fps - time.monotonic()))
         return True
 
     def _show(self, preview: Preview) -> None:

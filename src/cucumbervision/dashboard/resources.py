@@ -21,6 +21,7 @@ from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, 
 from cucumbervision.dashboard.fruit_view import as_data_url, crop
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
+from cucumbervision.dashboard.recording import Recorder
 from cucumbervision.dashboard.round_tables import RoundLists, read_lists
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
@@ -59,6 +60,7 @@ __all__ = [
     "merge",
     "prepare",
     "profile_of",
+    "recorder",
     "registry",
     "replay_named",
     "rows_of",
@@ -112,7 +114,7 @@ def measurer() -> SharedMeasurer:
 @st.cache_resource(show_spinner=False)
 def camera() -> CameraFeed:
     """Return the camera, opened when somebody views it."""
-    return CameraFeed()
+    return CameraFeed(CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
 
 
 @st.cache_resource(show_spinner=False)
@@ -135,6 +137,12 @@ def waiting() -> WaitingCaptures:
 def shutter() -> Shutter:
     """Return what takes the pictures of all viewers."""
     return Shutter(store(), waiting(), wake)
+
+
+@st.cache_resource(show_spinner=False)
+def recorder() -> Recorder:
+    """Return what records what the camera shows, beside the waiting captures."""
+    return Recorder(waiting_folder(where()).with_suffix(".recordings"))
 
 
 @st.cache_resource(show_spinner=False)

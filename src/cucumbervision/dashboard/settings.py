@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from cucumbervision.agronomy.picking import Rates
+from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.pipeline.options import MeasureOptions
@@ -94,6 +95,10 @@ class Settings(BaseModel):
         The same lengths on every machine, at the cost of speed.
     calibration : str
         Path of a site's calibration; empty for none.
+    camera_preset : str
+        The depth camera's preset, as `CameraSettings.preset`; empty for the camera's own.
+    exposure_us : float, optional
+        Of the colour camera: 0 is automatic, None as the camera has it.
     fruit_per_hour, minutes_per_row, fruit_per_crate
         As in `agronomy.picking.Rates`.
     """
@@ -113,6 +118,10 @@ class Settings(BaseModel):
     ] = "auto"
     full_precision: bool = True
     calibration: str = ""
+    camera_preset: Literal[
+        "", "default", "hand", "high-accuracy", "high-density", "medium-density"
+    ] = ""
+    exposure_us: Annotated[float, Field(ge=0, le=1e6)] | None = None
     fruit_per_hour: Annotated[float, Field(gt=0)] = 350.0
     minutes_per_row: Annotated[float, Field(ge=0)] = 2.0
     fruit_per_crate: Annotated[int, Field(ge=1)] = 12
@@ -121,6 +130,11 @@ class Settings(BaseModel):
     def units(self) -> Units:
         """The unit of length."""
         return Units(self.unit)
+
+    @property
+    def camera(self) -> CameraSettings:
+        """Preset and exposure of the camera."""
+        return CameraSettings(self.camera_preset or None, self.exposure_us)
 
     @property
     def rates(self) -> Rates:

@@ -477,7 +477,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(figure=_figure, said=said)
+    environment.filters.update(figure=_figure, said=said, hours=_hours)
     return environment.get_template("round.html")
 
 
@@ -492,3 +492,8 @@ def _figure(cell: Cell, unit: str = "") -> Any:
     if isinstance(cell, float):
         return f"{cell:.{_DIGITS.get(unit, 1)}f}"
     return cell
+
+
+def _hours(hours: float) -> str:
+    """Return hours as people read them: few of them in minutes."""
+    return f"{hours:.1f} h" if hours >= 1.5 else f"{60 * hours:.0f} min"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import streamlit as st
 
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.recorder import Walk
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import (
     as_data_url,
@@ -18,8 +19,9 @@ from cucumbervision.dashboard.fruit_view import (
     stop_layers,
 )
 from cucumbervision.dashboard.measuring import stored_capture
+from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import grade_name, length_words, stop_name
+from cucumbervision.dashboard.round_tables import counted, grade_name, length_words, stop_name
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.dashboard.views.stops import change_stop
@@ -61,6 +63,8 @@ def page(one: RoundView) -> None:
                 icon=":material/draw:",
             )
         _panel(one, home, kind)
+        if kind == "camera":
+            _camera()
         _how()
     with left:
         _preview(kind)
@@ -101,14 +105,15 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
     @st.fragment(run_every=PANEL_S)
     def _draw() -> None:
         _begin_place(one.key, home)
-        button, waits, place = st.container(), st.container(), st.container()
-        with button:
+        shutter, waits, place = st.container(), st.container(), st.container()
+        with shutter:
             for press in _presses():
                 _take(one, kind, press)
         with place:
             _place()
         with waits:
             _waits(one, home)
+        _record(kind)
 
     _draw()
 
@@ -224,6 +229,55 @@ def _waits(one: RoundView, home: str) -> None:
     if stops != st.session_state.setdefault("stops_shown", stops):
         st.session_state["stops_shown"] = stops
         st.rerun()
+
+
+def _record(kind: str) -> None:
+    """Draw the button that records what the camera shows, without measuring it."""
+    recorder, place = resources.recorder(), st.session_state["place"]
+    now = recorder.newest
+    if now is not None and now.running:
+        button(st, "Stop recording", "stop", recorder.end, key="record_stop")
+    else:
+        walk = Walk(place.row or None, place.side)
+        parts = resources.feed(kind), resources.settings().burst, walk
+        button(st, "Record", "fiber_manual_record", recorder.begin, *parts, key="record")
+    if now is not None:
+        st.caption(
+            f"{counted(now.taken, 'capture', 'captures')} recorded, one a second, in "
+            f"{plain(now.folder)}"
+        )
+        if now.fault:
+            st.warning(plain(now.fault), icon=":material/error:")
+
+
+EXPOSURES = {None: "As the camera has it", "automatic": "Automatic", "fixed": "By hand"}
+PRESETS = ("", "default", "hand", "high-accuracy", "high-density", "medium-density")
+USUAL_US = 8000.0  # a bright house
+
+
+def _camera() -> None:
+    """Draw preset and exposure; the camera is opened again where they change."""
+    with st.expander("Camera", icon=":material/photo_camera:"):
+        now = resources.settings()
+        preset = st.selectbox(
+            "Depth preset",
+            PRESETS,
+            PRESETS.index(now.camera_preset),
+            format_func=lambda name: name.replace("-", " ") or "as the camera has it",
+        )
+        known = None if now.exposure_us is None else "fixed" if now.exposure_us else "automatic"
+        chosen = st.selectbox(
+            "Exposure of the colour camera",
+            list(EXPOSURES),
+            list(EXPOSURES).index(known),
+            format_func=EXPOSURES.__getitem__,
+        )
+        exposure_us = None if chosen is None else 0.0
+        if chosen == "fixed":
+            usual = now.exposure_us or USUAL_US
+            exposure_us = st.number_input("Microseconds", 100.0, 200_000.0, usual, 500.0, "%.0f")
+        resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
+        resources.camera().configure(resources.settings().camera)
 
 
 def _how() -> None:

@@ -58,7 +58,9 @@ def page(one: RoundView) -> None:
 def _place(one: RoundView) -> NextPlace:
     """Draw where the first capture was taken, for files that do not say; it goes on from there."""
     begun = next_place(resources.store().stops(one.key))
-    row, side, position, step, way = st.columns([2, 3, 2, 2, 3])
+    # In two lines, so that no choice is cut off on a tablet.
+    row, side = st.columns(2)
+    position, step, way = st.columns([2, 2, 3])
     given = f"{one.key}_{one.stops}"
     return NextPlace(
         row.text_input("Row", begun.row, key=f"up_row_{given}").strip(),
@@ -83,6 +85,7 @@ def _place(one: RoundView) -> NextPlace:
             default="fall" if begun.back else "grow",
             format_func="Positions {}".format,
             required=True,
+            width="stretch",
             key=f"up_way_{given}",
         )
         == "fall",

@@ -50,9 +50,9 @@ def draw_house(folder: Path, captures: int) -> None:
     camera = Intrinsics(96, 64, 90.0, 90.0, 47.5, 31.5)
     for number in range(captures):
         mask = np.zeros((64, 96), bool)
-        mask[10 : 30 + number % 30, 40:52] = True
-        depth_m = np.where(mask, 0.5 + 0.001 * number, 0.9).astype(np.float32)
-        color = np.full((64, 96, 3), 60 + number % 100, np.uint8)
+        mask[10 : 30 + number % 29, 40:52] = True
+        depth_m = np.where(mask, 0.5 + 0.001 * (number % 397), 0.9).astype(np.float32)
+        color = np.full((64, 96, 3), 60 + number % 97, np.uint8)
         name = f"stop-{number:04d}"
         write_native(Capture(color, depth_m, camera, name, masks=(mask,)), folder / name)
 

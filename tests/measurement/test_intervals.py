@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -132,3 +134,13 @@ def test_the_shipped_models_know_every_method() -> None:
     }  # fmt: skip
     low, high = shipped.models["M6"].interval(0.25, values)
     assert 0.22 < low < 0.25 < high < 0.28
+
+
+def test_an_interval_does_not_load_all_of_scipys_statistics() -> None:
+    # It takes a second, of the three until the first result.
+    code = (
+        "import sys; from cucumbervision.measurement import intervals as i; "
+        "print(round(i._normal_quantile(0.9), 6), 'scipy.stats' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1.644854", "False"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import TypeAdapter
+from scipy.special import ndtri
 
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, refusing
@@ -146,9 +147,7 @@ def feature_group(edges: Sequence[tuple[str, Sequence[float]]], values: Mapping[
 
 
 def _normal_quantile(level: float) -> float:
-    from scipy.stats import norm
-
-    return float(norm.ppf(0.5 + level / 2))
+    return float(ndtri(0.5 + level / 2))
 
 
 STEEP_DEG = 35.0

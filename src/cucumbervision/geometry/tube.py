@@ -208,9 +208,17 @@ def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeSha
 
 
 def guess_from_picture(
-    picture: NDArray[np.float64], known: NDArray[np.bool_], inverse_depth: NDArray[np.float64]
+    picture: NDArray[np.float64],
+    known: NDArray[np.bool_],
+    inverse_depth: NDArray[np.float64],
+    *,
+    by_girth: bool = False,
 ) -> TubeShape:
     """Guess a tube from its mask: a parabola in the picture, on a plane in depth.
+
+    Of a fruit nearer than the sensor can see hardly a reading is left to lay a plane through;
+    then its outline tells how it lies: a fruit about as thick all along looks thicker the nearer
+    it is.
 
     Parameters
     ----------
@@ -220,6 +228,8 @@ def guess_from_picture(
         Which of them have a depth reading.
     inverse_depth : ndarray of float64, shape (K,)
         One over the depth of these, 1/m.
+    by_girth : bool
+        Whether the plane's slope is the outline's rather than that of the readings.
 
     Returns
     -------
@@ -242,7 +252,9 @@ def guess_from_picture(
     bow = np.linalg.lstsq(power, across, rcond=None)[0]
     half = 2.0 * float(np.median(np.abs(across - power @ bow)))
     terms, weight = power[known][:, :2], np.ones(len(inverse_depth))
-    for _ in range(_PLANE_ROUNDS):  # towards the least sum of absolute deviations
+    wide = np.linalg.lstsq(power[:, :2], np.abs(across - power @ bow), rcond=None)[0]
+    plane = wide * np.median(inverse_depth / np.maximum(terms @ wide, 0.05 * half))
+    for _ in range(0 if by_girth else _PLANE_ROUNDS):  # to the least sum of absolute deviations
         weighted = terms * weight[:, None]
         plane = np.linalg.lstsq(weighted.T @ terms, weighted.T @ inverse_depth, rcond=None)[0]
         off = np.abs(inverse_depth - terms @ plane) / np.median(inverse_depth) ** 2

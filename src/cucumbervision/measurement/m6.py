@@ -84,6 +84,11 @@ class TubeView:
     focal_px: float
 
     @property
+    def sparse(self) -> bool:
+        """Whether most of the mask has no depth."""
+        return self.fill < SPARSE_FILL
+
+    @property
     def surface_m(self) -> NDArray[np.float64]:
         """Points over the whole mask, to start from: where depth is missing, a plane's.
 
@@ -246,6 +251,11 @@ GOOD_OVERLAP, UNSURE_M, FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another sta
 
 LEAST_SEEN = 6  # readings that such a start needs
 
+SPARSE_FILL = 0.5  # below it most of the depth is missing: the fruit is nearer than the sensor sees
+
+# Then a few wrong readings make the misfit, and they decide less: shares of it, of the silhouette.
+SPARSE_ALIKE, SPARSE_BETTER = 0.1, 0.05
+
 END_ON_DEG = 70.0
 
 BEYOND, BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
@@ -327,18 +337,30 @@ def _best_fit(view: TubeView) -> TubeFitting:
         _coverage(view, first.shape)[2] < GOOD_OVERLAP
         or first.centreline_sd_m > UNSURE_M
         or _end_on(first.shape.balls()[0])
+        or view.sparse
     ):
         fits.append(fit_shape(evidence, _flat_guess(view)))
+        if view.sparse:
+            fits.append(fit_shape(evidence, _flat_guess(view, by_girth=True)))
     return _better(view, fits) if len(fits) > 1 else first
 
 
 def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
     # A mask that is clearly better covered decides; then what fits better; and of two that fit
-    # alike the flatter one, which is what a hanging fruit is.
+    # alike the flatter one, which is what a hanging fruit is, or where most depth is missing the
+    # one that is more evenly thick.
     overlap = [_coverage(view, fit.shape)[2] for fit in fits]
-    covering = [f for f, o in zip(fits, overlap, strict=True) if o > max(overlap) - CLEARLY_BETTER]
+    least_overlap = max(overlap) - (SPARSE_BETTER if view.sparse else CLEARLY_BETTER)
+    covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
     least = min(fit.misfit for fit in covering)
-    return min((f for f in covering if f.misfit < least + FITS_ALIKE), key=_depth_share)
+    alike = SPARSE_ALIKE * least if view.sparse else FITS_ALIKE
+    of_these = [f for f in covering if f.misfit < least + alike]
+    return min(of_these, key=_unevenness if view.sparse else _depth_share)
+
+
+def _unevenness(fit: TubeFitting) -> float:
+    _, radii = fit.shape.balls(5)
+    return abs(float(radii[3] - radii[1])) / float(radii[3] + radii[1])
 
 
 def _depth_share(fit: TubeFitting) -> float:
@@ -347,12 +369,12 @@ def _depth_share(fit: TubeFitting) -> float:
     return abs(float(run @ centres.mean(axis=0))) / float(np.linalg.norm(run))
 
 
-def _flat_guess(view: TubeView) -> TubeShape:
+def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
     # The outline's own middle line, with the depth of a plane that most readings lie along.
     rays = view.grid_rays[view.grid_mask]
     picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
     known = depth > 0
-    return guess_from_picture(picture, known, 1.0 / depth[known])
+    return guess_from_picture(picture, known, 1.0 / depth[known], by_girth=by_girth)
 
 
 def judged_fit(view: TubeView, fitting: TubeFitting, *, views: int = 1) -> Measurement:
@@ -424,7 +446,9 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     both = int((inside & own).sum())
     nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
     covered = int((inside & ~own & nearer).sum())
-    either = int((inside | own).sum()) - covered
+    # Where most depth is missing, a ray without a reading may well be covered.
+    unread = int((inside & ~own & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
+    either = int((inside | own).sum()) - covered - unread
     return both / max(int(own.sum()), 1), covered / max(int(inside.sum()), 1), both / max(either, 1)
 
 

@@ -5,7 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.geometry.tube import TubeShape, guess_shape, shape_from_curve
-from cucumbervision.geometry.tube_fit import Evidence, depth_gaps, fit_shape, gaps
+from cucumbervision.geometry.tube_evidence import Evidence
+from cucumbervision.geometry.tube_fit import fit_shape
 
 FAR, RADIUS, LONG = 0.5, 0.02, 0.16  # a body across the view, its end centres LONG apart
 
@@ -47,21 +48,6 @@ def tangent_rays(count: int = 60) -> NDArray[np.float64]:
 
 def evidence(points: NDArray[np.float64], rays: NDArray[np.float64]) -> Evidence:
     return Evidence(points, np.full(len(points), 1e-3), rays, 7e-4, 1e-3, 0.5, 0.5)
-
-
-def test_surface_points_and_tangent_rays_have_no_gap() -> None:
-    assert np.abs(gaps(body(), surface(), rays=False).gap_m).max() < 1e-5
-    assert np.abs(gaps(body(), tangent_rays(), rays=True).gap_m).max() < 1e-5
-
-
-def test_depth_gaps_follow_the_ray() -> None:
-    points = surface()
-    far = np.linalg.norm(points, axis=1)
-    rays = points / far[:, None]
-    found, facing = depth_gaps(body(), rays, far)
-    assert np.abs(found.gap_m).max() < 1e-5
-    shifted, _ = depth_gaps(body(), rays, far - 0.002)
-    np.testing.assert_allclose(shifted.gap_m[facing > 0.3], 0.002 * facing[facing > 0.3], atol=1e-5)
 
 
 def test_the_body_is_found_again() -> None:

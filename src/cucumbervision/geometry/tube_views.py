@@ -11,9 +11,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.geometry import tube_fit
 from cucumbervision.geometry.tube import BEND_SEGMENTS, TubeShape
-from cucumbervision.geometry.tube_fit import BODY, SLIPS, Evidence, TubeFitting, fit_shape
+from cucumbervision.geometry.tube_evidence import (
+    BODY,
+    SHAPE,
+    SLIPS,
+    Evidence,
+    ends_seen,
+    normal_equations,
+    point_readings,
+    ray_readings,
+)
+from cucumbervision.geometry.tube_fit import (
+    SCATTER_POINTS,
+    SCATTER_RAYS,
+    TubeFitting,
+    fit_shape,
+    solve_held,
+    stepped,
+)
+from cucumbervision.geometry.tube_prior import add_beside_prior, add_shape_prior, end_hold
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +41,6 @@ __all__ = ["SeenFrom", "fit_views"]
 
 SCHEDULE = (4.0, 2.5, 1.6, 1.0, 1.0, 1.0, 1.0, 1.0)
 SETTLED = 3  # from this step on each view's own scatter is used
-SHAPE = BODY - SLIPS  # unknowns of the body alone
 TURNS = 6  # unknowns of a pose: a shift and a turn
 
 
@@ -115,7 +131,7 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
     shape, anchors = guess, guess.balls(2)[0]
     for step, scale in enumerate(SCHEDULE):
         seen = _seen_by_any(cameras, shape)
-        hold = np.where(seen, tube_fit.ANCHOR_SD, tube_fit.HIDDEN_ANCHOR_SD)
+        hold = end_hold(seen)
         sizes = [len(c.beside) + (TURNS if k else 0) for k, c in enumerate(cameras)]
         starts = SHAPE + np.concatenate([[0], np.cumsum(sizes)])
         normal, target = np.zeros((starts[-1], starts[-1])), np.zeros(starts[-1])
@@ -124,16 +140,13 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
             part, pull = _view_equations(camera, shape, scale, step >= SETTLED, moves=k > 0)
             normal[np.ix_(own, own)] += part
             target[own] += pull
-        tube_fit.add_shape_prior(normal, target, shape, anchors, hold)
-        body = np.arange(SHAPE)
-        normal[body, body] += tube_fit.LEAST_HOLD * float(normal[body, body].mean())
-        move = np.asarray(np.linalg.solve(normal, target))
-        shape = _moved(shape, cameras, move, starts)
+        add_shape_prior(normal, target, shape, anchors, hold)
+        shape = _moved(shape, cameras, solve_held(normal, target, SHAPE), starts)
     covariance = np.zeros((BODY, BODY))
     covariance[:SHAPE, :SHAPE] = np.linalg.inv(normal)[:SHAPE, :SHAPE]
     first = cameras[0]
-    points = tube_fit.look_at_points(first.seen.evidence, shape, np.zeros(len(first.beside)))
-    rays = tube_fit.look_at_rays(first.seen.evidence, shape, first.beside[:SLIPS])
+    points = point_readings(first.seen.evidence, shape, np.zeros(len(first.beside)))
+    rays = ray_readings(first.seen.evidence, shape, first.beside[:SLIPS])
     return TubeFitting(
         shape,
         covariance,
@@ -150,14 +163,11 @@ def _view_equations(
     # One camera's equations: of the body in the first camera's coordinates, of what the view has
     # beside it, and of its pose.
     evidence, body = camera.seen.evidence, camera.body(shape)
-    points = tube_fit.look_at_points(evidence, body, camera.beside)
-    rays = tube_fit.look_at_rays(evidence, body, camera.beside[:SLIPS])
+    points = point_readings(evidence, body, camera.beside)
+    rays = ray_readings(evidence, body, camera.beside[:SLIPS])
     scatter = (1.0, 1.0)
     if settled:
-        scatter = (
-            points.scatter(tube_fit.SCATTER_POINTS),
-            rays.scatter(tube_fit.SCATTER_RAYS),
-        )
+        scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
     middle = body.bend_m.mean(axis=0)
     width = BODY + evidence.waves
     both = []
@@ -173,9 +183,9 @@ def _view_equations(
             slope[:, width:] = np.hstack([read.found.away, np.cross(arm, read.found.away)])
         both.append(replace(read, slope=slope))
     shares = evidence.points_share, evidence.rays_share
-    normal, target = tube_fit.normal_equations((both[0], both[1]), shares, scatter, scale)
+    normal, target = normal_equations((both[0], both[1]), shares, scatter, scale)
     alone, pull = np.zeros((width, width)), np.zeros(width)
-    tube_fit.add_beside_prior(alone, pull, camera.beside, evidence)
+    add_beside_prior(alone, pull, camera.beside, evidence)
     normal[:width, :width] += alone
     target[:width] += pull
     if moves:
@@ -189,25 +199,21 @@ def _view_equations(
 def _moved(
     shape: TubeShape, cameras: list[_Camera], move: NDArray[np.float64], starts: NDArray[np.intp]
 ) -> TubeShape:
-    limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
-    move = move * min(1.0, limit / max(float(np.abs(move[:SHAPE]).max()), 1e-12))
+    after, move = stepped(shape, move, SHAPE)
     for k, camera in enumerate(cameras):
         own = move[starts[k] : starts[k + 1]]
         camera.beside = camera.beside + own[: len(camera.beside)]
         if k:
             camera.move(own[len(camera.beside) :], camera.body(shape).bend_m.mean(axis=0))
-    split = shape.bend_m.size
-    width = shape.width_m + move[split:SHAPE]
-    width = np.maximum(width, tube_fit.LEAST_WIDTH * float(np.median(width)))
-    return TubeShape(shape.bend_m + move[:split].reshape(-1, 3), width)
+    return after
 
 
 def _seen_by_any(cameras: list[_Camera], shape: TubeShape) -> tuple[bool, bool]:
     found = []
     for camera in cameras:
         evidence, body = camera.seen.evidence, camera.body(shape)
-        rays = tube_fit.look_at_rays(evidence, body, camera.beside[:SLIPS])
-        found.append(tube_fit.ends_seen_by(body, rays.found, evidence.rays))
+        rays = ray_readings(evidence, body, camera.beside[:SLIPS])
+        found.append(ends_seen(body, rays.found, evidence.rays))
     return any(one[0] for one in found), any(one[1] for one in found)
 
 
@@ -215,9 +221,7 @@ def _misfit(cameras: list[_Camera], shape: TubeShape) -> float:
     total = 0.0
     for camera in cameras:
         evidence, body = camera.seen.evidence, camera.body(shape)
-        total += tube_fit.look_at_points(evidence, body, camera.beside).misfit(
-            evidence.points_share
-        )
-        rays = tube_fit.look_at_rays(evidence, body, camera.beside[:SLIPS])
+        total += point_readings(evidence, body, camera.beside).misfit(evidence.points_share)
+        rays = ray_readings(evidence, body, camera.beside[:SLIPS])
         total += rays.misfit(evidence.rays_share)
     return total

@@ -102,14 +102,15 @@ def noise_waves(
         return np.zeros((0, 0))
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     step = KNOT_STEP * WAVE_SIGMA_PX / DEPTH_FOCAL_RATIO
-    across, down = high - low + 2 * step
-    wider = max(1.0, float(np.sqrt(across * down / MOST_WAVES)) / step)
+    wide, tall = high - low + 2 * step
+    wider = max(1.0, float(np.sqrt(wide * tall / MOST_WAVES)) / step)
     step *= wider
     sigma = step / KNOT_STEP
-    rows = [np.arange(a - step / 2, b + step, step) for a, b in zip(low, high, strict=True)]
-    knots = np.stack([m.ravel() for m in np.meshgrid(*rows)], axis=1)
-    apart = ((pixels[:, None] - knots) ** 2).sum(axis=2)
-    near = apart.min(axis=0) < step**2
-    shape = np.exp(-0.5 * apart[:, near] / sigma**2)
+    across, down = (
+        np.exp(-0.5 * ((at[:, None] - np.arange(a - step / 2, b + step, step)) / sigma) ** 2)
+        for at, a, b in zip(pixels.T, low, high, strict=True)
+    )
+    shape = (down[:, :, None] * across[:, None, :]).reshape(len(pixels), -1)
+    shape = shape[:, shape.max(axis=0) > np.exp(-0.5 * (step / sigma) ** 2)]
     strength = WAVES_RMS_PX / DISPARITY_RMS_PX / wider * KNOT_STEP / np.sqrt(np.pi)
     return np.asarray(shape * (strength * depth_noise(far_m, focal_px))[:, None])

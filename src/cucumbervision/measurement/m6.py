@@ -10,7 +10,9 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import depth_across, outline_cracks
 from cucumbervision.geometry.tube import TubeShape, guess_from_picture, guess_shape, near_depths
-from cucumbervision.geometry.tube_fit import Evidence, TubeFitting, fit_shape, gaps
+from cucumbervision.geometry.tube_evidence import Evidence
+from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
+from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
 from cucumbervision.measurement.hidden_end import with_hidden_end
 from cucumbervision.measurement.result import (

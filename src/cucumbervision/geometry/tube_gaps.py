@@ -1,0 +1,199 @@
+"""How far readings are from a union of balls along a smooth curve.
+
+A depth point should lie on the body, min over s of |P - C(s)| - r(s) = 0, and a ray through the
+outline should just touch it, min over s of dist(ray, C(s)) - r(s) = 0, which is exact in
+perspective, at any tilt, round the ends as well as along the sides. Both minima are taken at the
+nearest ball, where the derivative by s vanishes, so Gauss-Newton needs only that ball's centre
+and radius.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.geometry.tube import BALLS, TubeShape, bases
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Gaps", "depth_gaps", "gaps"]
+
+FINE = 1024  # positions along the curve to which a nearest ball is rounded
+GRAZING = 0.2  # the cosine below which a ray only grazes the body
+MISSED_M = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """Signed gaps between readings and a shape, and where on it they are measured.
+
+    Parameters
+    ----------
+    gap_m : ndarray of float64, shape (N,)
+        Metres; positive outside the body.
+    away : ndarray of float64, shape (N, 3)
+        Unit vector from the reading to the nearest ball's centre: the gap's derivative by it.
+    bend_basis, width_basis : ndarray of float64, shape (N, 7) and (N, 15)
+        Weights of the control points in that ball's centre and radius.
+    centres_m : ndarray of float64, shape (N, 3)
+        That ball's centre.
+    share : ndarray of float64, shape (N,)
+        Its position along the curve, 0 to 1.
+    """
+
+    gap_m: NDArray[np.float64]
+    away: NDArray[np.float64]
+    bend_basis: NDArray[np.float64]
+    width_basis: NDArray[np.float64]
+    centres_m: NDArray[np.float64]
+    share: NDArray[np.float64]
+
+
+def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps:
+    """Measure how far readings are from a shape.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body.
+    readings : ndarray of float64, shape (N, 3)
+        Points in metres, or unit directions of rays from the camera.
+    rays : bool
+        Which of the two.
+
+    Returns
+    -------
+    Gaps
+        Of each reading to its nearest ball.
+
+    Examples
+    --------
+    >>> from cucumbervision.geometry.tube import shape_from_curve
+    >>> x = np.linspace(0, 0.2, 33)
+    >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
+    >>> gaps(shape, np.array([[0.1, 0.0, 0.47]]), rays=False).gap_m.round(6).tolist()
+    [0.01]
+
+    A ray that touches the body's side at sin a = 0.02 / 0.5:
+
+    >>> touching = np.array([[0.0, 0.04, np.sqrt(1 - 0.04**2)]])
+    >>> bool(abs(gaps(shape, touching, rays=True).gap_m[0]) < 1e-9)
+    True
+    """
+    centres, radii = shape.balls()
+    distance = readings @ centres.T
+    squared = np.einsum("ij,ij->i", centres, centres)
+    if rays:
+        distance *= distance
+        np.subtract(squared, distance, out=distance)
+    else:
+        distance *= -2.0
+        distance += squared
+        distance += np.einsum("ij,ij->i", readings, readings)[:, None]
+    np.maximum(distance, 0.0, out=distance)
+    np.sqrt(distance, out=distance)
+    distance -= radii
+    index, bend, width, centre = _ball_at(shape, _lowest(distance))
+    if rays:
+        away = centre - np.einsum("ij,ij->i", centre, readings)[:, None] * readings
+    else:
+        away = centre - readings
+    far = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
+    away /= far[:, None]
+    return Gaps(far - width @ shape.width_m, away, bend, width, centre, index / FINE)
+
+
+def depth_gaps(
+    shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
+) -> tuple[Gaps, NDArray[np.float64]]:
+    """Measure how far depth readings are from where their rays enter a shape.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body.
+    rays : ndarray of float64, shape (N, 3)
+        Unit directions from the camera.
+    far_m : ndarray of float64, shape (N,)
+        Distance read along each.
+
+    Returns
+    -------
+    found : Gaps
+        `gap_m` is the distance along the ray times `facing`, positive before the surface; for
+        a ray that misses the body or only grazes it, the point's own gap.
+    facing : ndarray of float64, shape (N,)
+        Cosine between the ray and the surface's normal where it enters.
+
+    Examples
+    --------
+    >>> from cucumbervision.geometry.tube import shape_from_curve
+    >>> x = np.linspace(0, 0.2, 33)
+    >>> shape = shape_from_curve(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), 0.02)
+    >>> found, facing = depth_gaps(shape, np.array([[0.0, 0.0, 1.0]]), np.array([0.47]))
+    >>> found.gap_m.round(6).tolist(), facing.round(6).tolist()
+    ([0.01], [1.0])
+    """
+    centres, radii = shape.balls()
+    nearest, first = _entered(rays, centres, radii)
+    # Between the balls the place is found by the entry point's distance, which stays smooth where
+    # a ray grazes the body.
+    nearest = np.minimum(np.maximum(nearest, 1), BALLS - 2)
+    three = nearest[:, None] + np.arange(-1, 2)
+    off = centres[three] - (first[:, None] * rays)[:, None, :]
+    distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off)) - radii[three]
+    index, bend, width, centre = _ball_at(shape, nearest - 1 + _lowest(distance))
+    radius = np.maximum(width @ shape.width_m, 1e-4)
+    along_one = np.einsum("ij,ij->i", centre, rays)
+    beside = np.einsum("ij,ij->i", centre, centre) - along_one**2
+    facing = np.sqrt(np.minimum(np.maximum(1 - beside / radius**2, 0.0), 1.0))
+    at = along_one - facing * radius
+    away = (centre - at[:, None] * rays) / radius[:, None]
+    gap = (at - far_m) * facing
+    missed = np.flatnonzero(facing <= GRAZING)
+    if len(missed):
+        own = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
+        gap[missed], away[missed], centre[missed] = own.gap_m, own.away, own.centres_m
+        bend[missed], width[missed] = own.bend_basis, own.width_basis
+        index[missed] = np.rint(own.share * FINE)
+    return Gaps(gap, away, bend, width, centre, index / FINE), facing
+
+
+def _entered(
+    rays: NDArray[np.float64], centres: NDArray[np.float64], radii: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    # The ball that each ray enters first, and how far away; MISSED_M where it enters none.
+    entry = rays @ centres.T
+    inside = entry * entry
+    inside += radii * np.abs(radii) - np.einsum("ij,ij->i", centres, centres)
+    missed = inside <= 0
+    np.maximum(inside, 0.0, out=inside)
+    np.sqrt(inside, out=inside)
+    entry -= inside
+    np.copyto(entry, MISSED_M, where=missed)
+    nearest = np.argmin(entry, axis=1)
+    return nearest, entry[np.arange(len(rays)), nearest]
+
+
+def _ball_at(
+    shape: TubeShape, ball: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    # Index among FINE positions, bases of centre and radius, and centre, at a fractional ball.
+    index = np.rint(ball * (FINE / (BALLS - 1))).astype(np.intp)
+    bend, width = (table[index] for table in bases(FINE + 1))
+    return index, bend, width, bend @ shape.bend_m
+
+
+def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Position of each row's minimum, by a parabola through the lowest value and its neighbours.
+    last = values.shape[1] - 1
+    k = np.minimum(np.maximum(np.argmin(values, axis=1), 1), last - 1)
+    rows = np.arange(len(values))
+    a, b, c = values[rows, k - 1], values[rows, k], values[rows, k + 1]
+    curve = a - 2 * b + c
+    step = np.where(curve > 1e-12, 0.5 * (a - c) / np.maximum(curve, 1e-12), np.sign(a - c))
+    at = k + np.minimum(np.maximum(step, -1.0), 1.0)
+    return np.asarray(np.minimum(np.maximum(at, 0.0), last))

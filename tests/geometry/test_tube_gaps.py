@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
+from tests.geometry.test_tube_fit import FAR, RADIUS, body, surface, tangent_rays
 
 from cucumbervision.geometry.tube_gaps import depth_gaps, gaps
-from tests.geometry.test_tube_fit import FAR, RADIUS, body, surface, tangent_rays
 
 
 def test_surface_points_and_tangent_rays_have_no_gap() -> None:

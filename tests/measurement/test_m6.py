@@ -332,3 +332,17 @@ def test_what_stands_nearer_far_beyond_an_end_does_not_hide_it(camera: Intrinsic
     _, fit = fitted(measure_m6(*covered(tube, camera, slice(574, 848), 0.4), camera))
     assert fit.ends_seen == (True, True)
     assert fit.depth_rms_m < 0.001
+
+
+@pytest.mark.parametrize(("nearest_m", "wrong"), [(0.38, 0.05), (0.39, 0.02)])
+def test_a_fruit_nearer_than_the_sensor_sees_is_laid_by_its_outlines_width(
+    camera: Intrinsics, nearest_m: float, wrong: float
+) -> None:
+    """Only its far end has depth, and the background shines through here and there."""
+    tube = arc_tube(0.3, 0.02, 0.25).moved(rotation(tilt_deg=55), (0, 0, 0.33))
+    depth, mask = seen(tube, camera)
+    depth[depth < nearest_m] = 0
+    depth[mask & (np.random.default_rng(1).random(mask.shape) < wrong)] = 0.85
+    assert (depth[mask] > 0).mean() < 0.15
+    lengths, _ = fitted(measure_m6(depth, mask, camera))
+    assert lengths.centreline_m == pytest.approx(0.3, rel=0.1)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -212,6 +213,15 @@ def test_keypoints_below_the_overlap_are_not_given() -> None:
     (out,) = with_keypoints([fruit_at(0)], [fruit_at(5, 7)])
     assert out.keypoints is None
     assert with_keypoints([], [fruit_at(5, 7)]) == ()
+
+
+def test_an_unsure_pose_serves_only_what_no_sure_one_fits() -> None:
+    # The unsure poses fit better (IoU 1), but the first fruit has a sure one (9/11).
+    unsure = [replace(fruit_at(x, keypoint), confidence=0.1) for x, keypoint in ((0, 3), (30, 4))]
+    poses = [replace(fruit_at(1, 7), confidence=0.8), *unsure]
+    fruits = [fruit_at(0), fruit_at(30), fruit_at(60, 5)]
+    out = with_keypoints(fruits, poses, sure=0.3)
+    assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [7, 4, 5]
 
 
 def test_hopeless_pairs_push_no_good_one_aside() -> None:

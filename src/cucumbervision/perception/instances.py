@@ -208,7 +208,9 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
     return tuple(sorted(left, key=lambda one: -one.confidence))
 
 
-def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Instance, ...]:
+def each_once(
+    found: Sequence[Instance], posed: Sequence[Instance], sure: float = 0.0
+) -> tuple[Instance, ...]:
     """Return each fruit of two networks once, with the pose network's keypoints.
 
     Parameters
@@ -217,6 +219,8 @@ def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Ins
         Of the detector, after `merge_instances`.
     posed : sequence of Instance
         Of the pose network, as it gives them.
+    sure : float
+        From this confidence on a pose joins pieces; it goes before the others everywhere.
 
     Returns
     -------
@@ -224,7 +228,8 @@ def each_once(found: Sequence[Instance], posed: Sequence[Instance]) -> tuple[Ins
         Best first: pieces joined, keypoints where a pose fits.
     """
     poses = merge_instances(posed)
-    return with_keypoints(join_pieces(found, poses), poses)
+    whole = join_pieces(found, [pose for pose in poses if pose.confidence > sure])
+    return with_keypoints(whole, poses, sure=sure)
 
 
 def apart(
@@ -259,7 +264,11 @@ def apart(
 
 
 def with_keypoints(
-    instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float = 0.5
+    instances: Sequence[Instance],
+    poses: Sequence[Instance],
+    min_iou: float = 0.5,
+    *,
+    sure: float = 0.0,
 ) -> tuple[Instance, ...]:
     """Return instances with the keypoints that a pose network found for them.
 
@@ -273,6 +282,9 @@ def with_keypoints(
         With keypoints.
     min_iou : float
         Least overlap of the two boxes.
+    sure : float
+        Poses above this confidence are matched first, the others with what is left: that there is
+        a fruit the detector has said.
 
     Returns
     -------
@@ -286,21 +298,35 @@ def with_keypoints(
     >>> with_keypoints([fruit], [pose])[0].keypoints.shape
     (5, 3)
     """
+    out = list(instances)
+    left = list(range(len(out)))
+    for some in (
+        [p for p in poses if p.confidence > sure],
+        [p for p in poses if p.confidence <= sure],
+    ):
+        for i, pose in _matches([out[k] for k in left], some, min_iou):
+            out[left[i]] = replace(
+                out[left[i]], keypoints=pose.keypoints, end_confidence=pose.end_confidence
+            )
+        left = [k for k in left if out[k].keypoints is None]
+    return tuple(out)
+
+
+def _matches(
+    instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float
+) -> list[tuple[int, Instance]]:
+    """Match instances, by their place, with poses that have keypoints."""
     if not instances or not poses:
-        return tuple(instances)
+        return []
     from scipy.optimize import linear_sum_assignment
 
     overlaps = np.array([[box_iou(a.box, b.box) for b in poses] for a in instances])
     # Pairs below the threshold count nothing, so that they push no good pair aside.
     overlaps[overlaps < min_iou] = 0.0
-    out = list(instances)
-    rows, columns = linear_sum_assignment(overlaps, maximize=True)
-    for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
-        if overlaps[i, j] > 0 and poses[j].keypoints is not None:
-            out[i] = replace(
-                instances[i], keypoints=poses[j].keypoints, end_confidence=poses[j].end_confidence
-            )
-    return tuple(out)
+    pairs = zip(*(k.tolist() for k in linear_sum_assignment(overlaps, maximize=True)), strict=True)
+    return [
+        (i, poses[j]) for i, j in pairs if overlaps[i, j] > 0 and poses[j].keypoints is not None
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from cucumbervision.perception.instances import apart, each_once, merge_instance
 from cucumbervision.perception.pieces import join_across
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.sam import Segmenter
-from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
+from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, POSE_CONFIDENCE, YoloDetector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,10 +33,17 @@ class Detectors:
         Whose detections are the fruit; of whatever class, since a fruit of two classes is one.
     pose : YoloDetector, optional
         Whose keypoints they get.
+    confidence : float
+        Of the detector; surer poses join the parts of a fruit.
     """
 
-    def __init__(self, detector: YoloDetector, pose: YoloDetector | None = None) -> None:
-        self._detector, self._pose = detector, pose
+    def __init__(
+        self,
+        detector: YoloDetector,
+        pose: YoloDetector | None = None,
+        confidence: float = DEFAULT_CONFIDENCE,
+    ) -> None:
+        self._detector, self._pose, self._confidence = detector, pose, confidence
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -67,7 +74,7 @@ class Detectors:
         """
         found = self._detector.detect(color_rgb)
         pose = self._pose.detect(color_rgb) if self._pose is not None and found else ()
-        return each_fruit_once(found, pose, color_rgb, depth_m)
+        return each_fruit_once(found, pose, color_rgb, depth_m, self._confidence)
 
 
 def each_fruit_once(
@@ -75,6 +82,7 @@ def each_fruit_once(
     posed: Sequence[Instance],
     color_rgb: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None = None,
+    sure: float = DEFAULT_CONFIDENCE,
 ) -> tuple[Instance, ...]:
     """Return what is reported of a detector's and a pose network's detections of one picture.
 
@@ -88,6 +96,8 @@ def each_fruit_once(
         The picture.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
+    sure : float
+        As for `each_once`.
 
     Returns
     -------
@@ -95,7 +105,7 @@ def each_fruit_once(
         Each fruit once, best first; no pixel is of two masks.
     """
     found = join_across(merge_instances(detected), color_rgb, depth_m)
-    return apart(each_once(found, posed) if posed and found else found, depth_m)
+    return apart(each_once(found, posed, sure) if posed and found else found, depth_m)
 
 
 class NetworkLoader:
@@ -145,6 +155,7 @@ class NetworkLoader:
         self.models: list[dict[str, Any]] = [] if models is None else models
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
         self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
+        self._pose_confidence = min(confidence, POSE_CONFIDENCE)
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str, Segmenter] = {}
 
@@ -160,7 +171,7 @@ class NetworkLoader:
             self._files[name] = self.registry.resolve(name)
         return self._files[name]
 
-    def yolo(self, chosen: Path | str) -> YoloDetector:
+    def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
         Where its points are ordered by place, the registry's network that tells a fruit's ends
@@ -175,7 +186,7 @@ class NetworkLoader:
         network = YoloDetector(
             path,
             self._runtime,
-            self._confidence,
+            self._confidence if confidence is None else confidence,
             full_precision=self._full_precision,
             most=self._most,
             input_sizes=self._input_sizes,
@@ -192,14 +203,14 @@ class NetworkLoader:
         return network
 
     def pose(self, path: Path) -> YoloDetector:
-        """Load a user's own pose network.
+        """Load a user's own pose network, for the keypoints of fruit that are known.
 
         Raises
         ------
         ModelError
             If the file is missing, or no YOLO pose network.
         """
-        pose = self.yolo(path)
+        pose = self.yolo(path, self._pose_confidence)
         if pose.task != "pose":
             raise ModelError(
                 f"it is a {pose.task} network and gives no keypoints",
@@ -239,10 +250,10 @@ class NetworkLoader:
             )
         detector = self.yolo(own.name if file is None and own is not None else file or "")
         if pose is None and file is None and keypoints and own_pose is not None:
-            pose = self.yolo(own_pose.name)
+            pose = self.yolo(own_pose.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        return Detectors(detector, pose)
+        return Detectors(detector, pose, self._confidence)
 
     def segmenter(self, name: str) -> Segmenter:
         """Return a SAM of the registry, loaded once.

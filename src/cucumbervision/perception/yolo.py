@@ -29,6 +29,7 @@ __all__ = [
     "DEFAULT_CONFIDENCE",
     "ONE_TO_ONE_KEY",
     "ORDER_KEY",
+    "POSE_CONFIDENCE",
     "SIZES_KEY",
     "YoloDetector",
     "YoloLayout",
@@ -408,6 +409,9 @@ def one_of_each(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
 
 
 DEFAULT_CONFIDENCE = 0.30
+
+POSE_CONFIDENCE = 0.05
+"""From which a pose gives its keypoints to a fruit that the detector is sure of."""
 
 _KEYPOINTS = 5
 

@@ -247,13 +247,13 @@ def _box_finder(options: MeasureOptions, networks: _Staged) -> Find:
     if choice == "auto":
         return _auto_finder(options, networks)
     given = _dataset_or_error if choice == "dataset" else _file_finder(path)
-    return _with_pose(given, networks.pose(options.pose))
+    return _with_pose(given, networks.pose(options.pose), options.confidence)
 
 
 def _auto_finder(options: MeasureOptions, networks: _Staged) -> Find:
     """Take a data set's masks where there are some, and load the networks where there are none."""
     pose = networks.pose(options.pose)
-    given = _with_pose(_dataset, pose)
+    given = _with_pose(_dataset, pose, options.confidence)
     loaded: list[Find] = []
 
     def find(capture: Capture) -> Found:
@@ -274,7 +274,7 @@ def _network_finder(detectors: Detectors) -> Find:
     )
 
 
-def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
+def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
     """Return a finder whose fruit get a pose network's keypoints."""
     if pose is None:
         return find
@@ -284,7 +284,7 @@ def _with_pose(find: Find, pose: YoloDetector | None) -> Find:
         if not found.instances:
             return found
         poses = pose.detect(capture.color)
-        instances = with_keypoints(found.instances, poses)
+        instances = with_keypoints(found.instances, poses, sure=sure)
         return replace(found, instances=instances, stages=(*found.stages, Stage.POSED))
 
     return find_with_keypoints

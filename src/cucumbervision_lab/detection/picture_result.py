@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
+from cucumbervision.perception.yolo import POSE_CONFIDENCE
 from cucumbervision.pipeline.finders import dataset_instances
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit
@@ -213,11 +214,13 @@ def shipped(
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
     """
-    posed = [one for one in posed if one.confidence > confidence]
+    sure, least = (confidence, min(confidence, POSE_CONFIDENCE))
     if segmented is None:
-        return each_fruit_once(posed, (), color_rgb, depth_m)
-    found = [one for one in segmented if one.confidence > confidence]
-    return each_fruit_once(found, posed, color_rgb, depth_m)
+        fruit = [one for one in posed if one.confidence > sure]
+        return each_fruit_once(fruit, (), color_rgb, depth_m)
+    found = [one for one in segmented if one.confidence > sure]
+    poses = [one for one in posed if one.confidence > least]
+    return each_fruit_once(found, poses, color_rgb, depth_m, sure)
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

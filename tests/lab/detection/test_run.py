@@ -390,7 +390,7 @@ def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
     pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)]
     loaded = [cast(YoloDetector, Replay(*found)) for found in ([], pose)]
     black = np.zeros((40, 120, 3), np.uint8)
-    assert Detectors(*loaded).find(black) == ()
+    assert Detectors(loaded[0], loaded[1]).find(black) == ()
     assert shipped([], pose, 0.3, black) == ()
     # Without a detector the pose network stands in.
     assert len(shipped(None, pose, 0.3, black)) == 1

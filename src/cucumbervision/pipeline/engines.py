@@ -49,29 +49,45 @@ def in_process(
     out: OutputFolder,
     stop: Callable[[], bool],
 ) -> Iterator[Outcome]:
-    """Do tasks one after the other in this process; the next is read while one is measured."""
+    """Do tasks one after the other in this process.
+
+    While networks look at one capture, the next is read and the one before is measured.
+    """
     worker = Worker(options, out)
     waiting: deque[tuple[Task, Future[Outcome | ReadCapture]] | Outcome] = deque()
+    seen: deque[Future[Outcome] | Outcome] = deque()
+    begun = False
 
-    def first() -> Iterator[Outcome]:
+    def look() -> None:
         one = waiting.popleft()
         if isinstance(one, Outcome):
-            yield one
+            seen.append(one)
         elif not stop() or one[0].trusted:
-            yield worker.measure(one[1].result())
+            seen.append(measuring.submit(worker.measure, worker.look(one[1].result())))
         elif dropped := one[0].dropped():
-            yield dropped
+            seen.append(dropped)
 
-    with ThreadPoolExecutor(1) as reader:
+    def measured(ahead: int) -> Iterator[Outcome]:
+        nonlocal begun
+        # The first result comes at once: somebody waits for it.
+        while len(seen) > (ahead if begun else 0):
+            begun = True
+            one = seen.popleft()
+            yield one if isinstance(one, Outcome) else one.result()
+
+    with ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as measuring:
         for task in tasks:
             if isinstance(task, Outcome):
                 waiting.append(task)
             else:
-                waiting.append((task, reader.submit(worker.read, task)))
+                waiting.append((task, reading.submit(worker.read, task)))
             if len(waiting) > 1:
-                yield from first()
+                look()
+                yield from measured(ahead=1)
         while waiting:
-            yield from first()
+            look()
+            yield from measured(ahead=1)
+        yield from measured(ahead=0)
 
 
 def cores() -> int:

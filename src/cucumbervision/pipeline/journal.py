@@ -14,7 +14,7 @@ import time
 import uuid
 import zlib
 from collections import OrderedDict
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from cucumbervision.capture.urls import patiently
@@ -95,7 +95,7 @@ class Record:
 
     def line(self) -> bytes:
         """Return the record as a line of the journal."""
-        values = asdict(self)
+        values = {**vars(self), "failures": [vars(failure) for failure in self.failures]}
         del values["place"]
         body = f"{self.place} {json.dumps(values, separators=(',', ':'))}".encode()
         return b"%08x %b\n" % (zlib.crc32(body), body)

@@ -320,12 +320,29 @@ class Measurer:
 
     def attempt(self, capture: Capture) -> CaptureResult:
         """Measure a capture; whatever goes wrong is in the result."""
+        return self.attempt_measured(self.attempt_look(capture))
+
+    def attempt_look(self, capture: Capture) -> Looked | CaptureResult:
+        """Find the fruit of a capture: the first half of `attempt`; a result if that failed."""
         try:
-            return self.measure(capture)
+            return self.look(capture)
         except Exception as error:
-            named = named_error(error, capture.source or capture.name)
-            failure = Failure.of(named, capture.source, capture.name)
-            return CaptureResult(capture, (), (failure,), named)
+            return _failed(error, capture)
+
+    def attempt_measured(self, looked: Looked | CaptureResult) -> CaptureResult:
+        """Measure fruit that were found: the second half of `attempt`."""
+        if isinstance(looked, CaptureResult):
+            return looked
+        try:
+            return self.measured(looked)
+        except Exception as error:
+            return _failed(error, looked.capture)
+
+
+def _failed(error: Exception, capture: Capture) -> CaptureResult:
+    named = named_error(error, capture.source or capture.name)
+    failure = Failure.of(named, capture.source, capture.name)
+    return CaptureResult(capture, (), (failure,), named)
 
 
 def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:

@@ -139,7 +139,8 @@ class _Measuring:
 
     def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
         try:
-            return {"done": pickle.dumps(self._worker.measure(pickle.loads(row["read"])))}
+            seen = self._worker.look(pickle.loads(row["read"]))
+            return {"done": pickle.dumps(self._worker.measure(seen))}
         except CucumberVisionError as error:  # nothing can be measured at all
             return {"done": pickle.dumps(error)}
 

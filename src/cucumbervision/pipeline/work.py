@@ -13,7 +13,7 @@ import numpy as np
 from cucumbervision.capture.files import json_value, read_bytes, reading_once
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.journal import Record, place_of
-from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer
+from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Looked, Measurer
 from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.tables import capture_json
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["Outcome", "ReadCapture", "Task", "Worker"]
+__all__ = ["Outcome", "ReadCapture", "SeenCapture", "Task", "Worker"]
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class ReadCapture:
-    """A capture in memory, on its way to be measured.
+    """A capture in memory, on its way to be looked at.
 
     Parameters
     ----------
@@ -116,6 +116,22 @@ class ReadCapture:
     done: Outcome
     capture: Capture
     content: str
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCapture:
+    """A capture whose fruit were found, on its way to be measured.
+
+    Parameters
+    ----------
+    read : ReadCapture
+        What was read.
+    looked : Looked or CaptureResult
+        Its fruit, or what went wrong.
+    """
+
+    read: ReadCapture
+    looked: Looked | CaptureResult
 
 
 class Worker:
@@ -149,8 +165,8 @@ class Worker:
         self._measurer.load()
 
     def __call__(self, task: Task) -> Outcome:
-        """Do a task: read and measure it, as `read` and `measure` say."""
-        return self.measure(self.read(task))
+        """Do a task: `read` it, `look` at it, and `measure` it."""
+        return self.measure(self.look(self.read(task)))
 
     def read(self, task: Task) -> Outcome | ReadCapture:
         """Read a capture, unless it was measured before; what goes wrong is in the outcome."""
@@ -174,20 +190,25 @@ class Worker:
             return replace(done, before=True)
         return ReadCapture(done, capture, content)
 
-    def measure(self, read: Outcome | ReadCapture) -> Outcome:
-        """Measure what was read; whatever goes wrong in the capture is in the outcome.
+    def look(self, read: Outcome | ReadCapture) -> Outcome | SeenCapture:
+        """Find the fruit of what was read; whatever goes wrong in the capture stays in it.
 
         Raises
         ------
         CucumberVisionError
             If nothing can be measured at all, as `load`.
         """
-        return read if isinstance(read, Outcome) else self._measured(read)
-
-    def _measured(self, read: ReadCapture) -> Outcome:
-        done, capture, content = read.done, read.capture, read.content
+        if isinstance(read, Outcome):
+            return read
         self.load()
-        result = self._measurer.attempt(capture)
+        return SeenCapture(read, self._measurer.attempt_look(read.capture))
+
+    def measure(self, seen: Outcome | SeenCapture) -> Outcome:
+        """Measure the fruit that were found, draw them, and say what to journal."""
+        if isinstance(seen, Outcome):
+            return seen
+        done, capture, content = seen.read.done, seen.read.capture, seen.read.content
+        result = self._measurer.attempt_measured(seen.looked)
         failures = list(result.failures)
         record = picture = None
         if result.error is None:

@@ -148,7 +148,7 @@ def sam_prompts(measure: Callable[[str], pd.DataFrame]) -> Table:
         "SAM's prompt",
         ("prompt", "captures", "masks refused", "mask IoU, mean", "M6 MAPE [%]"),
         tuple(rows),
-        "MobileSAM, prompted by the exact box of the visible fruit.",
+        "MobileSAM, prompted by the detector's boxes; a fruit that is not found counts as refused.",
     )
 
 

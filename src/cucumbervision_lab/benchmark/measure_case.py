@@ -11,24 +11,27 @@ import numpy as np
 from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.intervals import tube_features
+from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Method, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
+from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
-    from cucumbervision.perception.sam import Segmenter
     from cucumbervision_lab.benchmark.cases import Case
     from cucumbervision_lab.synthesis.scene import FruitTruth
+
+    Find = Callable[[Capture], Sequence[Instance]]
 
 __all__ = ["CaseOptions", "fruit_lengths", "measure_case"]
 
@@ -172,6 +175,10 @@ def end_shift_px(
 
 OUTLINE_RMS_PX = 1.5
 
+FOUND_IOU = 0.5  # of boxes: what overlaps the case's fruit by less is another one
+
+_READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper", "oracle")
+
 NO_RECORD_BELOW_PX = 30  # a fruit of which fewer pixels show is no capture of a fruit
 
 
@@ -197,9 +204,7 @@ class CaseOptions:
     prompt: str = "box+point"
 
 
-def measure_case(
-    case: Case, options: CaseOptions, segmenter: Segmenter | None = None
-) -> list[Record]:
+def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[Record]:
     """Simulate a case and measure its fruit with each kind of mask.
 
     Parameters
@@ -208,8 +213,9 @@ def measure_case(
         What to take.
     options : CaseOptions
         How to measure.
-    segmenter : Segmenter, optional
-        Draws the perceived masks, prompted by the box of the exact one.
+    find : callable, optional
+        Finds the fruit of a capture with masks and keypoints, for perceived masks: what is found
+        is given no truth, which only says which find is the case's fruit.
 
     Returns
     -------
@@ -221,12 +227,12 @@ def measure_case(
         return []
     records = []
     for kind in options.masks:
-        instance = _instance(taken, kind, case, segmenter)
+        instance = _instance(taken, kind, case, find)
         records.append(_record(case, taken, kind, instance, options.baselines))
     return records
 
 
-def _instance(taken: Simulated, kind: Masks, case: Case, segmenter: Segmenter | None) -> Instance:
+def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> Instance | None:
     truth = taken.truth
     rng = np.random.default_rng(case.capture_seed + 4)
     seen = (truth.keypoint_visibility == 2).astype(float)
@@ -245,19 +251,28 @@ def _instance(taken: Simulated, kind: Masks, case: Case, segmenter: Segmenter | 
         keypoints[:, :2] += rng.normal(0, OUTLINE_RMS_PX, (5, 2))
         box = box_of_mask(mask) if mask.any() else exact.box
         return replace(exact, box=box, mask=mask, keypoints=keypoints)
-    if segmenter is None:
-        raise ValueError("perceived masks need a segmenter")
-    prompt = replace(exact, mask=None, mask_source=None, keypoints=None)
-    return segmenter.segment(taken.capture.color, [prompt])[0]
+    if find is None:
+        raise ValueError("perceived masks need something that finds the fruit")
+    overlaps = [(float(box_iou(one.box, exact.box)), one) for one in find(taken.capture)]
+    best = max(overlaps, key=lambda one: one[0], default=(0.0, None))
+    return best[1] if best[0] >= FOUND_IOU else None
 
 
 def _record(
-    case: Case, taken: Simulated, kind: Masks, instance: Instance, baselines: bool
+    case: Case, taken: Simulated, kind: Masks, instance: Instance | None, baselines: bool
 ) -> Record:
     truth, capture = taken.truth, taken.capture
-    measured = measure_fruit(capture, instance)
-    lengths, chosen = fruit_lengths(measured, capture)
-    if instance.mask is not None:
+    lengths: dict[str, float | None] = dict.fromkeys(_READ)
+    details: dict[str, Any] = {"mask_failure": "not found", "mask_iou": 0.0}
+    fill = 0.0
+    if instance is not None:
+        measured = measure_fruit(capture, instance)
+        fill = 0.0 if instance.mask is None else measured.fill or 0.0
+        lengths, chosen = fruit_lengths(measured, capture)
+        details = {f"selected_{selector}": method for selector, method in chosen.items()}
+        details |= _noted(measured.measurements[Method.M6], instance)
+        details["mask_iou"] = round(mask_iou(instance.mask, truth.visible), 4)
+    if instance is not None and instance.mask is not None:
         rng = np.random.default_rng(case.capture_seed + 5)
         lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
         if baselines:
@@ -275,16 +290,11 @@ def _record(
         tilt_deg=_chord_tilt_deg(truth.axis_m),
         bend_radius_m=case.bend_radius_m,
         hidden_share=truth.hidden_share,
-        fill=0.0 if instance.mask is None else measured.fill or 0.0,
+        fill=fill,
         condition=case.condition,
         depth_scale=taken.depth_scale,
         lengths_m=lengths,
-        details={
-            **{f"selected_{selector}": method for selector, method in chosen.items()},
-            **_noted(measured.measurements[Method.M6], instance),
-            "mask_iou": round(mask_iou(instance.mask, truth.visible), 4),
-            "ends_seen": _ends_seen(taken),
-        },
+        details=details | {"ends_seen": _ends_seen(taken)},
     )
 
 

@@ -20,7 +20,8 @@ from cucumbervision.measurement.intervals import (
     raw_features,
     shipped_interval_models,
 )
-from cucumbervision.perception.sam import Segmenter
+from cucumbervision.pipeline.finders import Finder, make_finder
+from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark import experiments
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.benchmark.interval_fit import (
@@ -173,13 +174,13 @@ def run_cases(
 
 
 def _measure(options: CaseOptions, case: Case) -> list[Record]:
-    segmenter = _segmenter(options.prompt) if Masks.PERCEIVED in options.masks else None
-    return measure_case(case, options, segmenter)
+    find = _finder(options.prompt).find if Masks.PERCEIVED in options.masks else None
+    return measure_case(case, options, None if find is None else lambda c: find(c).instances)
 
 
 @lru_cache
-def _segmenter(prompt: str) -> Segmenter:
-    return Segmenter("mobile-sam", prompt=prompt, full_precision=True)
+def _finder(prompt: str) -> Finder:
+    return make_finder(MeasureOptions(instances="models", prompt=prompt))
 
 
 def _measured(case: Case, options: CaseOptions, done: set[tuple[str, str, str]]) -> bool:
@@ -226,6 +227,8 @@ class BenchmarkPlan:
         Whether other people's tools run where they are installed.
     data : Path, optional
         The folder of real captures, for the experiment on the carrot frames.
+    experiments : bool
+        Whether the side questions are answered too.
     """
 
     quick: bool = False
@@ -233,6 +236,7 @@ class BenchmarkPlan:
     workers: int = 2
     baselines: bool = True
     data: Path | None = None
+    experiments: bool = True
 
 
 def plan_cases(plan: BenchmarkPlan) -> tuple[list[Case], list[Case]]:
@@ -276,7 +280,7 @@ def run_benchmark(
     parts = [run("protocol", protocol, CaseOptions(kinds, baselines))]
     parts.append(run("stress", stress, CaseOptions(both)))
     readings = with_intervals(pd.concat(parts, ignore_index=True), shipped_interval_models())
-    if plan.quick:
+    if plan.quick or not plan.experiments:
         return readings, {}
     tables = {
         "wrong intrinsics": experiments.wrong_intrinsics(),

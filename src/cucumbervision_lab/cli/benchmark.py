@@ -27,6 +27,9 @@ def benchmark(
     data: Annotated[
         Path | None, typer.Option(help="Folder of real captures, for what is checked on them.")
     ] = None,
+    experiments: Annotated[
+        bool, typer.Option(help="Answer the side questions too: bursts, prompts, intrinsics.")
+    ] = True,
     learn_intervals: Annotated[
         Path | None,
         typer.Option(help="Learn the intervals anew into this file, and do nothing else."),
@@ -51,7 +54,7 @@ def benchmark(
             show(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")
         show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
-    plan = run.BenchmarkPlan(quick, stress, workers, data=data)
+    plan = run.BenchmarkPlan(quick, stress, workers, data=data, experiments=experiments)
     with part_bars() as report:
         readings, experiments = run.run_benchmark(plan, out, report)
     show_tables(_summary_tables(readings))

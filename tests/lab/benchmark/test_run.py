@@ -132,8 +132,8 @@ def test_two_workers_measure_what_one_does(tmp_path: Path) -> None:
         assert lengths[record.case] == pytest.approx(record.lengths_m, rel=1e-6)
 
 
-def test_perceived_masks_need_a_segmenter() -> None:
-    with pytest.raises(ValueError, match="need a segmenter"):
+def test_perceived_masks_need_a_finder() -> None:
+    with pytest.raises(ValueError, match="finds the fruit"):
         measure_case(paper_cases(1)[0], CaseOptions((Masks.PERCEIVED,)))
 
 

@@ -1,19 +1,23 @@
 """What further views of a fruit are worth: drawn fruit, each from three stops of a row.
 
-    python benchmarks/many_views.py --fruit 60
+    python benchmarks/many_views.py --fruit 60 [--perceived] [--keep FILE]
 
 A fruit hangs at 0.5 to 0.9 m and tilts by 15 degrees (one standard deviation), six in ten behind
-leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree; outlines are disturbed by 1.5 px in
-each view anew. The best view is the one that rounds keep. 'Combined' weighs the views' lengths by
-their intervals (`rounds.row_fruit.combined_length`), 'one tube' is `measurement.views`.
+leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree. Outlines are disturbed by 1.5 px in
+each view anew, or with --perceived found and drawn by the networks in painted pictures. The best
+view is the one of the narrowest interval, 'combined' weighs the views' lengths by their intervals
+as rounds do (`rounds.row_fruit.combined_length`), 'one tube' is `measurement.views`. Coverage is
+that of the 90 % interval, depth scale known.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import replace
+from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -21,19 +25,28 @@ from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from cucumbervision.capture.frames import median_depth
+from cucumbervision.capture.frames import Capture, median_depth
+from cucumbervision.measurement.intervals import shipped_interval_models, tube_features
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision.measurement.result import Flag
 from cucumbervision.measurement.views import FruitView, measure_views
+from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.pipeline.finders import make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.rounds.from_store import LENGTH_Z
 from cucumbervision.rounds.row_fruit import combined_length
-from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, stress_cases
-from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance
+from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
+from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import render
 
 if TYPE_CHECKING:
-    from cucumbervision.measurement.result import Measurement
+    from collections.abc import Callable, Sequence
+
+    from cucumbervision.perception.instances import Instance
     from cucumbervision_lab.benchmark.cases import Case
+
+    Find = Callable[[Capture], Sequence[Instance]]
 
 FIRST = 800_000
 SPACING_M, PLACE_SD_M, TURN_SD_DEG = 0.3, 0.03, 1.0
@@ -56,68 +69,103 @@ def drawn_case(number: int) -> Case:
     )
 
 
-def drawn_views(case: Case) -> tuple[float, list[FruitView]]:
+def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
     """Return the true centreline, and the fruit from the middle stop and those beside it."""
     scene = build_scene(case)
     views = []
     for k in (0, -1, 1):
         rng = np.random.default_rng([case.capture_seed, k + 5])
         seen = scene.moved(np.eye(3), np.array([-k * SPACING_M, 0.0, 0.0]))
-        mask = render(seen, CAMERA).mask(0)
-        mask = disturb_mask(mask, draw_disturbance(mask.shape, 1.5, rng))
+        drawn = render(seen, CAMERA)
+        mask = drawn.mask(0)
         if np.count_nonzero(mask) < LEAST_PX:
             continue
         depth = median_depth(sense(seen, D4xx.like(CAMERA), rng, 3))
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec(np.deg2rad(rng.normal(0, TURN_SD_DEG, 3))).as_matrix()
         pose[:3, 3] = np.array([k * SPACING_M, 0.0, 0.0]) + rng.normal(0, PLACE_SD_M, 3)
+        if find is None:
+            mask = disturb_mask(mask, draw_disturbance(mask.shape, 1.5, rng))
+        else:
+            color = paint_scene(seen, drawn, np.random.default_rng(case.capture_seed + 2))
+            fruit = found_at(box_of_mask(mask), find(Capture(color, depth, CAMERA, "drawn")))
+            if fruit is None or fruit.mask is None:
+                continue
+            mask = fruit.mask
         views.append(FruitView(depth, mask, CAMERA, pose))
     return scene.fruit[0].centreline_m, views
 
 
-def relative_sd(one: Measurement) -> float:
-    """Return the relative deviation of a single view's length, with a floor for its outline."""
-    if one.fit is None or one.length_m is None:
-        return np.nan
-    return float(np.hypot(one.fit.centreline_sd_m / one.length_m, 0.01))
-
-
-def errors_of(number: int) -> dict[str, float] | None:
-    """Measure one fruit in every way; relative errors in percent, and milliseconds."""
-    true_m, views = drawn_views(drawn_case(number))
+def measured(number: int, find: Find | None) -> dict[str, Any]:
+    """Measure one fruit from each stop alone, and as one tube in the first two and all three."""
+    true_m, views = drawn_views(drawn_case(number), find)
     alone = [measure_m6(view.depth_m, view.mask, view.intrinsics) for view in views]
-    fits = {k: one.fit for k, one in enumerate(alone) if one.fit is not None}
-    good = list(fits)
-    whole = [k for k, fit in fits.items() if Flag.END_HIDDEN not in fit.flags]
-    if len(views) < 3 or len(good) < 3:
-        return None
-    found: dict[str, float] = {}
-    for count in (1, 2, 3):
-        some = good[:count]
-        seen = [k for k in some if k in whole] or some
-        best = min(seen, key=lambda k: relative_sd(alone[k]))
-        lengths = np.array([fits[k].traits.lengths.centreline_m for k in seen])
-        sds = np.array([relative_sd(alone[k]) for k in seen])
-        combined = combined_length(lengths, sds, np.zeros(len(seen), bool))
+    good = [k for k, one in enumerate(alone) if one.fit is not None]
+    found: dict[str, Any] = {"number": number, "true_m": true_m, "alone": [], "one": []}
+    for k in good:
+        fit = alone[k].fit
+        whole = fit is not None and Flag.END_HIDDEN not in fit.flags
+        found["alone"].append((alone[k].length_m, tube_features(alone[k]), whole))
+    for count in range(1, len(good) + 1):
         start = process_time()
-        one = measure_views([views[k] for k in some])
-        found[f"ms {count}"] = 1e3 * (process_time() - start)
-        found[f"best {count}"] = 100 * (fits[best].traits.lengths.centreline_m / true_m - 1)
-        found[f"combined {count}"] = 100 * ((combined or (np.nan,))[0] / true_m - 1)
-        found[f"one tube {count}"] = 100 * ((one.length_m or np.nan) / true_m - 1)
-        sd = np.nan
-        if one.fit is not None and one.length_m is not None:
-            sd = one.fit.centreline_sd_m / one.length_m
-        found[f"z {count}"] = found[f"one tube {count}"] / 100 / sd
+        one = measure_views([views[k] for k in good[:count]])
+        ms = 1e3 * (process_time() - start)
+        sd = None if one.fit is None else one.fit.centreline_sd_m
+        found["one"].append((one.length_m, sd, ms))
     return found
+
+
+def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
+    """Return a fruit's errors in percent by number of views and way, and what intervals hold."""
+    if len(row["alone"]) < 3:
+        return None
+    book, true_m, found = shipped_interval_models(), row["true_m"], {}
+    for count in (1, 2, 3):
+        some = row["alone"][:count]
+        some = [one for one in some if one[2]] or some
+        lengths = np.array([one[0] for one in some])
+        ends = [book.interval("M6", one[0], one[1], scale_known=True) for one in some]
+        sds = np.array([np.log(high / low) / (2 * LENGTH_Z) for low, high in ends])
+        best = int(np.argmin(sds))
+        combined, sd_m = combined_length(lengths, sds, np.zeros(len(some), bool))
+        one_m, one_sd_m, ms = row["one"][count - 1]
+        found[f"best {count}"] = 100 * (lengths[best] / true_m - 1)
+        found[f"combined {count}"] = 100 * (combined / true_m - 1)
+        found[f"one tube {count}"] = 100 * ((one_m or np.nan) / true_m - 1)
+        found[f"ms {count}"] = ms
+        found[f"z {count}"] = (one_m - true_m) / one_sd_m if one_m else np.nan
+        spread = LENGTH_Z * sd_m / combined
+        found[f"covers {count}"] = abs(np.log(combined / true_m)) < spread
+        found[f"width {count}"] = 200 * spread
+    return found
+
+
+def rows_of(count: int, find: Find | None, keep: Path | None) -> list[dict[str, Any]]:
+    """Measure fruit, or take those that a file keeps already."""
+    kept = [json.loads(line) for line in keep.open()] if keep and keep.exists() else []
+    rows = {row["number"]: row for row in kept}
+    for number in track(range(count), "fruit"):
+        if number not in rows:
+            rows[number] = measured(number, find)
+            if keep:
+                with keep.open("a") as file:
+                    file.write(json.dumps(rows[number]) + "\n")
+    return [rows[number] for number in range(count)]
 
 
 def main() -> None:
     """Print the errors by number of views."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fruit", type=int, default=60)
-    rows = [errors_of(k) for k in track(range(parser.parse_args().fruit), "fruit")]
-    kept = [row for row in rows if row]
+    parser.add_argument("--perceived", action="store_true")
+    parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
+    options = parser.parse_args()
+    finder = make_finder(MeasureOptions(instances="models")) if options.perceived else None
+    find = None if finder is None else lambda capture: finder.find(capture).instances
+    rows = rows_of(options.fruit, find, options.keep)
+    views = np.bincount([len(row["alone"]) for row in rows], minlength=4)
+    print("views of a fruit that were measured:", dict(enumerate(views.tolist())))
+    kept = [row for row in map(errors_of, rows) if row]
     table = Table(title=f"{len(kept)} fruit seen from three stops: error of the centreline, %")
     for head in ("views", "way", "mean", "median", "90 % below", "bias", "of the best view's"):
         table.add_column(head, justify="right")
@@ -132,6 +180,9 @@ def main() -> None:
     Console(width=100, highlight=False).print(table)
     for count in (1, 2, 3):
         z = np.array([row[f"z {count}"] for row in kept])
+        covers = 100 * np.mean([row[f"covers {count}"] for row in kept])
+        width = np.mean([row[f"width {count}"] for row in kept])
+        print(f"{count} views combined: interval {width:.1f} % wide, covers {covers:.0f} %")
         spread, ms = 1.4826 * np.nanmedian(abs(z)), np.median([row[f"ms {count}"] for row in kept])
         print(f"{count} views: error over stated sd {spread:.2f} (1 is right), {ms:.0f} ms")
 

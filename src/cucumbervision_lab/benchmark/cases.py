@@ -28,6 +28,8 @@ __all__ = [
     "Case",
     "Simulated",
     "Suite",
+    "build_scene",
+    "paint_scene",
     "paper_cases",
     "simulate",
     "stress_cases",
@@ -336,9 +338,7 @@ def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated
     (truth,) = truth_of(scene, CAMERA, view)
     colors = [np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)] * frames
     if paint:
-        colors = [
-            _color_picture(scene, view, np.random.default_rng(case.capture_seed + 2))
-        ] * frames
+        colors = [paint_scene(scene, view, np.random.default_rng(case.capture_seed + 2))] * frames
     color, depth_m, burst_frame = fuse_burst(colors, depths)
     capture = Capture(
         color,
@@ -354,7 +354,8 @@ def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated
     return Simulated(capture, truth, scale)
 
 
-def _color_picture(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
+def paint_scene(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return a scene's colour picture, (H, W, 3), in a light and a style that `rng` draws."""
     style = random_style(rng, scene, Assets(), "hanging")
     light = shade(scene, view, CAMERA, style, Assets(), rng)
     return expose(light, Exposure(), rng, view.depth_m)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Find = Callable[[Capture], Sequence[Instance]]
 
-__all__ = ["CaseOptions", "fruit_lengths", "measure_case"]
+__all__ = ["CaseOptions", "found_at", "fruit_lengths", "measure_case"]
 
 CORRELATION_PX = 12.0
 
@@ -253,9 +253,13 @@ def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> I
         return replace(exact, box=box, mask=mask, keypoints=keypoints)
     if find is None:
         raise ValueError("perceived masks need something that finds the fruit")
-    overlaps = [(float(box_iou(one.box, exact.box)), one) for one in find(taken.capture)]
-    best = max(overlaps, key=lambda one: one[0], default=(0.0, None))
-    return best[1] if best[0] >= FOUND_IOU else None
+    return found_at(exact.box, find(taken.capture))
+
+
+def found_at(box: NDArray[np.float64], found: Sequence[Instance]) -> Instance | None:
+    """Return which of the fruit that were found is the one in a box, x1 y1 x2 y2, pixels."""
+    best = max(found, key=lambda one: box_iou(one.box, box), default=None)
+    return None if best is None or box_iou(best.box, box) < FOUND_IOU else best
 
 
 def _record(

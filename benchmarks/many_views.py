@@ -124,10 +124,10 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
         some = row["alone"][:count]
         some = [one for one in some if one[2]] or some
         lengths = np.array([one[0] for one in some])
-        ends = [book.interval("M6", one[0], one[1], scale_known=True) for one in some]
-        sds = np.array([np.log(high / low) / (2 * LENGTH_Z) for low, high in ends])
+        ends = np.array([book.models["M6"].interval(*one[:2]) for one in some])
+        sds = np.log(ends[:, 1] / ends[:, 0]) / (2 * LENGTH_Z)
         best = int(np.argmin(sds))
-        combined, sd_m = combined_length(lengths, sds, np.zeros(len(some), bool))
+        combined, sd_m = combined_length(lengths, sds, np.zeros(len(some), bool)) or (0.0, 0.0)
         one_m, one_sd_m, ms = row["one"][count - 1]
         found[f"best {count}"] = 100 * (lengths[best] / true_m - 1)
         found[f"combined {count}"] = 100 * (combined / true_m - 1)

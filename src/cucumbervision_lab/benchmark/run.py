@@ -278,7 +278,8 @@ def run_benchmark(
 
     baselines = plan.baselines and not plan.quick
     parts = [run("protocol", protocol, CaseOptions(kinds, baselines))]
-    parts.append(run("stress", stress, CaseOptions(both)))
+    if stress:
+        parts.append(run("stress", stress, CaseOptions(both)))
     readings = with_intervals(pd.concat(parts, ignore_index=True), shipped_interval_models())
     if plan.quick or not plan.experiments:
         return readings, {}

@@ -56,13 +56,13 @@ def benchmark(
         return
     plan = run.BenchmarkPlan(quick, stress, workers, data=data, experiments=experiments)
     with part_bars() as report:
-        readings, experiments = run.run_benchmark(plan, out, report)
+        readings, answers = run.run_benchmark(plan, out, report)
     show_tables(_summary_tables(readings))
     if not quick:
         from cucumbervision_lab.benchmark.report import write_benchmark_report
 
         origin = run.provenance(plan)
-        written = write_benchmark_report(readings, out, experiments=experiments, provenance=origin)
+        written = write_benchmark_report(readings, out, experiments=answers, provenance=origin)
         show(f"The report is {written}")
 
 

@@ -266,7 +266,8 @@ def _record(
     case: Case, taken: Simulated, kind: Masks, instance: Instance | None, baselines: bool
 ) -> Record:
     truth, capture = taken.truth, taken.capture
-    lengths: dict[str, float | None] = dict.fromkeys(_READ)
+    tools = available_baselines() if baselines else {}
+    lengths: dict[str, float | None] = dict.fromkeys((*_READ, *tools))
     details: dict[str, Any] = {"mask_failure": "not found", "mask_iou": 0.0}
     fill = 0.0
     if instance is not None:
@@ -279,9 +280,8 @@ def _record(
     if instance is not None and instance.mask is not None:
         rng = np.random.default_rng(case.capture_seed + 5)
         lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
-        if baselines:
-            for name, measure in available_baselines().items():
-                lengths[name] = measure(capture.depth_m, instance.mask, capture.intrinsics)
+        for name, measure in tools.items():
+            lengths[name] = measure(capture.depth_m, instance.mask, capture.intrinsics)
     return Record(
         case=case.name,
         suite=case.suite,

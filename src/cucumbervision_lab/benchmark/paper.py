@@ -126,11 +126,11 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
         return None
     scored = against(protocol, LengthDefinition.THREAD)
     heads = ["method", "whose", "MAE (cm)", "RMSE (cm)", "MAPE (%)", "95 % by capture (%)"]
-    heads += ["median error (cm)", "R²"]
+    heads += ["median error (cm)", "R²", "measured (%)", "MAPE of these (%)"]
     rows: list[tuple[Cell, ...]] = []
     for method in (*PAPER_METHODS, "M6 thread"):
         if method in _PUBLISHED:
-            rows.append((method, "the paper", *_PUBLISHED[method]))
+            rows.append((method, "the paper", *_PUBLISHED[method], None, None))
         for masks in Masks:
             rows += _here(scored[(scored["masks"] == masks) & (scored["method"] == method)], masks)
     comment = (
@@ -155,5 +155,7 @@ def _here(read: pd.DataFrame, masks: Masks) -> list[tuple[Cell, ...]]:
         span_text(estimate(read["error_percent"], resamples=10_000)),
         float(read["error_cm"].median()),
         found.r2,
+        100 * found.measured,
+        float(read.loc[read["length_m"].notna(), "error_percent"].mean()),
     )
     return [(str(read["method"].iloc[0]), f"here, {masks} outlines", *errors)]

@@ -12,6 +12,8 @@ from cucumbervision.accuracy.length_tables import against, method_metrics
 from cucumbervision.accuracy.records import Masks, Record, readings_frame
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.benchmark.cases import (
     CAMERA,
     PAPER_THREADS_CM,
@@ -135,6 +137,21 @@ def test_two_workers_measure_what_one_does(tmp_path: Path) -> None:
 def test_perceived_masks_need_a_finder() -> None:
     with pytest.raises(ValueError, match="finds the fruit"):
         measure_case(paper_cases(1)[0], CaseOptions((Masks.PERCEIVED,)))
+
+
+def test_perceived_fruit_are_what_was_found_where_the_fruit_is() -> None:
+    case, options = paper_cases(6)[5], CaseOptions((Masks.PERCEIVED,))
+    mask = simulate(case).truth.visible
+    own, beside = Instance(box_of_mask(mask), mask=mask), Instance(box_of_mask(mask) + 400)
+
+    (found,) = measure_case(case, options, lambda capture: [beside, own])
+    assert found.lengths_m["M6"] == pytest.approx(found.centreline_m, rel=0.03)
+    assert found.details["mask_iou"] == 1.0
+
+    (missed,) = measure_case(case, options, lambda capture: [beside])
+    assert set(missed.lengths_m) >= {"M1", "M6", "M6 thread", "selector best"}
+    assert set(missed.lengths_m.values()) == {None}
+    assert missed.details["mask_failure"] == "not found"
 
 
 def drawn(count: int, seed: int) -> pd.DataFrame:

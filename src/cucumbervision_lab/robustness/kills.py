@@ -134,7 +134,8 @@ def _killed_add(source: Path, store: Path, random: Random) -> int:
         pass_fds=(said,),
     )
     os.close(said)
-    os.read(heard, 1)  # a stop is being written, or the program is through
+    for _ in range(random.choice((1, 1, 2, 3))):
+        os.read(heard, 1)  # a stop is being written, or the program is through
     # Most writes take some milliseconds: most kills fall into one.
     time.sleep(random.choice((0.0, random.uniform(0, 0.02), random.uniform(0, 0.5))))
     with suppress(ProcessLookupError):

@@ -1,14 +1,18 @@
 """What M6 says of fruit of which a leaf hides one end: the whole length's median and interval.
 
-    python benchmarks/hidden_ends.py --fruit 110
+    python benchmarks/hidden_ends.py --fruit 110 [--keep FILE]
 
 Fruit of the stress set's kind (0.3 to 1.2 m, tilted up to 45 degrees, outlines exact and
-disturbed), a leaf laid over 7 to 45 % of each from one end, and over 0 to 12 cm beyond it.
+disturbed), a leaf laid over 7 to 45 % of each from one end, and over 0 to 12 cm beyond it. The
+second table learns how girth goes with length on some of the fruit and holds it against the
+others: one half against the other, and two kinds of fruit against the third.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +21,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from cucumbervision.measurement.hidden_end import GirthRelation, covered_reach, hidden_length
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision_lab.benchmark.cases import simulate, stress_cases
 from cucumbervision_lab.benchmark.measure_case import (
@@ -24,6 +29,7 @@ from cucumbervision_lab.benchmark.measure_case import (
     disturb_mask,
     draw_disturbance,
 )
+from cucumbervision_lab.synthesis.bodies import variety_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -70,6 +76,12 @@ def measured(number: int) -> list[dict[str, Any]]:
             row = {"kind": kind, "share": share, "true": taken.truth.centreline_m}
             row |= {"seen": fit.traits.lengths.centreline_m, "flagged": not all(fit.ends_seen)}
             whole = fit.whole
+            row |= {"number": number, "kind of fruit": variety_of(case.length_m)}
+            row["girth"] = fit.traits.diameter_max_m
+            row["reach"] = np.nan
+            if sum(fit.ends_seen) == 1:
+                end = -1 if fit.ends_seen[0] else 0
+                row["reach"] = covered_reach(depth, camera, fit.traits.axis_m, end) or np.nan
             row["median"] = np.nan if whole is None else whole.median_m
             row["low"] = np.nan if whole is None else whole.low_m
             row["high"] = np.nan if whole is None else whole.high_m
@@ -77,12 +89,57 @@ def measured(number: int) -> list[dict[str, Any]]:
     return rows
 
 
+def rows_of(count: int, keep: Path | None) -> pd.DataFrame:
+    """Measure fruit, or take those that a file keeps already."""
+    lines = keep.read_text().splitlines() if keep and keep.exists() else []
+    done = dict(json.loads(line) for line in lines)
+    for number in track(range(count), "fruit"):
+        if number not in done:
+            done[number] = measured(number)
+            if keep:
+                with keep.open("a") as file:
+                    file.write(json.dumps([number, done[number]]) + "\n")
+    return pd.DataFrame([row for number in range(count) for row in done[number]])
+
+
+def learnt(rows: pd.DataFrame) -> GirthRelation:
+    """Learn length by girth, with as much room as the package's own relation has."""
+    girth, length = np.log(rows["girth"]), np.log(rows["true"])
+    slope, log_length = np.polyfit(girth, length, 1)
+    spread = 1.25 * float((length - log_length - slope * girth).std(ddof=2))
+    return GirthRelation(float(log_length), float(slope), spread)
+
+
+def learnt_table(told: pd.DataFrame) -> Table:
+    """Return what relations hold that were learnt on other fruit."""
+    even = told["number"] % 2 == 0
+    splits = [("odd numbers, learnt on even", even), ("even numbers, learnt on odd", ~even)]
+    kinds = sorted(told["kind of fruit"].unique())
+    splits += [(f"{kind}, learnt on other kinds", told["kind of fruit"] != kind) for kind in kinds]
+    table = Table(title="Length by girth, learnt on other fruit")
+    for head in ("fruit", "readings", "spread", "median off %", "error %", "covers %", "width %"):
+        table.add_column(head, justify="right")
+    for name, of in splits:
+        relation, others = learnt(told[of]), told[~of]
+        columns = others[["seen", "girth", "reach"]].itertuples(index=False)
+        found = [hidden_length(*row, relation) for row in columns]
+        low, median, high = np.array([(x.low_m, x.median_m, x.high_m) for x in found]).T
+        off = 100 * (median / others["true"] - 1)
+        covers = 100 * ((low <= others["true"]) & (others["true"] <= high)).mean()
+        width = 100 * ((high - low) / median).mean()
+        cells = (off.median(), off.abs().mean(), covers, width)
+        spread = f"{relation.spread:.2f}"
+        table.add_row(name, str(len(others)), spread, *(f"{x:.1f}" for x in cells))
+    return table
+
+
 def main() -> None:
     """Print error and coverage by group."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fruit", type=int, default=110)
-    numbers = track(range(parser.parse_args().fruit), "fruit")
-    rows = pd.DataFrame([row for number in numbers for row in measured(number)])
+    parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
+    options = parser.parse_args()
+    rows = rows_of(options.fruit, options.keep)
     told = rows[rows["median"].notna()]
     groups = {
         "all": told["true"] > 0,
@@ -112,7 +169,9 @@ def main() -> None:
         seen = 100 * (some["seen"] / some["true"] - 1).median()
         cells = (seen, off.median(), off.abs().mean(), covers, width)
         table.add_row(name, str(len(some)), *(f"{x:.1f}" for x in cells))
-    Console(width=100, highlight=False).print(table)
+    console = Console(width=100, highlight=False)
+    console.print(table)
+    console.print(learnt_table(told))
 
 
 if __name__ == "__main__":

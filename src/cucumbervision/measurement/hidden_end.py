@@ -19,16 +19,41 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import Measurement
 
-__all__ = ["HiddenLength", "covered_reach", "hidden_length", "with_hidden_end"]
+__all__ = [
+    "DRAWN_KINDS",
+    "GirthRelation",
+    "HiddenLength",
+    "covered_reach",
+    "hidden_length",
+    "with_hidden_end",
+]
 
-# log length = LOG_LENGTH + SLOPE log diameter, both in metres, give or take SPREAD: over drawn
-# fruit of three kinds, from gherkin to long cucumber, with some room for others (0.24 there).
-LOG_LENGTH, SLOPE, SPREAD = 5.36, 2.16, 0.30
 STEP_M, FARTHEST_M = 0.002, 0.40
 NEARER_M = 0.005  # what is nearer than the end by this covers it
 SEEN_SD, REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres
 LEVEL = 0.9
 GRID = 400
+
+
+@dataclass(frozen=True)
+class GirthRelation:
+    """How a fruit's length goes with its girth: log length = a + b log diameter, in metres.
+
+    Parameters
+    ----------
+    log_length, slope : float
+        a and b.
+    spread : float
+        Standard deviation of the logarithm about that.
+    """
+
+    log_length: float
+    slope: float
+    spread: float
+
+
+DRAWN_KINDS = GirthRelation(5.36, 2.16, 0.30)
+"""Over drawn fruit of three kinds, gherkin to long cucumber, with room for others (0.24 there)."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +155,9 @@ def covered_reach(
     return float(steps[first[0]]) if inside[first[0]] else None
 
 
-def hidden_length(seen_m: float, diameter_m: float, reach_m: float) -> HiddenLength:
+def hidden_length(
+    seen_m: float, diameter_m: float, reach_m: float, relation: GirthRelation = DRAWN_KINDS
+) -> HiddenLength:
     """Return the whole length's distribution.
 
     Parameters
@@ -141,6 +168,8 @@ def hidden_length(seen_m: float, diameter_m: float, reach_m: float) -> HiddenLen
         The largest diameter.
     reach_m : float
         How far it could go on unseen, both ends together (`covered_reach`).
+    relation : GirthRelation
+        What its girth says of its length.
 
     Examples
     --------
@@ -153,8 +182,8 @@ def hidden_length(seen_m: float, diameter_m: float, reach_m: float) -> HiddenLen
     lengths = np.exp(
         np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * REACH_SD_M), GRID)
     )
-    usual = LOG_LENGTH + SLOPE * np.log(max(diameter_m, 0.005))
-    by_girth = np.exp(-0.5 * ((np.log(lengths) - usual) / SPREAD) ** 2)
+    usual = relation.log_length + relation.slope * np.log(max(diameter_m, 0.005))
+    by_girth = np.exp(-0.5 * ((np.log(lengths) - usual) / relation.spread) ** 2)
     beyond = ndtr(np.log(lengths / seen_m) / SEEN_SD)
     before = ndtr((seen_m + reach_m - lengths) / REACH_SD_M)
     weight = (by_girth + 1e-6) * beyond * before

@@ -121,8 +121,8 @@ def learnt_table(told: pd.DataFrame) -> Table:
         table.add_column(head, justify="right")
     for name, of in splits:
         relation, others = learnt(told[of]), told[~of]
-        columns = others[["seen", "girth", "reach"]].itertuples(index=False)
-        found = [hidden_length(*row, relation) for row in columns]
+        columns = others[["seen", "girth", "reach"]].to_numpy(float).tolist()
+        found = [hidden_length(seen, girth, reach, relation) for seen, girth, reach in columns]
         low, median, high = np.array([(x.low_m, x.median_m, x.high_m) for x in found]).T
         off = 100 * (median / others["true"] - 1)
         covers = 100 * ((low <= others["true"]) & (others["true"] <= high)).mean()

@@ -25,6 +25,7 @@ METHODS = ("M1", "M2", "M3", "M4", "M5", "M6")
 FRUIT = 6
 SPACING_M = 0.4
 _START_S = 1.8e9
+_CAMERA = {"fx": 600.0, "fy": 600.0, "stream": "color", "distortion": "none"}
 
 
 def made_round(name: str, day: int = 0) -> RoundRecord:
@@ -90,7 +91,7 @@ def _capture(
         fill=0.91,
         simulated=True,
         source="made",
-        camera={"width": width, "height": height, "fx_px": 600.0, "fy_px": 600.0},
+        camera={**_CAMERA, "width": width, "height": height, "cx": width / 2, "cy": height / 2},
         depth_unit_m=DEPTH_UNIT_M,
         fruit=tuple(_fruit(rng, k, width, height) for k in range(1, FRUIT + 1)),
         **pictures,

@@ -108,7 +108,13 @@ def make_long() -> Callable[[Store, StopRecord, int], None]:
     return long_round
 
 
-StartServer: TypeAlias = Callable[..., str]
+class Address(str):
+    """A running server's address."""
+
+    process: subprocess.Popen[bytes]
+
+
+StartServer: TypeAlias = Callable[..., Address]
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +122,7 @@ def start_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartServ
     """Start the real command in a folder and return its address; ended after the module."""
     started: list[subprocess.Popen[bytes]] = []
 
-    def start(folder: Path, *arguments: str, **environment: str) -> str:
+    def start(folder: Path, *arguments: str, **environment: str) -> Address:
         code = "from cucumbervision.cli.app import main; main()"
         for _ in range(5):  # another process may take the port before the server does
             with socket.socket() as probe:
@@ -133,7 +139,9 @@ def start_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartServ
                 )
             started.append(server)
             if _answers(f"http://127.0.0.1:{port}", server):
-                return f"http://127.0.0.1:{port}"
+                address = Address(f"http://127.0.0.1:{port}")
+                address.process = server
+                return address
         raise AssertionError((folder / "server.log").read_text())
 
     yield start
@@ -155,7 +163,7 @@ def _answers(address: str, server: subprocess.Popen[bytes]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def new_page() -> Iterator[Callable[[], Any]]:
+def new_page() -> Iterator[Callable[..., Any]]:
     """Open an empty page of a real Chromium, in a browser context of its own."""
     playwright = pytest.importorskip("playwright.sync_api")
     if CHROMIUM is None:
@@ -164,8 +172,8 @@ def new_page() -> Iterator[Callable[[], Any]]:
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
 
-        def opened() -> Any:
-            page = browser.new_page(viewport={"width": 1280, "height": 800})
+        def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
+            page = browser.new_page(viewport={"width": width, "height": height}, **how)
             page.set_default_timeout(1000 * PATIENCE_S)
             return page
 

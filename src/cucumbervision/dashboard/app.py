@@ -57,6 +57,10 @@ _STYLE = """<style>
 .stNumberInput button { min-width: 2.75rem; }
 .st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
 .block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
+@media (max-width: 640px) {
+  .st-key-rounds [data-testid="stHorizontalBlock"] { gap: 8px; }
+  .st-key-rounds [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
+  .st-key-rounds [data-testid="stColumn"]:first-child { min-width: 100%; } }
 @media (max-width: 1000px) {
   .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
   .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {

@@ -25,7 +25,8 @@ def choose_round() -> RoundView | None:
     rounds = {one.key: one for one in every}
     if st.session_state.get("round") not in rounds:
         st.session_state["round"] = next(iter(rounds), None)
-    chosen, new, change = st.columns([6, 2, 1], vertical_alignment="bottom")
+    with st.container(key="rounds"):
+        chosen, new, change = st.columns([6, 2, 1], vertical_alignment="bottom")
     key = chosen.selectbox(
         "Round",
         list(rounds),

@@ -25,6 +25,7 @@ from cucumbervision.dashboard.round_tables import counted, grade_name, length_wo
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.dashboard.views.stops import change_stop
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.walking import (
@@ -403,7 +404,11 @@ def _picture(one: RoundView, last: StopView) -> None:
     for taken in record.captures:
         own = [view for view in views if view.capture == taken.name]
         grades = {view.key: grade_name(grade_of(view.record, profile)) for view in own}
-        capture = stored_capture(store.images, taken, record)
+        try:
+            capture = stored_capture(store.images, taken, record)
+        except CucumberVisionError as error:
+            st.warning(plain(error), icon=":material/broken_image:")
+            continue
         tapped = picture(
             f"result_{last.key}_{taken.name}",
             {"measured": as_data_url(capture.color)},

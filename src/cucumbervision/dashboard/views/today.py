@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
@@ -144,8 +145,7 @@ def _picks(one: RoundView, today: Today) -> None:
             if kind == TOO_LONG:
                 st.markdown("**Too long**: outgrown every class; they cost the others growth")
             lines = _lines(picks, picked, today.drawn)
-            for tap in _list(f"{kind}_{one.key}_{row.row}", lines, words):
-                _tap(tap)
+            _list(f"picks_{kind}_{one.key}_{row.row}", lines, words)
         _all_picked(row, picked)
         _work(today)
 
@@ -178,21 +178,22 @@ def _lines(picks: Sequence[Pick], picked: set[str], drawn: frozenset[str]) -> li
     ]
 
 
-def _list(key: str, lines: list[dict[str, Any]], words: str) -> list[dict[str, Any]]:
+def _list(key: str, lines: list[dict[str, Any]], words: str) -> None:
     data = {"fruit": lines, "words": words}
-    made = component("picklist")(key=f"picks_{key}", data=data, on_taps_change=lambda: None)
-    return list(made.taps or ())
+    # Taps are kept before anything is drawn, so that all totals count them.
+    component("picklist")(key=key, data=data, on_taps_change=partial(_keep, key))
 
 
-def _tap(tap: dict[str, Any]) -> None:
-    """Keep a tap; those that were kept before come along with every new one."""
+def _keep(key: str) -> None:
+    """Keep new taps; those that were kept before come along with every one of them."""
     seen: set[str] = st.session_state.setdefault("taps_seen", set())
-    if tap["number"] in seen:
-        return
-    seen.add(tap["number"])
-    store, key = resources.store(), str(tap["key"])
-    store.pick([key]) if tap["picked"] else store.unpick([key])
-    st.session_state.pop("picked_all", None)
+    store = resources.store()
+    for tap in st.session_state[key].taps or ():
+        if tap["number"] not in seen:
+            seen.add(tap["number"])
+            fruit = [str(tap["key"])]
+            store.pick(fruit) if tap["picked"] else store.unpick(fruit)
+            st.session_state.pop("picked_all", None)
 
 
 def _all_picked(row: RowPicks, picked: set[str]) -> None:

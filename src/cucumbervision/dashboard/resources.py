@@ -22,7 +22,7 @@ from cucumbervision.dashboard.fruit_view import as_data_url, crop
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.recording import Recorder
-from cucumbervision.dashboard.round_tables import RoundLists, read_lists
+from cucumbervision.dashboard.round_tables import RoundLists, list_round
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
     REPLAY_VARIABLE,
@@ -39,11 +39,12 @@ from cucumbervision.dashboard.shutter import Shutter
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.forecasting import forecast_for
-from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.service import DAY_S, RowReport, row_reports
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
 from cucumbervision.rounds.walking import DEMONSTRATION, home_of
+from cucumbervision.store.records import MethodRecord
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
@@ -51,6 +52,7 @@ from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 __all__ = [
     "camera",
     "change_settings",
+    "content_of",
     "cutout_of",
     "feed",
     "forecast_of",
@@ -58,6 +60,7 @@ __all__ = [
     "lists_of",
     "measurer",
     "merge",
+    "methods_of",
     "prepare",
     "profile_of",
     "recorder",
@@ -241,16 +244,28 @@ def _version(one: RoundView) -> tuple[object, ...]:
 _OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundView: _version}
 
 
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def content_of(one: RoundView) -> RoundContent:
+    """Return what the store holds of a round; read again only when something changed."""
+    return read_round(store(), one.key)
+
+
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
 def lists_of(one: RoundView) -> RoundLists:
     """Return a round's fruit and grades; read again only when something changed."""
-    return read_lists(store(), one.key, profile_of(one)[1])
+    return list_round(content_of(one), profile_of(one)[1])
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
+def methods_of(one: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
+    """Return every method's length by the fruit's keys, for what few look at."""
+    return store().measurements(one.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def rows_of(one: RoundView) -> list[RowReport]:
     """Return a round's rows with their counts; read again only when something changed."""
-    return row_reports(read_round(store(), one.key))
+    return row_reports(content_of(one))
 
 
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
@@ -258,7 +273,8 @@ def forecast_of(one: RoundView) -> Forecast:
     """Return a round's forecast from today on; computed again only when something changed."""
     days, _ = age_of(one.last_s or one.record.started_s, time.time())
     today_s = one.record.started_s + days * DAY_S
-    return forecast_for(store(), one.key, profile_of(one)[1], today_s=today_s)
+    crop = profile_of(one)[1]
+    return forecast_for(store(), one.key, crop, content=content_of(one), today_s=today_s)
 
 
 def _unpicked_version(one: RoundView) -> tuple[object, ...]:
@@ -276,7 +292,7 @@ def _unpicked_version(one: RoundView) -> tuple[object, ...]:
 )
 def today_of(one: RoundView) -> Today:
     """Return what a round says of today; fruit that are picked today stay in it."""
-    return read_today(store(), one, profile_of(one)[1], time.time())
+    return read_today(store(), one, profile_of(one)[1], time.time(), content_of(one))
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import altair as alt
 import numpy as np
 import pyarrow as pa
+from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.agronomy.grades import Verdict as GradeVerdict
 from cucumbervision.pipeline.fields import FIELDS
@@ -27,9 +28,9 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
+    from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.rounds.row_fruit import CountEstimate
     from cucumbervision.store.records import DetectionRecord, MethodRecord
-    from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, StopView
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "count_words",
     "counted",
     "day_name",
+    "doubtful",
     "expected_classes",
     "figure_lines",
     "forecast_chart",
@@ -48,12 +50,12 @@ __all__ = [
     "hours_words",
     "length_lines",
     "length_words",
+    "list_round",
     "map_chart",
     "map_lines",
     "method_chart",
     "method_lines",
     "name_of_class",
-    "read_lists",
     "remarks",
     "round_day",
     "row_name",
@@ -62,6 +64,10 @@ __all__ = [
     "stop_name",
 ]
 
+
+# Vega itself says what is wrong with a chart; to check each against its schema takes longer than
+# all else that a page does.
+disable_debug_mode()
 
 DOUBT = 0.45  # confidence under which a fruit that is seen once may be none
 
@@ -76,33 +82,29 @@ class RoundLists:
         Each fruit once: the view that stands.
     grades : dict of str to Grade
         By fruit key.
-    methods : dict of str to tuple of MethodRecord
-        By fruit key, without paths.
     detections : int
         How many detections the fruit are made of.
     """
 
     fruit: tuple[DetectionView, ...]
     grades: Mapping[str, Grade]
-    methods: Mapping[str, tuple[MethodRecord, ...]]
     detections: int
 
-    @property
-    def doubtful(self) -> tuple[DetectionView, ...]:
-        """Fruit that one view alone shows, with little confidence, and nobody has looked at."""
-        return tuple(
-            view
-            for view in self.fruit
-            if view.views == 1 and view.verdict is None and view.record.score < DOUBT
-        )
 
-
-def read_lists(store: Store, round_key: str, profile: CropProfile) -> RoundLists:
+def list_round(content: RoundContent, profile: CropProfile) -> RoundLists:
     """Return a round's fruit with their grades."""
-    every = store.detections(round_key)
-    fruit = tuple(view for view in every if view.best)
+    fruit = tuple(view for view in content.views if view.best)
     grades = {view.key: grade_of(view.record, profile) for view in fruit}
-    return RoundLists(fruit, grades, store.measurements(round_key), len(every))
+    return RoundLists(fruit, grades, len(content.views))
+
+
+def doubtful(views: Iterable[DetectionView]) -> list[DetectionView]:
+    """Return the fruit that one view alone shows, unsurely, and nobody has looked at."""
+    return [
+        view
+        for view in views
+        if view.views == 1 and view.verdict is None and view.record.score < DOUBT
+    ]
 
 
 def grade_name(grade: Grade) -> str:
@@ -238,11 +240,13 @@ def length_lines(
     ]
 
 
-def method_lines(lists: RoundLists, keys: set[str], units: Units) -> list[dict[str, Any]]:
-    """Return a line for each method's own length of each fruit."""
+def method_lines(
+    by_fruit: Mapping[str, Sequence[MethodRecord]], keys: set[str], units: Units
+) -> list[dict[str, Any]]:
+    """Return a line for each method's own length of each fruit, by fruit key."""
     return [
         {"method": method.method, "length": units.value(method.length_m)}
-        for key, methods in lists.methods.items()
+        for key, methods in by_fruit.items()
         if key in keys
         for method in methods
         if method.length_m is not None and method.measured_by is None

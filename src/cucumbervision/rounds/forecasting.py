@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.service import RoundFruit, RowReport
     from cucumbervision.store.records import ArtifactRecord, DetectionRecord
     from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import DetectionView
 
 __all__ = [
     "detection_rates",
@@ -96,7 +97,7 @@ def forecast_for(
     states = fruit_states(table, day, profile, picked_before_s)
     return forecast(
         states,
-        fit_growth(growth_links(store, round_key), GrowthPrior.of(profile)),
+        fit_growth(growth_links(store, round_key, content.views), GrowthPrior.of(profile)),
         profile,
         days,
         today=None if today_s is None else max(today_s / DAY_S, day),
@@ -191,13 +192,18 @@ def _believed_length(record: DetectionRecord) -> tuple[float, float]:
     return length, max(record.length_sd_m or 0.0, UNKNOWN_SD * length)
 
 
-def growth_links(store: Store, round_key: str) -> list[Link]:
+def growth_links(
+    store: Store, round_key: str, detections: Sequence[DetectionView] | None = None
+) -> list[Link]:
     """Return what is known of growth up to a round: its fruit followed back through earlier ones.
 
     Links count that are sure enough (`day_linking.SURE`), and all that were made by hand.
+    `detections` are the round's, where they were read already.
     """
     days = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
-    views = {round_key: {view.key: view for view in store.detections(round_key)}}
+    if detections is None:
+        detections = store.detections(round_key)
+    views = {round_key: {view.key: view for view in detections}}
     # A fruit has one name in all rounds: the key of the view that stands in the last one.
     names = {key: view.group for key, view in views[round_key].items()}
     found: list[Link] = []

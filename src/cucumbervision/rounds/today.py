@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
@@ -138,7 +139,13 @@ def age_words(days: int) -> str:
     return f"{many} {what}{'' if many == 1 else 's'} old"
 
 
-def read_today(store: Store, one: RoundView, profile: CropProfile, now_s: float) -> Today:
+def read_today(
+    store: Store,
+    one: RoundView,
+    profile: CropProfile,
+    now_s: float,
+    content: RoundContent | None = None,
+) -> Today:
     """Return what a round says of today.
 
     Parameters
@@ -151,9 +158,11 @@ def read_today(store: Store, one: RoundView, profile: CropProfile, now_s: float)
         Its classes, and the growth that is expected.
     now_s : float
         Now, seconds since 1970.
+    content : RoundContent, optional
+        What `from_store.read_round` gave of the round, where it was read already.
     """
     days, age = age_of(one.last_s or one.record.started_s, now_s)
-    content = read_round(store, one.key)
+    content = content or read_round(store, one.key)
     best = {view.key: view.group for view in content.views}
     if age is Age.USELESS:
         return Today(days, age, None, (), best)

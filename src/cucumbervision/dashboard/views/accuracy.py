@@ -24,7 +24,6 @@ from cucumbervision.measurement.result import LengthDefinition
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision.dashboard.round_tables import RoundLists
     from cucumbervision.store.records import MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
@@ -217,7 +216,7 @@ def page(one: RoundView) -> None:
     path = hand_file(resources.where(), one.key)
     _table(fruit, path)
     if path.exists():
-        _scores(one, lists, path)
+        _scores(one, path)
 
 
 def _table(fruit: list[DetectionView], path: Path) -> None:
@@ -275,8 +274,8 @@ def _typed_m(value: float | None) -> float | None:
     return None if value is None else resources.settings().units.metres(float(value))
 
 
-def _scores(one: RoundView, lists: RoundLists, path: Path) -> None:
-    measured = measured_round(resources.store(), one.key, lists.methods)
+def _scores(one: RoundView, path: Path) -> None:
+    measured = measured_round(resources.store(), one.key, resources.methods_of(one))
     truth = read_truth(path)
     found: OwnTruth = evaluate_lengths(measured, truth)
     st.subheader("Errors")

@@ -111,7 +111,7 @@ def page(one: RoundView) -> None:
         return
     _table(lists, fruit)
     _charts(lists, fruit)
-    _methods(lists, fruit)
+    _methods(one, fruit)
     _merge(one)
     with st.expander("Files of this round", icon=":material/download:"):
         _files(one)
@@ -192,12 +192,14 @@ def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
         st.altair_chart(tables.histogram(lines, units))
 
 
-def _methods(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
+def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
+    if not st.toggle("Lengths by method", key="by_method"):
+        return
     units = resources.settings().units
-    if lines := tables.method_lines(lists, {view.key for view in fruit}, units):
-        with st.expander("Lengths by method", icon=":material/straighten:"):
-            st.caption("Box from quartile to quartile, lines to the ends.")
-            st.altair_chart(tables.method_chart(lines, units))
+    keys = {view.key for view in fruit}
+    if lines := tables.method_lines(resources.methods_of(one), keys, units):
+        st.caption("Box from quartile to quartile, lines to the ends.")
+        st.altair_chart(tables.method_chart(lines, units))
 
 
 def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:

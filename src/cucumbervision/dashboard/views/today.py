@@ -14,7 +14,7 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import counted, name_of_class, round_day
+from cucumbervision.dashboard.round_tables import counted, doubtful, name_of_class, round_day
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.today import Age, age_words
 from cucumbervision.rounds.walking import is_demonstration
@@ -74,10 +74,10 @@ def _next(one: RoundView, today: Today) -> None:
         steps.append(("Begin a new round and walk again.", "capture", "Capture"))
     elif not today.rows and not waiting:
         steps.append(("No fruit is ready today: see when there will be.", "forecast", "Forecast"))
-    if doubtful := _doubtful(one):
+    if unsure := len(doubtful(resources.content_of(one).views)):
         steps.append(
             (
-                f"{counted(doubtful, 'fruit was', 'fruit were')} seen only once, with little "
+                f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with little "
                 "confidence: look at them.",
                 "map",
                 "Row map",
@@ -88,10 +88,6 @@ def _next(one: RoundView, today: Today) -> None:
         says.markdown(f":material/arrow_forward: {words}")
         with go:
             page_elements.link(target, label)
-
-
-def _doubtful(one: RoundView) -> int:
-    return len(resources.lists_of(one).doubtful) if one.fruit else 0
 
 
 def _ready(today: Today) -> None:

@@ -176,9 +176,11 @@ def pose_matrix(
     """
     from scipy.spatial.transform import Rotation
 
-    turned = Rotation.from_euler("YXZ", [yaw_deg, pitch_deg, roll_deg], degrees=True)
     matrix = np.eye(4)
-    matrix[:3, :3] = np.diag([float(sign), -1.0, 1.0]) @ turned.as_matrix()
+    matrix[:3, :3] = np.diag([float(sign), -1.0, 1.0])
+    if yaw_deg or pitch_deg or roll_deg:  # most are level, and a house has thousands
+        turned = Rotation.from_euler("YXZ", [yaw_deg, pitch_deg, roll_deg], degrees=True)
+        matrix[:3, :3] @= turned.as_matrix()
     matrix[:3, 3] = position_m, height_m, 0.0
     return matrix
 

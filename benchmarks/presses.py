@@ -24,9 +24,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense import CameraConfig
-from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraBurst, CameraFeed
 from cucumbervision.dashboard.jobs import Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
@@ -60,8 +58,9 @@ def press_once_a_second(recording: Path, seconds: int, folder: Path) -> None:
     """Press, measure beside it, and print how far bursts were from their presses."""
     feed, waiting = Watched(recording), WaitingCaptures(folder / "house.waiting")
     measurer, options = SharedMeasurer(load_registry()), MeasureOptions()
-    measurer.with_options(options).measure(next(iter(open_source(bundled_captures()))).load())
     with open_store(folder / "house.db") as store, Worker() as worker:
+        # The networks are loaded where they are used, as the dashboard does when it starts.
+        worker.submit("loading", lambda _: measurer.warm_up(options)).wait()
         walk = RoundRecord(name="walk")
         store.save_round(walk)
 
@@ -87,19 +86,23 @@ def press_once_a_second(recording: Path, seconds: int, folder: Path) -> None:
         stopping.set()
         watcher.join()
         feed.close()
-    first = np.array([min(abs(f.at_s - b.pressed_s) for f in b.frames) for b in feed.bursts])
+    nearest = np.array([min(abs(f.at_s - b.pressed_s) for f in b.frames) for b in feed.bursts])
     last = np.array([b.farthest_s for b in feed.bursts])
     print(
         f"{seconds} presses, 1 s apart, after the first: {measured - 1 + left} kept, "
         f"{measured - 1} of them measured by then"
     )
     print(
-        f"nearest frame {1000 * np.median(first):.0f} ms from its press (median), "
-        f"{1000 * first.max():.0f} ms at most; farthest frame {1000 * np.median(last):.0f} ms "
+        f"nearest frame {1000 * np.median(nearest):.0f} ms from its press (median), "
+        f"{1000 * nearest.max():.0f} ms at most; farthest frame {1000 * np.median(last):.0f} ms "
         f"(median), {1000 * last.max():.0f} ms at most"
     )
     near = int((last <= WITHIN_S).sum())
-    print(f"bursts wholly within {WITHIN_S:g} s of their press: {near} of {seconds}")
+    frames = np.array([len(b.frames) for b in feed.bursts])
+    print(
+        f"bursts wholly within {WITHIN_S:g} s of their press: {near} of {seconds}, "
+        f"{frames.min()} to {frames.max()} frames each"
+    )
 
 
 def first_result(

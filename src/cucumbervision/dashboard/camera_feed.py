@@ -5,6 +5,7 @@ A thread opens the camera when somebody views it and releases it when nobody has
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -24,8 +25,9 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.realsense_device import CameraSettings
 
-__all__ = ["PREVIEW_FPS", "Burst", "CameraFeed", "Feed", "Preview", "Replay"]
+__all__ = ["PREVIEW_FPS", "REACH_S", "Burst", "CameraFeed", "Feed", "Preview", "Replay"]
 
+REACH_S = 0.15  # how far from its press a burst's frames may be: nobody walks far meanwhile
 HELD_S = 1.5  # how late a press may reach us: frames of so long are held
 UNWATCHED_S = 6.0  # viewers ask several times a second
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
@@ -68,12 +70,27 @@ class CameraBurst:
     """A burst about a moment, of which the last frames may still be on their way."""
 
     def __init__(
-        self, feed: CameraFeed, wanted: int, pressed_s: float, frames: list[_Held]
+        self,
+        feed: CameraFeed,
+        wanted: int,
+        pressed_s: float,
+        reach_s: float,
+        frames: list[_Held],
     ) -> None:
         self._feed = feed
         self.wanted = wanted
         self.pressed_s = pressed_s
         self.frames = frames
+        self._until_s = pressed_s + reach_s
+        self.is_full = len(frames) >= wanted
+
+    def offer(self, held: _Held) -> None:
+        """Take a frame that has come since, unless it is too early, or too late for a burst."""
+        if held.at_s >= self.pressed_s and not self.is_full:
+            too_late = held.at_s > self._until_s and bool(self.frames)
+            if not too_late:
+                self.frames.append(held)
+            self.is_full = too_late or len(self.frames) >= self.wanted
 
     @property
     def farthest_s(self) -> float:
@@ -160,10 +177,8 @@ class CameraFeed:
 
     def preview(self) -> Preview:
         """Return the newest frame; begins to stream if it did not."""
-        self._watched_s = time.monotonic()
         with self._changed:
-            if not self.open and self._newest.state != "absent":
-                self._begin()
+            self._begin_watched()
             return self._newest
 
     def retry(self) -> None:
@@ -182,26 +197,28 @@ class CameraFeed:
     def grab(self, burst: int, pressed_s: float) -> CameraBurst:
         """Begin a burst about a moment: the frames just before it are there, the others come.
 
+        Frames that lie farther from the moment than `REACH_S`, or than so many frames take, are
+        left out, unless there is none nearer.
+
         Parameters
         ----------
         burst : int
-            Frames, half of them before the moment: those that lie nearest to it.
+            Frames at most, half of them before the moment: those that lie nearest to it.
         pressed_s : float
             The moment, seconds since 1970: up to `HELD_S` ago.
         """
         with self._changed:
-            self._watched_s = time.monotonic()
-            if not self.open and self._newest.state != "absent":
-                self._begin()
-            before = [one for one in self._held if one.at_s < pressed_s]
+            self._begin_watched()
+            reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
+            before = [one for one in self._held if 0 < pressed_s - one.at_s <= reach_s]
             # An odd burst has its middle frame where the moment is nearest to one.
             near = bool(before) and pressed_s - before[-1].at_s < 0.5 / self._config.fps
             wanted = burst // 2 + (burst % 2 if near else 0)
             frames = before[len(before) - min(wanted, len(before)) :]
-            frames += [one for one in self._held if one.at_s >= pressed_s][: burst - len(frames)]
-            grabbed = CameraBurst(self, burst, pressed_s, frames)
-            if len(frames) < burst:
-                self._filling.append(grabbed)
+            grabbed = CameraBurst(self, burst, pressed_s, reach_s, frames)
+            for one in self._held:
+                grabbed.offer(one)
+            self._filling += [] if grabbed.is_full else [grabbed]
             return grabbed
 
     def take(self, burst: int, stop: Stop) -> Capture:
@@ -214,7 +231,10 @@ class CameraFeed:
         """
         with self._changed:
             self._held.clear()
-        return replace(self.grab(burst, 0.0).capture(), stop=stop)
+            grabbed = CameraBurst(self, burst, 0.0, math.inf, [])
+            self._begin_watched()
+            self._filling.append(grabbed)
+        return replace(grabbed.capture(), stop=stop)
 
     def wait_for(self, grabbed: CameraBurst) -> None:
         """Wait until a burst has all its frames.
@@ -226,7 +246,7 @@ class CameraFeed:
         """
         until = time.monotonic() + self._config.timeout_s + grabbed.wanted
         with self._changed:
-            while len(grabbed.frames) < grabbed.wanted:
+            while not grabbed.is_full:
                 self._watched_s = time.monotonic()
                 if self._newest.state == "absent" or time.monotonic() > until:
                     self._filling = [one for one in self._filling if one is not grabbed]
@@ -240,6 +260,11 @@ class CameraFeed:
         thread = self._thread
         if thread is not None:
             thread.join(self._config.timeout_s + 5)
+
+    def _begin_watched(self) -> None:
+        self._watched_s = time.monotonic()
+        if not self.open and self._newest.state != "absent":
+            self._begin()
 
     def _begin(self) -> None:
         self._stopping = False
@@ -271,7 +296,9 @@ class CameraFeed:
                     if config.playback is None or not shown:
                         raise
                     return False
-                number = self._newest.number + 1
+                now, number = time.time(), self._newest.number + 1
+                # A press must not wait for what is only looked at.
+                self._hold(capture, now)
                 self._show(Preview(self._state, capture, depth_quality(capture), number))
                 shown += 1
                 if self._paced:
@@ -281,24 +308,22 @@ class CameraFeed:
     def _show(self, preview: Preview) -> None:
         with self._changed:
             self._newest = preview
-            if preview.capture is not None:
-                self._hold(preview.capture)
             self._changed.notify_all()
 
-    def _hold(self, capture: Capture) -> None:
+    def _hold(self, capture: Capture, now: float) -> None:
         """Keep a frame for presses that are still on their way, and give it to open bursts."""
-        now = time.time()
         own = capture.timestamp_s
         # The camera's own time where its clock is this machine's, else the time of arrival.
         live = own is not None and 0 <= now - own < HELD_S
         held = _Held(own if live and own is not None else now, capture)
-        self._held.append(held)
-        while self._held and now - self._held[0].at_s > HELD_S:
-            self._held.popleft()
-        for grabbed in self._filling:
-            if held.at_s >= grabbed.pressed_s:
-                grabbed.frames.append(held)
-        self._filling = [one for one in self._filling if len(one.frames) < one.wanted]
+        with self._changed:
+            self._held.append(held)
+            while self._held and now - self._held[0].at_s > HELD_S:
+                self._held.popleft()
+            for grabbed in self._filling:
+                grabbed.offer(held)
+            self._filling = [one for one in self._filling if not one.is_full]
+            self._changed.notify_all()
 
 
 class Replay:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
+import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -99,7 +102,7 @@ class Worker:
     """
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="measuring")
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="measuring", initializer=_give_way)
         self._jobs: OrderedDict[int, Job] = OrderedDict()
         self._lock = threading.Lock()
         self._next = 1
@@ -134,6 +137,18 @@ class Worker:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+GIVEN_UP_S = 0.001  # how long one thread may keep Python's lock from the others; 5 ms by default
+LESS_URGENT = 10  # steps of 'nice'
+
+
+def _give_way() -> None:
+    """Let the camera's thread and the pages come first: a press cannot wait, measuring can."""
+    sys.setswitchinterval(GIVEN_UP_S)
+    if sys.platform == "linux":  # where a thread has a priority of its own, and those it begins
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LESS_URGENT)
 
 
 def _run(work: Work, job: Job) -> Any:

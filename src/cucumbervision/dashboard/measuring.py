@@ -10,6 +10,8 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, decode_rle
@@ -82,6 +84,12 @@ class SharedMeasurer:
             if self._loaded is None or self._loaded.options != options:
                 self._loaded = Measurer(options, self._registry)
             return self._loaded
+
+    def warm_up(self, options: MeasureOptions) -> None:
+        """Load the networks, and let each compute once: the first time takes much longer."""
+        first = next(iter(open_source(bundled_captures()))).load()
+        # Without the masks that come with it, which would be taken in the networks' place.
+        self.with_options(options).measure(replace(first, masks=()))
 
     def take_stop(
         self,

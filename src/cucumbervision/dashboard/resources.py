@@ -352,8 +352,8 @@ def _demonstrate(job: Job) -> None:
     for ref in source:
         job.step(measurer().take_stop(store(), key, ref.load(), settings().options).note)
     merge(key)
+    worker().submit("Loading the networks", _warm_up)
 
 
 def _warm_up(_: Job) -> None:
-    first = next(iter(open_source(bundled_captures())))
-    measurer().with_options(settings().options).measure(first.load())
+    measurer().warm_up(settings().options)

@@ -58,6 +58,16 @@ def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
     assert "picked" not in run("show", *house)
 
 
+def test_a_stop_that_is_put_back_is_merged_at_once(house: list[str]) -> None:
+    row = str(bundled_captures() / "simulated-row-a")
+    run("add", row, "--row", "4", "--position", "2", "--instances", "dataset", *house)
+    with open_store(house[1]) as store:
+        key = store.rounds()[0].key
+        store.delete_stop(store.stops(key)[0].key)
+        assert "logged as action 2" in run("undo", *house)
+        assert [one.fitted_m is not None for one in store.stops(key)] == [True]
+
+
 def test_growth_is_linked_by_hand_and_taken_back(house: list[str]) -> None:
     with open_store(house[1]) as store:
         [first] = store.rounds()

@@ -17,8 +17,10 @@ from streamlit.testing.v1 import AppTest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.shutter import Press
+from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.walking import (
     DEMONSTRATION,
     NextPlace,
@@ -26,6 +28,7 @@ from cucumbervision.rounds.walking import (
     next_place,
     put_right,
 )
+from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
@@ -226,6 +229,90 @@ def test_a_stop_is_moved_deleted_and_both_are_undone(house: Path) -> None:
         assert places() == left
 
 
+def field(test: AppTest, kind: str, label: str) -> Any:
+    return [one for one in getattr(test, kind) if one.label == label][-1]
+
+
+def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
+    with open_store(house) as store:
+        first = store.stops(WALK)[0]
+    test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+    # No run between: the page was drawn before anything was typed.
+    field(test, "text_input", "Row").set_value("12")
+    field(test, "text_input", "Name").set_value("long leaf")
+    tap(test, "Save")
+    test.text_input(key=f"name_{WALK}").set_value("Evening")
+    tap(test, "Rename")
+    with open_store(house) as store:
+        now = store.stops(WALK)[0]
+        assert store.rounds()[0].record.name == "Evening"
+    assert (now.row, now.note, now.position_m) == ("12", "long leaf", first.position_m)
+
+
+def test_after_undo_the_fields_say_what_the_stop_says(house: Path) -> None:
+    with open_store(house) as store:
+        first = store.stops(WALK)[0]
+        test = app("row_map", round=WALK, **{f"stop_of_{WALK}": first.key})
+        field(test, "text_input", "Name").set_value("long leaf")
+        tap(test, "Save")
+        # Somebody else changes it too: undone after that, and not forgotten.
+        later = store.place_stop(first.key, StopPlace("1", "left", -0.5, -1, "short leaf"))
+        test.run()
+        assert not test.exception
+        assert field(test, "number_input", "At [m]").value == -0.5
+        test.button(key=f"stop_undo_{WALK}").click().run()
+        assert "undo the later change first" in said(test)
+        store.undo(number=later)
+        test.button(key=f"stop_undo_{WALK}").click().run()
+        wait_for_jobs()
+        assert field(test, "text_input", "Name").value == first.note
+        tap(test, "Save")
+        now = store.stops(WALK)[0]
+    assert (now.note, now.position_m) == (first.note, first.position_m)
+
+
+def test_a_third_side_of_a_row_is_put_right_where_it_is_seen(house: Path) -> None:
+    with open_store(house) as store:
+        keys = [one.key for one in store.stops(WALK)]
+        for at, (key, side) in enumerate(zip(keys, ("A", "B", "left"), strict=True)):
+            store.place_stop(key, StopPlace("1", side, float(at), at))
+    test = app("row_map", round=WALK, **{f"stop_of_{WALK}": keys[2]})
+    assert "row '1' has 3 sides: A, B, left" in test.exception[0].message
+    side = field(test, "selectbox", "Side")
+    assert (side.options, side.value) == (["A", "B", "left"], "left")
+    side.select("B")
+    tap(test, "Save")
+    assert not test.run().exception
+
+
+def test_a_house_whose_sides_have_other_names_is_walked(house: Path) -> None:
+    with open_store(house) as store:
+        template = store.stop(store.stops(WALK)[0].key)
+        home_of(store, "", simulated=True)
+        for side in ("A", "B"):
+            stop = replace(template, key=key_of(side), round_key=DEMONSTRATION, side=side)
+            store.save_stop(stop)
+    for page in ("capture", "upload"):
+        test = app(page, round=DEMONSTRATION, source="replay")
+        assert not test.exception
+        control = field(test, "segmented_control", "Side")
+        assert (control.options, control.value) == (["A", "B"], "B")
+
+
+def test_undo_on_a_fruit_s_page_takes_a_deleted_stop_back_and_merges(house: Path) -> None:
+    with open_store(house) as store:
+        stop = store.stops(WALK)[0]
+        fruit = next(one for one in store.detections(WALK) if one.stop_key != stop.key)
+        store.delete_stop(stop.key)
+        for page, state in (("results", {"fruit": fruit.key}), ("row_map", {})):
+            test = app(page, round=WALK, map_fruit=fruit.key, **state)
+            tap(test, "Undo")
+            put_back = store.stops(WALK)[0]
+            assert put_back.key == stop.key
+            assert put_back.fitted_m is not None
+            store.place_stop(stop.key, StopPlace(stop.row, stop.side, 9.0, 1))
+
+
 def test_fruit_turn_with_the_side_of_their_stop(store: Store) -> None:
     first = store.stops(WALK)[0]
     at_m = first.position_m or 0.0
@@ -258,6 +345,40 @@ def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
     test.button(key=f"back_{WALK}").click().run()
     assert rounds() == ["Evening"]
     assert test.session_state["round"] == WALK
+
+
+def test_a_round_that_captures_wait_for_is_not_deleted(house: Path) -> None:
+    capture = next(iter(open_source(bundled_captures()))).load()
+    one = resources.waiting().put(capture, new_key(), WALK, time.time())
+    test = app("results", round=WALK)
+    tap(test, "Delete this round")
+    assert "1 capture waits to be measured into it" in said(test)
+    resources.waiting().done(one)
+    tap(test, "Delete this round")
+    with open_store(house) as store:
+        assert store.rounds() == []
+
+
+def test_when_a_round_is_deleted_its_neighbours_are_linked(house: Path) -> None:
+    with open_store(house) as store:
+        [walk] = store.rounds()
+        keys = [WALK]
+        for day in (1, 2):
+            began_s = walk.record.started_s + day * 86400.0
+            record = replace(walk.record, key=key_of("day", day), started_s=began_s)
+            store.save_round(replace(record, name="![x](http://a)"))
+            for view in store.stops(WALK):
+                stop = replace(store.stop(view.key), key=new_key(), round_key=record.key)
+                store.save_stop(replace(stop, taken_s=view.taken_s + day * 86400.0))
+            keys.append(record.key)
+        for key in keys:
+            assert settle(store, key) == ""
+        assert {one.earlier for one in store.shifts(keys[2])} == {keys[1]}
+        test = app("results", round=keys[1])
+        tap(test, "Delete this round")
+        assert keys[0] in {one.earlier for one in store.shifts(keys[2])}
+    back = test.run().button(key=f"back_{keys[1]}").label
+    assert back.startswith(r"Bring back: \!\[x\]\(http\://a\)")
 
 
 def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:

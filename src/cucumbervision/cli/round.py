@@ -381,9 +381,13 @@ def undo(
 ) -> None:
     """Take back what was done by hand, unless a later action stands on it."""
     from cucumbervision.cli.console import screen
+    from cucumbervision.rounds import settling
 
     with opened_round(store, round_) as (opened, one):
-        screen().print(f"logged as action {opened.undo(one.key, number=action, by=by)}")
+        number, moved = settling.undo(opened, one.key, number=action, by=by)
+        screen().print(f"logged as action {number}")
+        if moved and (fault := settling.settle(opened, moved, chosen_profile(None, one))):
+            screen().print(fault, soft_wrap=True, markup=False)
 
 
 @app.command()

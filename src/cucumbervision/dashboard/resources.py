@@ -42,6 +42,7 @@ from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.service import DAY_S, RowReport, row_reports
 from cucumbervision.rounds.settling import settle
+from cucumbervision.rounds.settling import undo as undo_in
 from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
 from cucumbervision.rounds.walking import DEMONSTRATION, home_of
 from cucumbervision.store.records import MethodRecord
@@ -72,6 +73,7 @@ __all__ = [
     "store",
     "thumbnail_of",
     "today_of",
+    "undo",
     "waiting",
     "wake",
     "where",
@@ -232,6 +234,19 @@ def merge(round_key: str) -> None:
         job.notes += filter(None, [_settle(round_key)])
 
     worker().submit("Merging views of the same fruit", work)
+
+
+def undo(round_key: str | None = None, *, number: int | None = None) -> None:
+    """Take back what was done by hand; a round one of whose stops was moved is merged anew.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to take back, or a later action stands on it.
+    """
+    _, moved = undo_in(store(), round_key, number=number)
+    if moved:
+        merge(moved)
 
 
 def _version(one: RoundView) -> tuple[object, ...]:

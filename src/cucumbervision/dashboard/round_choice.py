@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.errors import CucumberVisionError, RoundError
+from cucumbervision.rounds.settling import later_rounds
 from cucumbervision.rounds.walking import is_demonstration
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cucumbervision.store.views import RoundView
 
 __all__ = ["choose_round"]
@@ -64,36 +69,59 @@ def _begin() -> None:
 
 
 def _change(one: RoundView | None) -> None:
-    store = resources.store()
-
-    def rename(key: str, name: str) -> None:
-        store.rename_round(key, name)
-
-    def delete(key: str) -> None:
-        store.delete_round(key)
-
-    def bring_back(key: str) -> None:
-        store.restore_round(key)
-        st.session_state["round"] = key
-
+    if fault := st.session_state.pop("round_fault", None):
+        st.warning(plain(fault), icon=":material/error:")
     if one is not None:
-        name = st.text_input("Name of this round", one.record.name, key=f"name_{one.key}").strip()
+        name = st.text_input("Name of this round", one.record.name, key=f"name_{one.key}")
         st.button(
-            "Rename", width="stretch", on_click=rename, args=(one.key, name), disabled=not name
+            "Rename",
+            width="stretch",
+            on_click=_do,
+            args=(_rename, one.key),
+            disabled=not name.strip(),
         )
         st.button(
             "Delete this round",
             icon=":material/delete:",
             width="stretch",
-            on_click=delete,
-            args=(one.key,),
+            on_click=_do,
+            args=(_delete, one.key),
         )
-    for gone in store.rounds(deleted=True):
+    for gone in resources.store().rounds(deleted=True):
         st.button(
-            f"Bring back: {_name(gone)}",
+            f"Bring back: {plain(_name(gone))}",
             icon=":material/undo:",
             width="stretch",
             key=f"back_{gone.key}",
-            on_click=bring_back,
-            args=(gone.key,),
+            on_click=_do,
+            args=(_bring_back, gone.key),
         )
+
+
+def _do(act: Callable[[str], None], key: str) -> None:
+    try:
+        act(key)
+    except CucumberVisionError as error:
+        st.session_state["round_fault"] = str(error)
+
+
+def _rename(key: str) -> None:
+    # What the field holds now: it may have been typed into since it was drawn.
+    if name := st.session_state[f"name_{key}"].strip():
+        resources.store().rename_round(key, name)
+
+
+def _delete(key: str) -> None:
+    waiting = sum(one.round_key == key for one in resources.waiting().captures())
+    if waiting:
+        waits = "1 capture waits" if waiting == 1 else f"{waiting} captures wait"
+        raise RoundError(f"{waits} to be measured into it", remedy="delete it afterwards")
+    after = later_rounds(resources.store(), key)[:1]
+    resources.store().delete_round(key)
+    for one in after:  # its fruit are those of the round before now
+        resources.merge(one.key)
+
+
+def _bring_back(key: str) -> None:
+    resources.store().restore_round(key)
+    st.session_state["round"] = key

@@ -110,6 +110,7 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     """
     stops, views = store.stops(round_key), store.detections(round_key)
     cameras, judged = store.cameras(round_key), store.judged(round_key)
+    stops = [stop for stop in stops if stop.key in cameras]  # one may be deleted while we read
     return RoundContent(round_key, tuple(stops), tuple(views), cameras, FalseFinds.learnt(*judged))
 
 

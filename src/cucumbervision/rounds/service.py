@@ -238,9 +238,11 @@ def link_rounds(
     Raises
     ------
     RoundError
-        If the later round does not come later.
+        If one of them is not there, or the later does not come later.
     """
     begun = {one.key: one.record.started_s for one in store.rounds()}
+    if gone := {earlier, later} - begun.keys():
+        raise RoundError(f"there is no round {min(gone)}", remedy="see the list of rounds")
     days = (begun[later] - begun[earlier]) / DAY_S
     if not days > 0:
         raise RoundError("the later round began no later", remedy="name the earlier one first")

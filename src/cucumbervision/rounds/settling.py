@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.errors import RoundError
+from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
+from cucumbervision.store.edits import STOP_EDITS
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-__all__ = ["earlier_round", "later_rounds", "settle"]
+__all__ = ["earlier_round", "later_rounds", "settle", "undo"]
 
 SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
 FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
@@ -42,9 +43,31 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
             link_rounds(store, one.key, round_key, profile)
         for one in after[:1]:
             link_rounds(store, round_key, one.key, profile)
-    except RoundError as error:
+    except (RoundError, StoreError) as error:  # somebody may delete a round or fruit meanwhile
         return str(error)
     return ""
+
+
+def undo(
+    store: Store, round_key: str | None = None, *, number: int | None = None, by: str = ""
+) -> tuple[int, str]:
+    """Take back what was done by hand, as `Store.undo` does.
+
+    Returns
+    -------
+    number : int
+        Of the undoing, in the log.
+    moved : str
+        The round whose stop is elsewhere now, so that it has to be settled; empty where none is.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to take back, or a later action stands on it.
+    """
+    done = store.undo(round_key, number=number, by=by)
+    line = next(one for one in store.log(round_key, limit=None) if one.number == done)
+    return done, (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
 
 
 def earlier_round(store: Store, round_key: str) -> RoundView | None:

@@ -10,7 +10,7 @@ from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.records import RoundRecord, key_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from cucumbervision.capture.frames import Stop
     from cucumbervision.store.repository import Store
@@ -24,6 +24,7 @@ __all__ = [
     "last_step",
     "next_place",
     "put_right",
+    "sides_of",
 ]
 
 DEMONSTRATION = key_of("demonstration")
@@ -122,6 +123,20 @@ def last_step(*walks: Sequence[_Placed]) -> int:
     7
     """
     return max((one.step or 0 for stops in walks for one in stops), default=0)
+
+
+def sides_of(stops: Iterable[_Placed]) -> list[str]:
+    """Return what the sides of a house's rows are called, as its stops say; else left and right.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> sides_of([Stop(side="right")]), sides_of([Stop(side="B"), Stop(side="A")])
+    (['left', 'right'], ['A', 'B'])
+    """
+    usual = ["left", "right"]
+    found = sorted({one.side for one in stops if one.side})
+    return usual if set(found) <= set(usual) else found
 
 
 def is_demonstration(round_key: str) -> bool:

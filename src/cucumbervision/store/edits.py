@@ -21,7 +21,10 @@ from cucumbervision.store.schema import Action, Round, StopLine
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-__all__ = ["Edits", "StopPlace", "first_name", "restore"]
+__all__ = ["STOP_EDITS", "Edits", "StopPlace", "first_name", "restore"]
+
+STOP_EDITS = ("place-stop", "delete-stop")
+"""Kinds of action after which a round's views have to be merged anew."""
 
 
 @dataclass(frozen=True)

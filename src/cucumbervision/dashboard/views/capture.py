@@ -33,6 +33,7 @@ from cucumbervision.rounds.walking import (
     NextPlace,
     is_demonstration,
     next_place,
+    sides_of,
 )
 from cucumbervision.store.views import DetectionFilter
 
@@ -128,7 +129,7 @@ def _begin_place(opened: str, home: str) -> None:
     waiting = [one.stop for one in resources.waiting().captures() if one.round_key == home]
     stops = resources.store().stops(home) if _is_round(home) else []
     taken = [one.stop for one in resources.shutter().pressed(opened) if not one.kept.done()]
-    state["place_of"] = home
+    state["place_of"], state["place_sides"] = home, sides_of(stops)
     _set_place(next_place([*stops, *waiting, *taken]))
 
 
@@ -163,9 +164,10 @@ def _place() -> None:
     place, number = st.session_state["place"], st.session_state["place_number"]
     row, side = st.columns(2)
     row.text_input("Row", place.row, key=f"row_{number}")
+    sides = list(dict.fromkeys([*st.session_state["place_sides"], place.side]))
     side.segmented_control(
         "Side",
-        ["left", "right"],
+        sides,
         default=place.side,
         format_func=str.capitalize,
         key=f"side_{number}",
@@ -389,7 +391,7 @@ def _last_stop(one: RoundView, home: str) -> None:
     says, change = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(stop_name(last))}: saved**")
     with change.popover("Put right", icon=":material/edit_location:", width="stretch"):
-        change_stop(last)
+        change_stop(last, sides_of(stops))
     if last.failures:
         found = resources.store().stop(last.key).failures[0]
         st.warning(f"Saved, but not measured: {plain(found['message'])}", icon=":material/warning:")

@@ -133,7 +133,7 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
 
 def _undo(one: RoundView) -> None:
     try:
-        resources.store().undo(one.key)
+        resources.undo(one.key)
     except CucumberVisionError as error:
         st.session_state["undo_fault"] = str(error)
 

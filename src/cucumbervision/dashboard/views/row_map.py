@@ -41,6 +41,13 @@ ABREAST = 4
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
+    above = st.container()
+    list_stops(one)  # before the rest, which a stop on a third side keeps from being drawn
+    with above:
+        _map(one)
+
+
+def _map(one: RoundView) -> None:
     units = resources.settings().units
     lists = resources.lists_of(one)
     lines = map_lines(lists, units)
@@ -49,7 +56,6 @@ def page(one: RoundView) -> None:
             "No fruit of this round has a position yet. Enter row and position when capturing.",
             icon=":material/map:",
         )
-        list_stops(one)
         return
     by, where = st.columns([2, 3], vertical_alignment="bottom")
     colored = by.segmented_control(
@@ -76,7 +82,6 @@ def page(one: RoundView) -> None:
     )
     _doubtful(lists)
     _fruit(one, lists)
-    list_stops(one)
 
 
 def _choose(chart: str, keys: Sequence[str]) -> None:
@@ -201,8 +206,10 @@ def _do(act: Callable[[], int]) -> None:
 
 def _undo(one: RoundView) -> None:
     acts: list[int] = st.session_state.setdefault("map_acts", [])
-    number = acts.pop() if acts else None
+    number = acts[-1] if acts else None
     try:
-        resources.store().undo(None if number else one.key, number=number)
+        resources.undo(None if number else one.key, number=number)
     except CucumberVisionError as error:
         st.session_state["map_fault"] = str(error)
+    else:
+        del acts[-1:]

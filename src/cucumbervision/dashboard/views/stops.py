@@ -12,10 +12,10 @@ from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted, stop_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.walking import put_right
+from cucumbervision.rounds.walking import put_right, sides_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from cucumbervision.store.views import RoundView, StopView
 
@@ -35,7 +35,7 @@ def list_stops(one: RoundView) -> None:
             key=f"stop_of_{one.key}",
         )
         if chosen in stops:
-            change_stop(stops[chosen])
+            change_stop(stops[chosen], sides_of(stops.values()))
         else:
             _undo_button(one.key)
 
@@ -45,30 +45,34 @@ def _words(stop: StopView) -> str:
     return f"{stop_name(stop)}{note} · {stop.fruit} fruit"
 
 
-def change_stop(stop: StopView) -> None:
-    """Draw a stop's place and name to be changed."""
-    given = f"{stop.key}_{stop.row}_{stop.side}_{stop.position_m}_{stop.step}"
+def change_stop(stop: StopView, sides: Sequence[str]) -> None:
+    """Draw a stop's place and name to be changed; `sides` are those of its round."""
+    store = resources.store()
+    # Fields of new names after every change: those on the page keep what was typed before.
+    given = f"{stop.key}_{store.newest_action(stop.round_key)}"
     row, side, position = st.columns(3)
     number, note = st.columns([1, 2])
-    sides = list(dict.fromkeys(["left", "right", *filter(None, [stop.side])]))
-    place = Stop(
-        row.text_input("Row", stop.row or "", key=f"stop_row_{given}").strip() or None,
-        side.selectbox("Side", sides, _at(sides, stop.side), key=f"stop_side_{given}"),
-        position.number_input(
-            "At [m]", 0.0, None, stop.position_m, 0.1, "%.2f", key=f"stop_at_{given}"
-        ),
-        number.number_input("Number", 0, None, stop.step, key=f"stop_step_{given}"),
+    row.text_input("Row", stop.row or "", key=f"stop_row_{given}")
+    every = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
+    at = every.index(stop.side) if stop.side else None
+    side.selectbox("Side", every, at, key=f"stop_side_{given}", accept_new_options=True)
+    position.number_input(
+        "At [m]", None, None, stop.position_m, 0.1, "%.2f", key=f"stop_at_{given}"
     )
-    name = note.text_input("Name", stop.note, key=f"stop_note_{given}").strip()
-    store = resources.store()
-    save, delete, undo = st.columns(3)
+    number.number_input("Number", None, None, stop.step, 1, key=f"stop_step_{given}")
+    note.text_input("Name", stop.note, key=f"stop_note_{given}")
 
     def move() -> int:
-        return put_right(store, stop, place, name)
+        # What the fields hold now: they may have been typed into since they were drawn.
+        names = ("row", "side", "at", "step", "note")
+        typed = [st.session_state[f"stop_{name}_{given}"] for name in names]
+        row, side, note = ((typed[k] or "").strip() for k in (0, 1, 4))
+        return put_right(store, stop, Stop(row or None, side or None, *typed[2:4]), note)
 
     def remove() -> int:
         return store.delete_stop(stop.key)
 
+    save, delete, undo = st.columns(3)
     for where, label, icon, act in (
         (save, "Save", "save", move),
         (delete, "Delete this stop", "delete", remove),
@@ -76,10 +80,6 @@ def change_stop(stop: StopView) -> None:
         button(where, label, icon, _do, stop.round_key, act, key=f"{label}_{stop.key}")
     with undo:
         _undo_button(stop.round_key)
-
-
-def _at(sides: list[str], side: str | None) -> int | None:
-    return sides.index(side) if side in sides else None
 
 
 def _do(round_key: str, act: Callable[[], int]) -> None:
@@ -102,16 +102,18 @@ def _undo_button(round_key: str) -> None:
         "Undo",
         "undo",
         _undo,
-        round_key,
         acts,
         disabled=not acts,
         key=f"stop_undo_{round_key}",
     )
 
 
-def _undo(round_key: str, acts: list[int]) -> None:
+def _undo(acts: list[int]) -> None:
+    if not acts:  # pressed again before the page was drawn anew
+        return
     try:
-        resources.store().undo(number=acts.pop())
+        resources.undo(number=acts[-1])
     except CucumberVisionError as error:
         st.session_state["stop_fault"] = str(error)
-    resources.merge(round_key)
+    else:
+        acts.pop()

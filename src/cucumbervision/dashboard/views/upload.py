@@ -12,7 +12,7 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted
 from cucumbervision.dashboard.uploading import CAMERAS, Outcome, measure_uploads
-from cucumbervision.rounds.walking import NextPlace, next_place
+from cucumbervision.rounds.walking import NextPlace, next_place, sides_of
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
@@ -57,7 +57,8 @@ def page(one: RoundView) -> None:
 
 def _place(one: RoundView) -> NextPlace:
     """Draw where the first capture was taken, for files that do not say; it goes on from there."""
-    begun = next_place(resources.store().stops(one.key))
+    stops = resources.store().stops(one.key)
+    begun, sides = next_place(stops), sides_of(stops)
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
@@ -66,13 +67,13 @@ def _place(one: RoundView) -> NextPlace:
         row.text_input("Row", begun.row, key=f"up_row_{given}").strip(),
         side.segmented_control(
             "Side",
-            ["left", "right"],
-            default=begun.side if begun.side in ("left", "right") else "left",
+            sides,
+            default=begun.side if begun.side in sides else sides[0],
             format_func=str.capitalize,
             required=True,
             key=f"up_side_{given}",
         )
-        or "left",
+        or sides[0],
         float(
             position.number_input(
                 "First at [m]", 0.0, None, begun.position_m, 0.1, "%.2f", key=f"up_at_{given}"

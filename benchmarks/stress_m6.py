@@ -22,6 +22,7 @@ from rich.table import Table
 from cucumbervision.accuracy.records import Masks
 from cucumbervision.measurement.intervals import (
     SCALE_SD,
+    WIDEST,
     shipped_interval_models,
     tube_features,
 )
@@ -112,6 +113,7 @@ def interval_table(rows: pd.DataFrame) -> Table:
     seen = rows[rows["ends"] & rows["length_m"].notna()]
     groups = {
         "all": seen,
+        "no end taken for hidden": seen[~seen["flags"].map(lambda f: Flag.END_HIDDEN in f)],
         "exact outlines": seen[seen["masks"] == Masks.EXACT],
         "disturbed outlines": seen[seen["masks"] == Masks.DISTURBED],
         "tilt below 30": seen[seen["tilt"] < 30],
@@ -122,7 +124,7 @@ def interval_table(rows: pd.DataFrame) -> Table:
         "behind a leaf": seen[seen["hidden"] > 0],
     }
     table = Table(title="90 % intervals: what they hold and how wide they are, %")
-    for head in ("scale", "fruit", "readings", "covered", "mean width", "median width"):
+    for head in ("scale", "fruit", "readings", "not given", "covered", "mean width", "median width"):
         table.add_column(head, justify="right")
     model = shipped_interval_models().models["M6"]
     for scale, sd in (("known", 0.0), ("unknown", SCALE_SD)):
@@ -132,10 +134,12 @@ def interval_table(rows: pd.DataFrame) -> Table:
             read = some["length_m"] * (some["scale"] if sd else 1.0)
             ends = [model.interval(x, f, sd) for x, f in zip(read, some["features"], strict=True)]
             low, high = np.array(ends).T
+            given = high <= WIDEST * low
+            some, read, low, high = some[given], read[given], low[given], high[given]
             held = 100 * ((low <= some["true_m"]) & (some["true_m"] <= high)).mean()
             wide = 100 * (high - low) / read
             cells = [f"{x:.1f}" for x in (held, wide.mean(), wide.median())]
-            table.add_row(scale, name, str(len(some)), *cells)
+            table.add_row(scale, name, str(len(some)), str(int((~given).sum())), *cells)
     return table
 
 

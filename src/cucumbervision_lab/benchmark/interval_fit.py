@@ -51,8 +51,9 @@ TUBE_FEATURES = (
 
 RAW_FEATURES = ("distance_m", "holes", "log_pixels")
 
-# Flat, tilted and steep fruit, of smooth and of rough outline: what errs is another thing in each.
-TUBE_EDGES = (("tilt", (15 / 60, 40 / 60)), ("log_outline", (float(np.log(0.5)),)))
+# Fruit of which an end is hidden are read short, by far; the others err the more differently from
+# what the fit says itself, the less sure it is.
+TUBE_EDGES = (("end_hidden", (0.5,)), ("log_sd", (float(np.log(0.01)), float(np.log(0.03)))))
 
 
 def conformal_quantile(scores: ArrayLike, level: float) -> float:

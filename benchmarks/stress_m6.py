@@ -124,7 +124,15 @@ def interval_table(rows: pd.DataFrame) -> Table:
         "behind a leaf": seen[seen["hidden"] > 0],
     }
     table = Table(title="90 % intervals: what they hold and how wide they are, %")
-    for head in ("scale", "fruit", "readings", "not given", "covered", "mean width", "median width"):
+    for head in (
+        "scale",
+        "fruit",
+        "readings",
+        "not given",
+        "covered",
+        "mean width",
+        "median width",
+    ):
         table.add_column(head, justify="right")
     model = shipped_interval_models().models["M6"]
     for scale, sd in (("known", 0.0), ("unknown", SCALE_SD)):

@@ -317,36 +317,34 @@ def naive(quick: bool) -> list[Figure]:
     ]
 
 
-def given(quick: bool) -> list[Figure]:
-    """Compare one worker with two where masks are given: geometry, pictures, journal."""
-    count = 12 if quick else 72
-    one_s, two_s = pace(GIVEN, in_process, count, 6), pace(GIVEN, Processes(2), count, 6)
-    return [
-        Figure("given masks: one worker, a capture", 1e3 * one_s, "ms"),
-        Figure("given masks: two workers, a capture", 1e3 * two_s, "ms"),
-        Figure("given masks: two workers, times one", one_s / two_s, "x", ">= 1.7"),
-    ]
-
-
-def networks(quick: bool) -> list[Figure]:
-    """Compare one worker (whose networks use every core) with two, and with one on one core."""
-    count = 9 if quick else 24
-    wide_s = pace(MODELS, in_process, count, 5)
-    two_s = pace(MODELS, Processes(2), count, 5)
+def one_and_two(options: MeasureOptions, count: int, label: str) -> list[Figure]:
+    """Compare two workers with one, and with one that is kept to one core."""
+    wide_s = pace(options, in_process, count, 5)
+    two_s = pace(options, Processes(2), count, 5)
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
-        # A process of its own, so that its networks are loaded for one core.
-        narrow_s = pace(MODELS, Processes(1), count, 5)
+        # A process of its own, so that it and its networks know of one core alone.
+        narrow_s = pace(options, Processes(1), count, 5)
     finally:
         os.sched_setaffinity(0, cores)
     return [
-        Figure("networks: one worker on one core, a capture", 1e3 * narrow_s, "ms"),
-        Figure("networks: one worker on all cores, a capture", 1e3 * wide_s, "ms"),
-        Figure("networks: two workers, a capture", 1e3 * two_s, "ms"),
-        Figure("networks: two workers, times one on one core", narrow_s / two_s, "x", ">= 1.7"),
-        Figure("networks: two workers, times one on all cores", wide_s / two_s, "x"),
+        Figure(f"{label}: one worker on one core, a capture", 1e3 * narrow_s, "ms"),
+        Figure(f"{label}: one worker on all cores, a capture", 1e3 * wide_s, "ms"),
+        Figure(f"{label}: two workers, a capture", 1e3 * two_s, "ms"),
+        Figure(f"{label}: two workers, times one on one core", narrow_s / two_s, "x", ">= 1.7"),
+        Figure(f"{label}: two workers, times one on all cores", wide_s / two_s, "x"),
     ]
+
+
+def given(quick: bool) -> list[Figure]:
+    """Compare one worker with two where masks are given: geometry, pictures, journal."""
+    return one_and_two(GIVEN, 12 if quick else 60, "given masks")
+
+
+def networks(quick: bool) -> list[Figure]:
+    """Compare one worker with two where all networks run."""
+    return one_and_two(MODELS, 9 if quick else 24, "networks")
 
 
 def ray(quick: bool) -> list[Figure]:

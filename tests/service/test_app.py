@@ -209,3 +209,13 @@ def test_requests_take_turns(measurer: Measurer, bench: Capture) -> None:
     for thread in threads:
         thread.join(30)
     assert most == [1]
+
+
+def test_no_trace_goes_where_the_environment_says(
+    measurer: Measurer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FASTAPI_OTEL_AUTO_CONFIGURE", "true")
+    # FastAPI would refuse to start with this, if it looked at it.
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "no address")
+    with TestClient(create_app(measurer, ServiceSettings(TOKEN)), headers=ADMITTED) as client:
+        assert client.get("/health").status_code == 200

@@ -22,8 +22,8 @@ from cucumbervision.pipeline.engines import in_process
 TRIES = 4
 LIMITS = {
     "M1 to M5, times the plain NumPy floor": 4.0,
-    "M6, times the plain NumPy floor": 25.0,
-    "a capture with given masks, times its reading alone": 6.0,
+    "M6, times the plain NumPy floor": 15.0,
+    "a capture with given masks, times its reading alone": 4.0,
     "cucumbervision --help, s": 0.5,
 }
 

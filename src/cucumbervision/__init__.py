@@ -13,6 +13,11 @@ Examples
 'simulated-bench: 0.18 m (0.18 to 0.19)'
 """
 
+import os
+
 import lazy_loader
+
+# OpenCV makes room for as much as a picture's head promises. It reads this as it is loaded.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "200000000")
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,10 @@
 from __future__ import annotations
 
 import pickle
+import struct
+import subprocess
+import sys
+import zlib
 from pathlib import Path
 
 import cv2
@@ -147,3 +151,29 @@ def test_mask_of_another_size(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there_cannot_be_written_to(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"a\.png: cannot be written"):
         write_png(tmp_path / "none" / "a.png", COLOR)
+
+
+def test_a_head_that_promises_gigabytes_makes_no_room(tmp_path: Path) -> None:
+    # One bit a pixel: 25 MB that deflate to 24 kB, and would be 600 MB of colour.
+    width, height = 20_008, 10_000
+    head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    rows = zlib.compress(bytes((width // 8 + 1) * height))
+    chunks = ((b"IHDR", head), (b"IDAT", rows), (b"IEND", b""))
+    (tmp_path / "large.png").write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + b"".join(
+            len(body).to_bytes(4, "big") + name + body + zlib.crc32(name + body).to_bytes(4, "big")
+            for name, body in chunks
+        )
+    )
+    code = (
+        "import resource, sys, pathlib; from cucumbervision.capture.files import read_color\n"
+        "try: read_color(pathlib.Path(sys.argv[1]))\n"
+        "except Exception as error: print(type(error).__name__)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "large.png")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    name, held_mib = done.stdout.split()
+    assert name == "CaptureError"
+    assert int(held_mib) < 200

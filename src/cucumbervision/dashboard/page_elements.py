@@ -124,6 +124,7 @@ def finished_job(key: str) -> Job | None:
 
 def progress(job: Job | None) -> None:
     """Draw a job's progress until it is finished; then the page is drawn again."""
+    place = st.container()  # also without a job: what follows keeps its place, and stays unfolded
     if job is None or job.finished:
         return
 
@@ -138,4 +139,5 @@ def progress(job: Job | None) -> None:
         )
         st.progress(job.share, text=words + (" (waiting)" if job.is_waiting else ""))
 
-    _bar()
+    with place:
+        _bar()

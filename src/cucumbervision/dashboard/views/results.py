@@ -232,8 +232,8 @@ def _merge(one: RoundView) -> None:
     button(merge, "Merge views of the same fruit", "join", resources.merge, one.key)
     hint.caption("Fruit that neighbouring stops both show then count once; your changes are kept.")
     job = next(iter(resources.worker().unfinished()), None)
-    if job is not resources.prepare():  # which the frame of all pages shows
-        page_elements.progress(job)
+    # The frame of all pages shows what is prepared.
+    page_elements.progress(None if job is resources.prepare() else job)
 
 
 def _line(lists: RoundLists, view: DetectionView) -> dict[str, Any]:

@@ -58,9 +58,8 @@ def _map(one: RoundView) -> None:
         )
         return
     by, where = st.columns([2, 3], vertical_alignment="bottom")
-    colored = by.segmented_control(
-        "Colour by", ["Class", "Length"], default="Class", key="color_by", required=True
-    )
+    st.session_state.setdefault("color_by", "Class")
+    colored = by.segmented_control("Colour by", ["Class", "Length"], key="color_by", required=True)
     rows = sorted({line["row"] for line in lines})
     chosen = where.multiselect("Rows and sides", rows, default=rows[:ROWS_AT_ONCE])
     if not chosen:

@@ -1,0 +1,83 @@
+"""Take the pictures of the dashboard's pages for the documentation.
+
+    python website/dashboard_pictures.py
+
+Serves the bundled captures from an empty folder, as a tablet sees them in Chromium (Debian's
+`chromium`, Playwright), into `docs/images/dashboard-*.png`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
+# What a page says once it is drawn.
+PAGES = {
+    "today": ("", "Pick list"),
+    "capture": ("capture", "Valid depth"),
+    "map": ("map", "One mark a fruit"),
+    "results": ("results", "tick one to open it"),
+}
+
+
+def main() -> None:
+    """Serve, and take them."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    code = "from cucumbervision.cli.app import main; main()"
+    command = [sys.executable, "-c", code, "dashboard", "--no-browser", "--port", port]
+    with tempfile.TemporaryDirectory() as folder:
+        store = ["--store", str(Path(folder) / "house.db")]
+        with subprocess.Popen([*command, *store], cwd=folder) as server:
+            try:
+                take(f"http://127.0.0.1:{port}")
+            finally:
+                server.terminate()
+
+
+def take(address: str) -> None:
+    """Take a picture of each page, and of one fruit."""
+    while True:
+        try:
+            urllib.request.urlopen(f"{address}/_stcore/health", timeout=10).close()
+            break
+        except OSError:
+            time.sleep(0.5)
+    with sync_playwright() as driver:
+        chromium = shutil.which("chromium")
+        browser = driver.chromium.launch(executable_path=chromium, args=list(FLAGS))
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(300_000)
+        page.goto(f"{address}/results")
+        page.get_by_text("Measuring the bundled captures").wait_for()
+        page.get_by_text("Measuring the bundled captures").wait_for(state="hidden")
+        for name, (path, words) in PAGES.items():
+            page.goto(f"{address}/{path}")
+            page.get_by_text(words).first.wait_for()
+            shoot(page, name)
+        page.get_by_test_id("stDataFrame").first.click(position={"x": 18, "y": 72})
+        page.locator("svg.view polygon").first.wait_for()
+        shoot(page, "fruit")
+        browser.close()
+
+
+def shoot(page: Any, name: str) -> None:
+    """Keep what a tablet shows."""
+    page.wait_for_timeout(2500)
+    page.screenshot(path=IMAGES / f"dashboard-{name}.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -55,13 +55,13 @@ def _name(one: RoundView) -> str:
 
 
 def _begin() -> None:
-    name = st.text_input("Name", placeholder="Morning round", key="new_name")
-    house = st.text_input("House", placeholder="House 1", key="new_house")
+    st.text_input("Name", placeholder="Morning round", key="new_name")
+    st.text_input("House", placeholder="House 1", key="new_house")
 
     def begin() -> None:
-        record = RoundRecord(
-            name=name.strip(), house=house.strip(), profile=resources.settings().profile
-        )
+        # What the fields hold now: the page may not have been drawn since they were filled in.
+        name, house = (str(st.session_state[key]).strip() for key in ("new_name", "new_house"))
+        record = RoundRecord(name=name, house=house, profile=resources.settings().profile)
         resources.store().save_round(record)
         st.session_state["round"] = record.key
 

@@ -76,6 +76,14 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
         [("row.zip", packed())], measurer, store, ROUND.key, OPTIONS, PLACE, job
     )
     assert [one.words for one in again] == ["is in the round already"] * 2
+    store.delete_stop(store.stops(DEMONSTRATION)[0].key)
+    again = measure_uploads(
+        [("row.zip", packed())], measurer, store, ROUND.key, OPTIONS, PLACE, job
+    )
+    assert [(one.saved, one.words) for one in again] == [
+        (False, "was deleted: undo that to have it back"),
+        (False, "is in the round already"),
+    ]
 
 
 def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(

@@ -92,6 +92,16 @@ def test_drawn_captures_become_each_fruit_once(store: Store, folder: Path) -> No
     assert len(store.stops(MORNING)) == 5
 
 
+def test_a_deleted_capture_is_told_and_not_measured_again(store: Store, tmp_path: Path) -> None:
+    path = draw("left", 0, tmp_path)
+    [first] = add_captures(store, MORNING, [path], OPTIONS)
+    store.delete_stop(first.stop_key)
+    [again] = add_captures(store, MORNING, [path], OPTIONS)
+    assert (again.deleted, again.new, again.fruit) == (True, False, 0)
+    assert again.stop_key == first.stop_key
+    assert store.stops(MORNING) == []
+
+
 def test_one_bad_input_loses_nothing_of_the_rest(store: Store, tmp_path: Path) -> None:
     good = draw("left", 0, tmp_path)
     seen: list[Added] = []

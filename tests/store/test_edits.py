@@ -10,7 +10,7 @@ from sqlalchemy import text
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.engine import MIGRATIONS, begin, database_url, make_engine
-from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import LinkKind, LinkRecord, Position, Saved
 
@@ -88,6 +88,10 @@ def test_a_deleted_stop_that_is_sent_again_stays_deleted(
     store.delete_stop(stops[0])
     assert store.save_stop(make_stop(1)) is Saved.ALREADY_THERE
     assert [one.key for one in store.stops(WALK)] == stops[1:]
+    gone = [store.stop_is_deleted(key) for key in (*stops, key_of("nowhere"))]
+    assert gone == [True, False, None]
+    with pytest.raises(StoreError, match="has no capture"):
+        store.add_fruit(stops[0], "a", DetectionRecord(1))
 
 
 def test_an_edit_on_which_another_stands_is_undone_after_it(store: Store, stops: list[str]) -> None:

@@ -92,11 +92,15 @@ def test_a_cell_of_another_kind_is_a_named_error(tmp_path: Path) -> None:
         store.save_round(walk)
         store.save_stop(stop)
     with closing(sqlite3.connect(tmp_path / "house.db")) as raw:
-        raw.execute("PRAGMA ignore_check_constraints = ON")
         raw.execute("UPDATE stops SET position_sd_m = 'wide'")
         raw.commit()
     with (
         open_store(tmp_path / "house.db", images=tmp_path) as store,
-        pytest.raises(StoreError, match=r"house.db: is damaged .*; .* take its last backup"),
+        pytest.raises(StoreError, match=r"house.db: is damaged .*; copy the database away"),
     ):
         store.detections(walk.key)
+
+
+def test_a_mistake_of_ours_is_not_called_damage(tmp_path: Path) -> None:
+    with open_store(tmp_path / "house.db") as store, pytest.raises(KeyError), store.reading():
+        raise KeyError("a name of ours")

@@ -160,6 +160,8 @@ def _add(
     there = len(done) - len(new) - len(failures)
     fruit = sum(one.fruit for one in new)
     screen().print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
+    if deleted := sum(one.deleted for one in done):
+        screen().print(f"{deleted} of these were deleted: undo that to have them back.")
     show_failures(failures)
     return exit_code(len(done) - len(failures), failures)
 

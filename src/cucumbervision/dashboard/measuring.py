@@ -261,7 +261,7 @@ def measure_waiting(
         one, job.total = left[0], done + len(left)
         waiting.begin(one)
         try:
-            if all(stop.key != one.key for stop in store.stops(one.round_key)):
+            if store.stop_is_deleted(one.key) is None:
                 taken = measurer.take_stop(store, one.round_key, one.load(), options, key=one.key)
                 job.step(taken.note)
             waiting.done(one)

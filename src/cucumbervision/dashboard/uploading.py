@@ -174,8 +174,12 @@ def _saved(
         if stop.step is None:
             stop = replace(stop, step=last_step(store.stops(home)) + 1)
         key = key_of(home, capture.name, capture_sha256(capture))
-        if any(one.key == key for one in store.stops(home)):
-            return Outcome(name, False, "is in the round already")
+        deleted = store.stop_is_deleted(key)
+        if deleted is not None:
+            words = (
+                "was deleted: undo that to have it back" if deleted else "is in the round already"
+            )
+            return Outcome(name, False, words)
         taken = measurer.take_stop(store, home, replace(capture, stop=stop), options, key=key)
     except CucumberVisionError as error:
         return Outcome(name, False, error.message)

@@ -22,6 +22,7 @@ from cucumbervision.rounds.poses import (
 )
 from cucumbervision.store.records import key_of
 from cucumbervision.store.results import records_from_result
+from cucumbervision.store.views import Saved
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -93,6 +94,8 @@ class Added:
         How many fruit it shows; 0 where it was there already.
     new : bool
         Whether it was saved now.
+    deleted : bool
+        Whether it was there already and somebody deleted it: undo that to have it back.
     failure : Failure, optional
         Why not.
     """
@@ -101,6 +104,7 @@ class Added:
     stop_key: str = ""
     fruit: int = 0
     new: bool = False
+    deleted: bool = False
     failure: Failure | None = None
 
 
@@ -114,8 +118,8 @@ def add_captures(
 ) -> list[Added]:
     """Measure captures and save each as a stop of a round.
 
-    A capture that is in the round already is not measured again. One that cannot be read or
-    measured is noted, and the others go on.
+    A capture that is in the round already, deleted or not, is not measured again. One that cannot
+    be read or measured is noted, and the others go on.
 
     Parameters
     ----------
@@ -138,7 +142,6 @@ def add_captures(
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
     place = place or Place()
-    there = {stop.key for stop in store.stops(round_key)}
     measurer = Measurer(options)
     done = []
     for number, read in enumerate(read_captures(inputs, options.reading)):
@@ -146,16 +149,18 @@ def add_captures(
             added = Added(read.capture or read.input, failure=read)
         else:
             added = Added(read.name, key_of(round_key, read.name, capture_sha256(read)))
-            if added.stop_key not in there:
+            deleted = store.stop_is_deleted(added.stop_key)
+            added = replace(added, deleted=bool(deleted))
+            if deleted is None:
                 measurer.load()
                 failures: list[Failure] = []
                 with Boundary(failures, read.source, read.name):
                     result, stop = measured_stop(read, number, place, measurer, store.images)
                     failures += () if result.error is None else result.failures
                     if not failures:
-                        store.save_stop(replace(stop, key=added.stop_key, round_key=round_key))
-                        there.add(added.stop_key)
-                        added = replace(added, fruit=len(result.fruit), new=True)
+                        stop = replace(stop, key=added.stop_key, round_key=round_key)
+                        new = store.save_stop(stop) is Saved.NEW
+                        added = replace(added, fruit=len(result.fruit) if new else 0, new=new)
                 if failures:
                     added = Added(read.name, failure=failures[0])
         done.append(added)

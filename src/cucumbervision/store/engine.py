@@ -216,16 +216,20 @@ class Database:
             )
         return ImageStore(self._images)
 
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Open a transaction that only reads."""
+        return begin(self.engine)
+
     @contextmanager
-    def reading(self) -> Iterator[Connection]:
-        """Open a transaction that only reads.
+    def decoding(self) -> Iterator[Connection]:
+        """Open a transaction in which lines become records, and nothing else is done.
 
         Raises
         ------
         StoreError
             If the database reports an error, or holds what no record is made of.
         """
-        with refusing(self.name, StoreError, _DAMAGED), begin(self.engine) as connection:
+        with refusing(self.name, StoreError, _DAMAGED), self.reading() as connection:
             yield connection
 
     def writing(self) -> AbstractContextManager[Connection]:
@@ -243,7 +247,7 @@ class Database:
         self.close()
 
 
-_DAMAGED = "the database is damaged: take its last backup"
+_DAMAGED = "copy the database away, and check it with `round check`"
 
 REVISIONS = ("0001", "0002")
 HEAD = REVISIONS[-1]

@@ -101,13 +101,19 @@ class Queries(Database):
         query = query.where(Round.deleted == deleted)
         if house is not None:
             query = query.where(Round.house == house)
-        with self.reading() as connection:
+        with self.decoding() as connection:
             rows = cells_of(connection, query)
             return [RoundView(RoundRecord(*row[:6]), *row[6:]) for row in rows]
 
+    def stop_is_deleted(self, key: str) -> bool | None:
+        """Return whether a stop was deleted; None where it never was in the store."""
+        query = select(StopLine.deleted).where(StopLine.key == checked_key(key, "stop"))
+        with self.reading() as connection:
+            return connection.execute(query).scalar()
+
     def stops(self, round_key: str) -> list[StopView]:
         """Return a round's stops in the order in which they were made."""
-        with self.reading() as connection:
+        with self.decoding() as connection:
             rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
             return [
                 built(StopView, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19]))
@@ -121,7 +127,7 @@ class Queries(Database):
 
         `DetectionFilter(best=True)` gives every fruit once, however often it was seen.
         """
-        with self.reading() as connection:
+        with self.decoding() as connection:
             views = _detections_of(connection, round_key)
         return views if only is None else [view for view in views if only.keeps(view)]
 
@@ -135,7 +141,7 @@ class Queries(Database):
         """
         key = checked_key(key, "fruit")
         of_round = select(Round.key).join(DetectionLine, DetectionLine.round_id == Round.id)
-        with self.reading() as connection:
+        with self.decoding() as connection:
             found = of_round.where(DetectionLine.key == key, STANDS)
             round_key = connection.execute(found).scalar()
             if round_key is None:
@@ -163,7 +169,7 @@ class Queries(Database):
 
     def picked(self, round_key: str) -> dict[str, float]:
         """Return when detections were marked as picked, by their keys."""
-        with self.reading() as connection:
+        with self.decoding() as connection:
             marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
             return {key: float(own["picked"]) for key, own in marks.items()}
 
@@ -177,7 +183,7 @@ class Queries(Database):
         """
         own, other = aliased(Round), aliased(Round)
         kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
-        with self.reading() as connection:
+        with self.decoding() as connection:
             house = select(own.house).where(own.id == round_id_of(connection, round_key))
             counts = (
                 select(DetectionLine.round_id, Mark.value, func.count())
@@ -204,7 +210,7 @@ class Queries(Database):
         without : sequence of str
             Kinds of action that do not matter.
         """
-        with self.reading() as connection:
+        with self.decoding() as connection:
             found = select(func.max(Action.id)).where(
                 Action.round_id == round_id_of(connection, round_key), Action.kind.not_in(without)
             )
@@ -213,7 +219,7 @@ class Queries(Database):
     def measurements(self, round_key: str) -> dict[str, tuple[MethodRecord, ...]]:
         """Return every method's first measurement by the detections' keys, without the paths."""
         found: dict[str, list[MethodRecord]] = {}
-        with self.reading() as connection:
+        with self.decoding() as connection:
             query = (
                 select(DetectionLine.key, *columns_of(MethodLine, METHOD_CELLS))
                 .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
@@ -226,7 +232,7 @@ class Queries(Database):
 
     def corrected(self, round_key: str) -> dict[str, DetectionRecord]:
         """Return the corrected records, masks included, by the keys of their detections."""
-        with self.reading() as connection:
+        with self.decoding() as connection:
             which = DetectionLine.round_id == round_id_of(connection, round_key)
             return _corrected_of(connection, which)
 
@@ -243,7 +249,7 @@ class Queries(Database):
             .order_by(StopLine.id, CaptureLine.number)
         )
         found: dict[str, CameraAt] = {}
-        with self.reading() as connection:
+        with self.decoding() as connection:
             for key, given, mirrored, number, name, camera in connection.execute(query):
                 pose = [*(-x for x in given[:3]), *given[3:]] if mirrored else given
                 at = found.setdefault(key, CameraAt(pose, {}, camera or {}))
@@ -253,29 +259,31 @@ class Queries(Database):
 
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
         """Return what the stops of a round were measured with, by the stops' keys."""
-        with self.reading() as connection:
+        with self.decoding() as connection:
             return _artifacts_of(connection, and_(Round.key == round_key, ~StopLine.deleted))
 
     def stop(self, stop_key: str) -> StopRecord:
-        """Return a stop with everything, as it was saved.
+        """Return a stop with everything: as it was saved, but where people put it since.
+
+        Its pose is the one that it was saved with; `cameras` gives it mirrored where the stop is.
 
         Raises
         ------
         StoreError
             If it is not there.
         """
-        with self.reading() as connection:
+        with self.decoding() as connection:
             return _stop_of(connection, stop_key)
 
     def links(self, round_key: str, kind: LinkKind | None = None) -> list[LinkRecord]:
         """Return the links that touch a round; of growth both from earlier and to later rounds."""
-        with self.reading() as connection:
+        with self.decoding() as connection:
             return links_of(connection, round_key, kind)
 
     def shifts(self, later: str) -> list[ShiftRecord]:
         """Return how far rows were moved between earlier rounds and this one."""
         first, second = aliased(Round), aliased(Round)
-        with self.reading() as connection:
+        with self.decoding() as connection:
             query = (
                 select(Row.name, first.key, second.key, Shift.shift_m, Shift.sd_m)
                 .join(Row, Row.id == Shift.row_id)
@@ -288,7 +296,7 @@ class Queries(Database):
 
     def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[ActionView]:
         """Return what was done by hand, the newest first."""
-        with self.reading() as connection:
+        with self.decoding() as connection:
             return _actions_of(connection, round_key, limit)
 
 

@@ -210,7 +210,7 @@ class Store(Queries, Corrections):
         at = (
             select(CaptureLine.id, CaptureLine.number, StopLine.round_id)
             .join(StopLine, StopLine.id == CaptureLine.stop_id)
-            .where(StopLine.key == stop_key, CaptureLine.name == capture)
+            .where(StopLine.key == stop_key, CaptureLine.name == capture, ~StopLine.deleted)
         )
         with self.writing() as connection:
             found = connection.execute(at).one_or_none()

@@ -8,11 +8,11 @@ import pytest
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.realsense import CameraConfig
+from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.recorder import Walk
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay
+from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay, ReplayBurst
 from cucumbervision.dashboard.recording import Recorder
 from cucumbervision.errors import CameraError, CaptureError
 
@@ -87,17 +87,27 @@ def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -
     assert wait_for(feed, "absent", other_than=absent.number).number > absent.number
 
 
-def test_new_settings_open_the_camera_again(recording: Path) -> None:
+def test_new_settings_open_the_camera_again(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[CameraConfig] = []
+
+    class NotedCamera(RealSenseCamera):
+        def __init__(self, config: CameraConfig) -> None:
+            opened.append(config)
+            super().__init__(config)
+
+    monkeypatch.setattr("cucumbervision.dashboard.camera_feed.RealSenseCamera", NotedCamera)
     feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), paced=True)
     wait_for(feed, "playing")
-    before = feed.take(1, Stop()).frame
     feed.configure(CameraSettings("high-accuracy", exposure_us=8000))
-    # From its beginning: the recording was opened anew.
     until = time.monotonic() + 300
-    while feed.take(1, Stop()).frame > max(before, 3) and time.monotonic() < until:
-        pass
-    assert feed.open
+    while opened[-1] == opened[0] and time.monotonic() < until:
+        feed.preview()
+        time.sleep(0.02)
     feed.close()
+    assert opened[0].settings != CameraSettings("high-accuracy", exposure_us=8000)
+    assert opened[-1].settings == CameraSettings("high-accuracy", exposure_us=8000)
 
 
 def test_a_feed_is_recorded_until_it_is_ended(recording: Path, tmp_path: Path) -> None:
@@ -114,9 +124,33 @@ def test_a_feed_is_recorded_until_it_is_ended(recording: Path, tmp_path: Path) -
     feed.close()
     captures = [ref.load() for ref in open_source(begun.folder)]
     assert len(captures) == begun.taken >= 3
-    assert {(one.stop.row, one.stop.side, one.burst_size) for one in captures} == {("4", "left", 3)}
+    assert {(one.stop.row, one.stop.side) for one in captures} == {("4", "left")}
+    # Fewer where the machine is too busy to hand over three frames within a burst's reach.
+    assert all(1 <= one.burst_size <= 3 for one in captures)
     assert [one.name for one in captures][:2] == ["capture_0001", "capture_0002"]
     assert begun.fault == ""
+
+
+class BrokenFeed(Replay):
+    """A feed that fails in a way nobody foresaw."""
+
+    def grab(self, burst: int, pressed_s: float) -> ReplayBurst:
+        raise ValueError(f"odd frame: {burst}, {pressed_s}")
+
+
+def test_whatever_ends_a_recording_is_told_and_another_can_begin(tmp_path: Path) -> None:
+    recorder, feed = Recorder(tmp_path / "recordings"), BrokenFeed(bundled_captures())
+    first = recorder.begin(feed, 1, Walk(), every_s=0.01)
+    until = time.monotonic() + 300
+    while not first.fault and time.monotonic() < until:
+        time.sleep(0.02)
+    recorder.end()
+    assert "odd frame" in first.fault
+    assert not first.running
+    assert recorder.begin(feed, 1, Walk(), every_s=0.01) is not first
+    recorder.end()
+    assert first.thread is not None
+    assert not first.thread.is_alive()
 
 
 def test_a_recording_of_nothing_says_why(tmp_path: Path) -> None:

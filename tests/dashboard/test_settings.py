@@ -28,3 +28,10 @@ def test_a_file_of_an_older_version_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text('{"fruit_from": "automatic", "unit": "in"}')
     assert read_settings(path) == Settings(unit="in")
+
+
+def test_an_exposure_that_the_page_cannot_show_is_brought_within_its_limits(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for given, kept in ((50, 100.0), (500_000, 200_000.0), (0, 0.0), (8000, 8000.0)):
+        path.write_text(f'{{"exposure_us": {given}, "unit": "in"}}')
+        assert read_settings(path) == Settings(unit="in", exposure_us=kept)

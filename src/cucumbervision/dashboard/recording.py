@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
 
 from cucumbervision.capture.recorder import Recorded, Walk, record_captures
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import named_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,8 +44,8 @@ class Recording:
 
     @property
     def running(self) -> bool:
-        """Whether captures are still being written."""
-        return self.thread is not None and self.thread.is_alive()
+        """Whether captures are taken, and nobody has ended that."""
+        return self.thread is not None and self.thread.is_alive() and not self.ending.is_set()
 
 
 class Recorder:
@@ -66,6 +66,8 @@ class Recorder:
         """Begin to record a feed; what is being recorded already goes on instead."""
         with self._lock:
             if self.newest is None or not self.newest.running:
+                if self.newest is not None and self.newest.thread is not None:
+                    self.newest.thread.join()  # it may still write its last capture
                 begun = Recording(self._folder / time.strftime("%Y-%m-%d_%H-%M-%S"))
                 begun.thread = threading.Thread(
                     target=_record, args=(begun, feed, burst, walk, every_s), daemon=True
@@ -83,8 +85,9 @@ class Recorder:
 def _record(begun: Recording, feed: Feed, burst: int, walk: Walk, every_s: float) -> None:
     def signals() -> Iterator[None]:
         while not begun.ending.is_set():
+            next_s = time.monotonic() + every_s
             yield
-            begun.ending.wait(every_s)
+            begun.ending.wait(max(0.0, next_s - time.monotonic()))
 
     def opened() -> _FeedCamera:
         return _FeedCamera(feed, burst)
@@ -95,8 +98,8 @@ def _record(begun: Recording, feed: Feed, burst: int, walk: Walk, every_s: float
                 begun.taken += 1
             else:
                 begun.fault = str(one)
-    except CucumberVisionError as error:
-        begun.fault = str(error)
+    except Exception as error:
+        begun.fault = str(named_error(error, begun.folder))
 
 
 class _FeedCamera:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from cucumbervision.agronomy.picking import Rates
 from cucumbervision.capture.realsense_device import CameraSettings
@@ -15,7 +15,16 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = ["Settings", "Units", "read_settings", "replace_text", "settings_file", "write_settings"]
+__all__ = [
+    "EXPOSURE_US",
+    "PRESETS",
+    "Settings",
+    "Units",
+    "read_settings",
+    "replace_text",
+    "settings_file",
+    "write_settings",
+]
 
 UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 
@@ -71,6 +80,16 @@ class Units:
 Share = Annotated[float, Field(ge=0.05, le=0.95)]
 InputSize = Annotated[int, Field(ge=32, le=4096, multiple_of=32)]
 
+Preset = Literal["", "default", "hand", "high-accuracy", "high-density", "medium-density"]
+PRESETS: tuple[Preset, ...] = get_args(Preset)
+EXPOSURE_US = 100.0, 200_000.0  # the shortest and the longest that may be chosen by hand
+
+
+def _exposure_us(value: float) -> float:
+    """Return an exposure within what may be chosen; 0 is automatic."""
+    low, high = EXPOSURE_US
+    return min(max(value, low), high) if value else 0.0
+
 
 class Settings(BaseModel):
     """Settings of the dashboard.
@@ -118,10 +137,8 @@ class Settings(BaseModel):
     ] = "auto"
     full_precision: bool = True
     calibration: str = ""
-    camera_preset: Literal[
-        "", "default", "hand", "high-accuracy", "high-density", "medium-density"
-    ] = ""
-    exposure_us: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    camera_preset: Preset = ""
+    exposure_us: Annotated[float, AfterValidator(_exposure_us)] | None = None
     fruit_per_hour: Annotated[float, Field(gt=0)] = 350.0
     minutes_per_row: Annotated[float, Field(ge=0)] = 2.0
     fruit_per_crate: Annotated[int, Field(ge=1)] = 12

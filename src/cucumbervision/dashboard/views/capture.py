@@ -22,6 +22,7 @@ from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted, grade_name, length_words, stop_name
+from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.dashboard.views.stops import change_stop
@@ -254,7 +255,6 @@ def _record(kind: str) -> None:
 
 
 EXPOSURES = {None: "As the camera has it", "automatic": "Automatic", "fixed": "By hand"}
-PRESETS = ("", "default", "hand", "high-accuracy", "high-density", "medium-density")
 USUAL_US = 8000.0  # a bright house
 
 
@@ -278,7 +278,7 @@ def _camera() -> None:
         exposure_us = None if chosen is None else 0.0
         if chosen == "fixed":
             usual = now.exposure_us or USUAL_US
-            exposure_us = st.number_input("Microseconds", 100.0, 200_000.0, usual, 500.0, "%.0f")
+            exposure_us = st.number_input("Microseconds", *EXPOSURE_US, usual, 500.0, "%.0f")
         resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
         resources.camera().configure(resources.settings().camera)
 

@@ -261,6 +261,9 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
                 else:
                     assert got == (defused(cell) if isinstance(cell, str) else cell)
         assert sheet.freeze_panes == f"{'ABCDEF'[frozen]}2"
+        # What each column of a sheet says is told on the sheet 'Columns'.
+        told = [row[1:] for row in book["Columns"].values if row[0] == name]
+        assert told == [(one.name, one.unit or None, one.says) for one in table.columns]
     assert "length [cm]" in [cell.value for cell in book["Fruit"][1]]
     lengths = next(cell for cell in book["Fruit"][1] if cell.value == "length [cm]")
     assert book["Fruit"].cell(2, lengths.column).number_format == "0.00"

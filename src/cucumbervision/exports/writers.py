@@ -308,7 +308,8 @@ class _Writer:
         sheet.set_column(0, 2, 18)
         sheet.set_column(3, 3, 70)
         sheet.write_row(0, 0, ("table", "column", "unit", "what it says"), self.head)
-        columns = [(table.name, one) for table in tables.tables.values() for one in table.columns]
+        shown = {**tables.tables, "fruit": to_read(tables)}
+        columns = [(table.name, one) for table in shown.values() for one in table.columns]
         for line, (name, one) in enumerate(columns, 1):
             sheet.write_row(line, 0, (name, one.name, one.unit, one.says))
         sheet.freeze_panes(1, 0)

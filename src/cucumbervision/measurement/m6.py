@@ -356,7 +356,7 @@ def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
     covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
     least = min(fit.misfit for fit in covering)
     alike = SPARSE_ALIKE * least if view.sparse else FITS_ALIKE
-    of_these = [f for f in covering if f.misfit < least + alike]
+    of_these = [f for f in covering if f.misfit <= least + alike]
     return min(of_these, key=_unevenness if view.sparse else _depth_share)
 
 

@@ -362,8 +362,16 @@ class Forecast:
     @property
     def ready(self) -> NDArray[np.float64]:
         """Probability of each fruit to be ready today, shape (N,), float64."""
-        chosen = [self.classes.index(name) for name in self.pick]
-        return np.asarray(self.probability[:, 0, chosen].sum(axis=1), np.float64)
+        return np.asarray(self.probability[:, 0, self._picked].sum(axis=1), np.float64)
+
+    @property
+    def expected_ready(self) -> float:
+        """Fruit expected to be ready today, with those that were not seen."""
+        return float(self.house.expected[0, self._picked].sum())
+
+    @property
+    def _picked(self) -> list[int]:
+        return [self.classes.index(name) for name in self.pick]
 
 
 def forecast(

@@ -228,7 +228,7 @@ def _summary(
         "sd_length_cm": stdev(lengths_m) if len(lengths_m) > 1 else None,
         "shortest_cm": min(lengths_m, default=None),
         "longest_cm": max(lengths_m, default=None),
-        "ready_today": None if forecast is None else float(forecast.ready.sum()),
+        "ready_today": None if forecast is None else forecast.expected_ready,
         "simulated": any(line.view.simulated for line in table),
     }
 

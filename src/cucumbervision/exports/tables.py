@@ -223,7 +223,7 @@ _SUMMARY = _columns(
     "sd_length_cm|cm|number|spread of it",
     "shortest_cm|cm|number|shortest fruit on the plant",
     "longest_cm|cm|number|longest fruit on the plant",
-    "ready_today||number 2|fruit expected to be ready on the day of the round",
+    "ready_today||number 2|fruit expected to be ready on the day of the round, with those not seen",
     "simulated||yes/no|whether drawn captures are among them",
 )
 

@@ -164,7 +164,9 @@ def test_the_forecast_adds_up(tables: RoundTables) -> None:
         assert house == pytest.approx(14 * 0.98 / 0.9, rel=0.03)
         assert rows == pytest.approx(house, abs=0.02)
     ready = [x for x in lines if x["scope"] == "house" and x["day"] == 0 and x["class"] == "I"]
-    assert tables.summary["ready_today"] == pytest.approx(float(str(ready[0]["expected"])), abs=0.01)
+    assert tables.summary["ready_today"] == pytest.approx(
+        float(str(ready[0]["expected"])), abs=0.01
+    )
     assert [line["order"] for line in tables["picks"].records()] == list(
         range(1, len(tables["picks"].rows) + 1)
     )

@@ -181,7 +181,7 @@ def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float6
 def _slope(found: Gaps, waves: int) -> NDArray[np.float64]:
     # By the body; the rest is left to be filled in.
     slope = np.empty((len(found.gap_m), BODY + waves))
-    by_bend = slope[:, :BENDS].reshape(len(slope), -1, 3)
+    by_bend = slope[:, :BENDS].reshape(len(slope), BENDS // 3, 3)
     np.multiply(found.bend_basis[:, :, None], found.away[:, None, :], out=by_bend)
     np.negative(found.width_basis, out=slope[:, BENDS:SHAPE])
     return slope

@@ -74,6 +74,19 @@ def test_quick_presses_are_each_a_stop_and_none_counts_twice(
     assert len({one.load().name for one in kept}) == 3
 
 
+def test_presses_that_are_told_late_together_keep_their_order(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay, shutter = Replay(bundled_captures()), Shutter(store, waiting, lambda: None)
+    now = time.time()
+    for number, at_s in (("a", now - 60), ("b", now - 0.5), ("c", now + 60)):
+        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, at_s))
+    shutter.close()
+    kept = waiting.captures()
+    assert [one.stop.step for one in kept] == [1, 2, 3]
+    assert all(now - 2 < one.pressed_s < now + 60 for one in kept)
+
+
 def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
     store: Store, waiting: WaitingCaptures
 ) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Press", "Pressed", "Shutter"]
 
-LATEST_S = 1.2  # a press that says it is older came over a broken line: it counts as now
+LATEST_S = 1.2  # frames are held so long: of an older press, which came late, the oldest are taken
 REMEMBERED = 200
 
 
@@ -101,7 +101,8 @@ class Shutter:
         """
         name = (round_key, press.number)
         now = time.time()
-        at_s = press.at_s if 0 <= now - press.at_s < LATEST_S else now
+        # Presses that come late together keep their order.
+        at_s = min(max(press.at_s, now - LATEST_S), now)
         with self._lock:
             if name in self._pressed:
                 return False

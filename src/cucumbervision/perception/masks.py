@@ -147,6 +147,7 @@ def disjoint_masks(
     for j, of_b in enumerate(windows):
         for i, of_a in enumerate(windows[:j]):
             a, b = kept[i], kept[j]
+            given_a, given_b = masks[i], masks[j]
             if a is None or b is None or of_a is None or of_b is None:
                 continue
             rows, columns = (
@@ -155,9 +156,11 @@ def disjoint_masks(
             )
             if not (a[rows, columns] & b[rows, columns]).any():
                 continue
+            # As given: what others took from both may have made two fruit alike.
+            if given_a is None or given_b is None or mask_iou(given_a, given_b) >= ONE_IOU:
+                continue
             loser = _loser((a, b), (scores[i], scores[j]), depth_m)
-            if loser is not None:
-                kept[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
+            kept[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
     return kept
 
 
@@ -165,14 +168,12 @@ def _loser(
     pair: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     scores: tuple[float, float],
     depth_m: NDArray[np.float32] | None,
-) -> int | None:
-    """Return which of two masks that overlap gives up what they share; None if neither does."""
+) -> int:
+    """Return which of two masks that overlap gives up what they share."""
     a, b = pair
     shared = a & b
     areas = int(np.count_nonzero(a)), int(np.count_nonzero(b))
     count = int(np.count_nonzero(shared))
-    if count >= ONE_IOU * (sum(areas) - count):
-        return None
     if count >= SWALLOWED * min(areas):
         return int(areas[1] > areas[0])
     far_m = _distances(shared, pair, depth_m)

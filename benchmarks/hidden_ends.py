@@ -11,14 +11,13 @@ others: one half against the other, and two kinds of fruit against the third.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from resuming import rows_of
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from cucumbervision.measurement.hidden_end import GirthRelation, covered_reach, hidden_length
@@ -89,19 +88,6 @@ def measured(number: int) -> list[dict[str, Any]]:
     return rows
 
 
-def rows_of(count: int, keep: Path | None) -> pd.DataFrame:
-    """Measure fruit, or take those that a file keeps already."""
-    lines = keep.read_text().splitlines() if keep and keep.exists() else []
-    done = dict(json.loads(line) for line in lines)
-    for number in track(range(count), "fruit"):
-        if number not in done:
-            done[number] = measured(number)
-            if keep:
-                with keep.open("a") as file:
-                    file.write(json.dumps([number, done[number]]) + "\n")
-    return pd.DataFrame([row for number in range(count) for row in done[number]])
-
-
 def learnt(rows: pd.DataFrame) -> GirthRelation:
     """Learn length by girth, with as much room as the package's own relation has."""
     girth, length = np.log(rows["girth"]), np.log(rows["true"])
@@ -139,7 +125,7 @@ def main() -> None:
     parser.add_argument("--fruit", type=int, default=110)
     parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
     options = parser.parse_args()
-    rows = rows_of(options.fruit, options.keep)
+    rows = rows_of(options.fruit, measured, options.keep)
     told = rows[rows["median"].notna()]
     groups = {
         "all": told["true"] > 0,

@@ -68,8 +68,7 @@ def as_input(color: np.ndarray[Any, Any], size_px: int) -> np.ndarray[Any, Any]:
     """Give a picture as a batch of one, float32, letterboxed."""
     height, width = color.shape[:2]
     box = fit(height, width, (size_px, size_px), minimal=True, stride=32)
-    planes = np.ascontiguousarray(box.apply(color).transpose(2, 0, 1)[None])
-    return np.divide(planes, np.float32(255), dtype=np.float32)
+    return box.as_input(color)
 
 
 def widen_weights(network: onnx.ModelProto) -> None:

@@ -9,14 +9,13 @@ unknown. Fruit of which leaves hide an end stand apart: what is measured of them
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from resuming import rows_of
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from cucumbervision.accuracy.records import Masks
@@ -60,21 +59,6 @@ def measured(number: int) -> list[dict[str, Any]]:
         if one.fit is not None:
             row |= {"flags": list(one.fit.flags), "features": tube_features(one)}
         rows.append(row)
-    return rows
-
-
-def rows_of(count: int, keep: Path | None) -> pd.DataFrame:
-    """Measure fruit, or take those that a file keeps already."""
-    lines = keep.read_text().splitlines() if keep and keep.exists() else []
-    done = dict(json.loads(line) for line in lines)
-    for number in track(range(count), "fruit"):
-        if number not in done:
-            done[number] = measured(number)
-            if keep:
-                with keep.open("a") as file:
-                    file.write(json.dumps([number, done[number]]) + "\n")
-    rows = pd.DataFrame([row for number in range(count) for row in done[number]])
-    rows["error"] = 100 * (rows["length_m"].astype(float) / rows["true_m"] - 1)
     return rows
 
 
@@ -180,7 +164,8 @@ def main() -> None:
     parser.add_argument("--worst", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
     options = parser.parse_args()
-    rows = rows_of(options.fruit, options.keep)
+    rows = rows_of(options.fruit, measured, options.keep)
+    rows["error"] = 100 * (rows["length_m"].astype(float) / rows["true_m"] - 1)
     console = Console(width=120, highlight=False)
     console.print(error_table(rows))
     console.print(interval_table(rows))

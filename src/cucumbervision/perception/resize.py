@@ -97,6 +97,23 @@ class Letterbox:
         out[self.top : self.top + rows, self.left : self.left + columns] = inner
         return out
 
+    def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the picture as a network takes it, resized and padded.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (height, width, 3)
+            The picture.
+
+        Returns
+        -------
+        ndarray of float32, shape (1, 3, input_height, input_width)
+            0 to 1; red first.
+        """
+        planes = np.ascontiguousarray(self.apply(color_rgb).transpose(2, 0, 1)[None])
+        # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
+        return np.divide(planes, np.float32(255), dtype=np.float32)
+
     def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
         """Take boxes from the network's input to the picture, clipped to it.
 

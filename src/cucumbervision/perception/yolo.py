@@ -543,10 +543,7 @@ class YoloDetector:
         layout = self._layout
         height, width = color_rgb.shape[:2]
         box = fit(height, width, size_px, minimal=layout.free_size, stride=layout.stride_px)
-        planes = np.ascontiguousarray(box.apply(color_rgb).transpose(2, 0, 1)[None])
-        # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
-        picture = np.divide(planes, np.float32(255), dtype=np.float32)
-        outputs = self._network.run({layout.input_name: picture})
+        outputs = self._network.run({layout.input_name: box.as_input(color_rgb)})
         output = outputs[layout.rows_name][0]
         classes = layout.raw_classes(output.shape)
         rows = (

@@ -214,13 +214,12 @@ def shipped(
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
     """
-    sure, least = (confidence, min(confidence, POSE_CONFIDENCE))
     if segmented is None:
-        fruit = [one for one in posed if one.confidence > sure]
+        fruit = [one for one in posed if one.confidence > confidence]
         return each_fruit_once(fruit, (), color_rgb, depth_m)
-    found = [one for one in segmented if one.confidence > sure]
-    poses = [one for one in posed if one.confidence > least]
-    return each_fruit_once(found, poses, color_rgb, depth_m, sure)
+    found = [one for one in segmented if one.confidence > confidence]
+    poses = [one for one in posed if one.confidence > min(confidence, POSE_CONFIDENCE)]
+    return each_fruit_once(found, poses, color_rgb, depth_m, confidence)
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

@@ -297,8 +297,11 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     centres = np.arange(height)[:, None] + 0.5
     crossed = (y1 <= centres) != (y2 <= centres)
     rows, edges = np.nonzero(crossed)
-    slopes = (x2 - x1)[edges] / (y2 - y1)[edges]
-    at = x1[edges] + (centres[rows, 0] - y1[edges]) * slopes
+    # An edge that is passed there and back (a bridge between parts) must cross a row at the same
+    # number both times, to the last bit: counted from its lower end.
+    low = np.where(y1 <= y2, [x1, y1], [x2, y2])[:, edges]
+    high = np.where(y1 <= y2, [x2, y2], [x1, y1])[:, edges]
+    at = low[0] + (centres[rows, 0] - low[1]) * ((high[0] - low[0]) / (high[1] - low[1]))
     # Everything from the first pixel centre at or right of a crossing changes sides.
     first = np.clip(np.ceil(at - 0.5), 0, width).astype(int)
     changes = np.zeros((height, width + 1), np.int32)

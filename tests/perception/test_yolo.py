@@ -6,13 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.errors import ModelError
 from cucumbervision.perception.yolo import (
     SIZES_KEY,
     YoloDetector,
     choose_raw,
     choose_rows,
-    parse_input_sizes,
 )
 
 onnx = pytest.importorskip("onnx")
@@ -175,17 +174,20 @@ def test_what_two_sizes_find_alike_is_found_once() -> None:
     assert [one.confidence for one in found] == pytest.approx([0.8, 0.6])
 
 
+def test_what_one_of_two_sizes_finds_must_be_twice_as_sure() -> None:
+    # At 128 px the box is another, half as large: each is found by one size.
+    rows = chosen([8, 4, 40, 12, 0.8, 0])
+    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    both = YoloDetector(free, confidence=0.3, input_sizes=(64, 128)).detect(PICTURE)
+    assert [one.confidence for one in both] == pytest.approx([0.4, 0.4])
+    assert YoloDetector(free, confidence=0.45, input_sizes=(64, 128)).detect(PICTURE) == ()
+
+
 def test_a_network_of_one_size_refuses_another() -> None:
     fixed = network(chosen([8, 20, 40, 30, 0.8, 0]), props=CUCUMBER | {"end2end": True})
     assert len(YoloDetector(fixed, input_sizes=(64,)).detect(PICTURE)) == 1
     with pytest.raises(ModelError, match="takes 64x64 only, not 128"):
         YoloDetector(fixed, input_sizes=(128,))
-
-
-@pytest.mark.parametrize("text", ["650", "0", "-32", "640,", "640;960", "1e3", "4128"])
-def test_what_is_no_input_size_is_refused(text: str) -> None:
-    with pytest.raises(CucumberVisionError, match="is no input size"):
-        parse_input_sizes(text)
 
 
 def test_box_on_the_grey_border_is_left_out() -> None:

@@ -58,7 +58,7 @@ def detect(
 ) -> None:
     """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
     from cucumbervision.cli.console import detect_and_show
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.detect import DetectOptions
 
     options = DetectOptions(

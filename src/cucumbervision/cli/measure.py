@@ -138,7 +138,7 @@ def measure(
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.intake.recordings import open_guarded
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.engines import choose_engine
     from cucumbervision.pipeline.options import MeasureOptions, parse_methods
     from cucumbervision.pipeline.run import BatchOptions

@@ -119,7 +119,7 @@ def add(
     images: Images = None,
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.poses import read_poses

@@ -51,7 +51,7 @@ def serve(
     ] = False,
 ) -> None:
     """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'."""
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.service.server import serve as run
     from cucumbervision.service.settings import ServiceSettings, request_limits

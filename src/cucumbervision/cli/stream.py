@@ -76,7 +76,7 @@ def stream(
     from cucumbervision.capture.realsense import CameraConfig
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.live import print_stream
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.measurer import Measurer
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.streaming.sources import open_stream

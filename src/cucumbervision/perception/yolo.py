@@ -11,12 +11,13 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.boxes import suppress
+from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -35,8 +36,6 @@ __all__ = [
     "YoloLayout",
     "choose_raw",
     "choose_rows",
-    "one_of_each",
-    "parse_input_sizes",
 ]
 
 ONE_TO_ONE_KEY = "one2one"
@@ -336,77 +335,8 @@ def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
-_SIZE_STEP_PX, _LARGEST_PX = 32, 4096
-
-
-def parse_input_sizes(text: str) -> tuple[int, ...]:
-    """Read what `--input-size` is given: a size in pixels, or several for their merged finds.
-
-    Parameters
-    ----------
-    text : str
-        Multiples of 32 up to 4096, joined by commas; empty for the network's own size.
-
-    Returns
-    -------
-    tuple of int
-        Each size once, the smallest first.
-
-    Raises
-    ------
-    CucumberVisionError
-        For anything else.
-
-    Examples
-    --------
-    >>> parse_input_sizes("1280,640"), parse_input_sizes("")
-    ((640, 1280), ())
-    """
-    parts = [part.strip() for part in text.split(",")] if text.strip() else []
-    sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
-    if not all(0 < size <= _LARGEST_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
-        raise CucumberVisionError(
-            f"{text!r} is no input size",
-            source="--input-size",
-            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {_LARGEST_PX}, such as 640, "
-            "or several joined by commas",
-        )
-    return tuple(sorted(sizes))
-
-
-def one_of_each(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
-    """Return what a network finds at several sizes, what it finds twice once, best first.
-
-    Parameters
-    ----------
-    found : sequence of sequence of Instance
-        Of each size; those of a single size stay as they are.
-
-    Returns
-    -------
-    tuple of Instance
-        Of boxes of one class that overlap by an IoU of more than 0.7, the best. Finds that agree
-        less are joined by their masks, as those of one size are (`merge_instances`).
-
-    Examples
-    --------
-    >>> one = Instance(np.array([0.0, 0, 100, 20]), 0.8, input_size_px=640)
-    >>> two = Instance(np.array([0.0, 0, 98, 20]), 0.9, input_size_px=1280)
-    >>> [(best.confidence, best.input_size_px) for best in one_of_each([[one], [two]])]
-    [(0.9, 1280)]
-    """
-    every = [one for some in found for one in some]
-    if len(found) < 2 or not every:
-        return tuple(every)
-    names = sorted({one.class_name for one in every})
-    kept = suppress(
-        np.array([one.box for one in every]),
-        np.array([one.confidence for one in every]),
-        np.array([names.index(one.class_name) for one in every]),
-        _NMS_IOU,
-    )
-    return tuple(sorted((every[k] for k in kept), key=lambda one: -one.confidence))
-
+_FLOOR_SHARE = 1 / 3
+"""Of the confidence asked: what one of several input sizes finds below it is not looked at."""
 
 DEFAULT_CONFIDENCE = 0.30
 
@@ -439,7 +369,7 @@ class YoloDetector:
         hundreds, and each mask is drawn at full size.
     input_sizes : tuple of int
         Long sides that the network sees, pixels, multiples of its stride; what it finds at several
-        is merged. Empty for the file's own.
+        is merged (`merge_sizes`). Empty for the file's own.
 
     Raises
     ------
@@ -513,8 +443,11 @@ class YoloDetector:
         ModelError
             If the network fails, or its output has no known layout.
         """
-        found = one_of_each([self._detect_at(color_rgb, size_px) for size_px in self._sizes_px])
-        found = found[: self._most]
+        several = len(self._sizes_px) > 1
+        least = self._confidence * (_FLOOR_SHARE if several else 1)
+        every = [self._detect_at(color_rgb, size_px, least) for size_px in self._sizes_px]
+        merged = merge_sizes(every)
+        found = tuple(one for one in merged if one.confidence > self._confidence)[: self._most]
         if not self._layout.by_place:
             return found
         if self.ends is None:
@@ -538,7 +471,7 @@ class YoloDetector:
                 )
 
     def _detect_at(
-        self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int]
+        self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
     ) -> tuple[Instance, ...]:
         layout = self._layout
         height, width = color_rgb.shape[:2]
@@ -547,9 +480,9 @@ class YoloDetector:
         output = outputs[layout.rows_name][0]
         classes = layout.raw_classes(output.shape)
         rows = (
-            choose_rows(output, self._confidence)
+            choose_rows(output, confidence)
             if classes is None
-            else choose_raw(output, classes, self._confidence, one_to_one=layout.one_to_one)
+            else choose_raw(output, classes, confidence, one_to_one=layout.one_to_one)
         )
         prototypes = outputs[layout.prototypes_name][0] if layout.prototypes_name else None
         found = self._instances(rows[: self._most], prototypes, box)

@@ -51,7 +51,7 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Compare the networks with labelled pictures: precision, recall, keypoints, masks, lengths."""
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.figures import summarise
     from cucumbervision_lab.detection.report import main_tables, write_detection_report
@@ -91,7 +91,7 @@ def evaluate_photos(
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:
     """Compare the networks with audited real photos: recall and precision, each test apart."""
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.report import photo_tables, write_photo_report
     from cucumbervision_lab.detection.run import evaluate_real_photos

@@ -305,7 +305,7 @@ def export(
     input_size: InputSize = "",
 ) -> None:
     """Write the ONNX file and its card, and show its entry for the registry."""
-    from cucumbervision.perception.yolo import parse_input_sizes
+    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.training.export import export_trained
     from cucumbervision_lab.training.publish import registry_entry

@@ -1,0 +1,109 @@
+"""The sizes at which a network sees a picture, and what it finds at several made one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.perception.boxes import box_ious
+from cucumbervision.perception.instances import Instance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["merge_sizes", "parse_input_sizes"]
+
+_SIZE_STEP_PX, _LARGEST_PX = 32, 4096
+
+
+def parse_input_sizes(text: str) -> tuple[int, ...]:
+    """Read what `--input-size` is given: a size in pixels, or several for their merged finds.
+
+    Parameters
+    ----------
+    text : str
+        Multiples of 32 up to 4096, joined by commas; empty for the network's own size.
+
+    Returns
+    -------
+    tuple of int
+        Each size once, the smallest first.
+
+    Raises
+    ------
+    CucumberVisionError
+        For anything else.
+
+    Examples
+    --------
+    >>> parse_input_sizes("1280,640"), parse_input_sizes("")
+    ((640, 1280), ())
+    """
+    parts = [part.strip() for part in text.split(",")] if text.strip() else []
+    sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
+    if not all(0 < size <= _LARGEST_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
+        raise CucumberVisionError(
+            f"{text!r} is no input size",
+            source="--input-size",
+            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {_LARGEST_PX}, such as 640, "
+            "or several joined by commas",
+        )
+    return tuple(sorted(sizes))
+
+
+_SAME_IOU = 0.5
+
+
+def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
+    """Return what a network finds at several input sizes, each find once, best first.
+
+    The confidence is the mean over the sizes, with 0 where a size does not find it: what looks
+    like a fruit at one size only is half as sure (as in weighted boxes fusion, Solovyev et al.,
+    2021).
+
+    Parameters
+    ----------
+    found : sequence of sequence of Instance
+        Of each size; those of a single size stay as they are.
+
+    Returns
+    -------
+    tuple of Instance
+        Boxes of one class that overlap by an IoU of more than 0.5 are one find: their box is the
+        mean, weighted by confidence, all else that of the surest. Finds that agree less are joined
+        by their masks, as those of one size are (`merge_instances`).
+
+    Examples
+    --------
+    >>> one = Instance(np.array([0.0, 0, 100, 20]), 0.6, input_size_px=640)
+    >>> two = Instance(np.array([0.0, 0, 96, 20]), 0.9, input_size_px=896)
+    >>> (best,) = merge_sizes([[one], [two]])
+    >>> best.confidence, best.box.round(1).tolist(), best.input_size_px
+    (0.75, [0.0, 0.0, 97.6, 20.0], 896)
+    >>> merge_sizes([[one], []])[0].confidence
+    0.3
+    """
+    if len(found) < 2:
+        return tuple(one for some in found for one in some)
+    groups: list[dict[int, Instance]] = []
+    every = [(size, one) for size, some in enumerate(found) for one in some]
+    for size, one in sorted(every, key=lambda pair: -pair[1].confidence):
+        free = [group for group in groups if size not in group]
+        firsts = [next(iter(group.values())) for group in free]
+        ious = box_ious(one.box[None], np.array([first.box for first in firsts]).reshape(-1, 4))[0]
+        ious *= [first.class_name == one.class_name for first in firsts]
+        if ious.size and ious.max() > _SAME_IOU:
+            free[int(ious.argmax())][size] = one
+        else:
+            groups.append({size: one})
+    merged = [_mean_find(tuple(group.values()), len(found)) for group in groups]
+    return tuple(sorted(merged, key=lambda one: -one.confidence))
+
+
+def _mean_find(finds: Sequence[Instance], sizes: int) -> Instance:
+    confidences = [one.confidence for one in finds]
+    box = np.average([one.box for one in finds], axis=0, weights=confidences)
+    return replace(finds[0], box=box, confidence=sum(confidences) / sizes)

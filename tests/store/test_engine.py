@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -82,25 +81,3 @@ def test_who_writes_for_too_long_is_named_as_such(
         ):
             pass
     other.close()
-
-
-def test_a_cell_of_another_kind_is_a_named_error(tmp_path: Path) -> None:
-    from cucumbervision_lab.robustness.seeds import stop_of
-
-    with open_store(tmp_path / "house.db", images=tmp_path) as store:
-        walk, stop = stop_of(store)
-        store.save_round(walk)
-        store.save_stop(stop)
-    with closing(sqlite3.connect(tmp_path / "house.db")) as raw:
-        raw.execute("UPDATE stops SET position_sd_m = 'wide'")
-        raw.commit()
-    with (
-        open_store(tmp_path / "house.db", images=tmp_path) as store,
-        pytest.raises(StoreError, match=r"house.db: is damaged .*; copy the database away"),
-    ):
-        store.detections(walk.key)
-
-
-def test_a_mistake_of_ours_is_not_called_damage(tmp_path: Path) -> None:
-    with open_store(tmp_path / "house.db") as store, pytest.raises(KeyError), store.reading():
-        raise KeyError("a name of ours")

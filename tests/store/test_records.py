@@ -15,7 +15,6 @@ from cucumbervision.store.records import (
     new_key,
     record_json,
 )
-from cucumbervision.store.schema import detection_from_json, pack_um, points, unpack_um
 
 
 def test_new_keys_differ_and_made_keys_do_not() -> None:
@@ -50,21 +49,3 @@ def test_a_content_hash_tells_records_apart_to_the_last_digit() -> None:
     assert content_sha256(one) != content_sha256(
         DetectionRecord(1, length_m=math.nextafter(0.3, 1))
     )
-
-
-def test_a_fruit_comes_back_from_json() -> None:
-    fruit = DetectionRecord(3, keypoints=((1.5, 2.5, 0.25),), mask="123", flags="end-hidden")
-    assert detection_from_json(record_json(fruit)) == fruit
-
-
-def test_paths_keep_whole_micrometres() -> None:
-    packed = pack_um([(0.123456, -1.0, 1999.0)])
-    assert len(packed) == 12
-    assert points(packed) == ((0.123456, -1.0, 1999.0),)
-    assert unpack_um(b"") == ()
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, 3000.0])
-def test_a_path_of_no_positions_is_refused(value: float) -> None:
-    with pytest.raises(StoreError, match="no position"):
-        pack_um([value])

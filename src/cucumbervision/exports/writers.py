@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.exports.tables import Charts, RoundTables
     from cucumbervision.pipeline.fields import Cell
 
-__all__ = ["SHEETS", "ExportFormat", "render_sheet", "to_read", "write_exports"]
+__all__ = ["SHEETS", "ExportFormat", "reading_table", "render_sheet", "write_exports"]
 
 
 def write_exports(
@@ -177,7 +177,7 @@ def _write_round_workbook(tables: RoundTables, out: Path) -> list[Path]:
         summary = book.add_worksheet("Summary")
         writer.summary(summary, tables)
         for name, (title, frozen) in SHEETS.items():
-            table = to_read(tables) if name == "fruit" else tables[name]
+            table = reading_table(tables) if name == "fruit" else tables[name]
             writer.table(book.add_worksheet(title), table, frozen)
         writer.columns(book.add_worksheet("Columns"), tables)
         writer.charts(summary, book.add_worksheet("Charts"), tables)
@@ -199,7 +199,7 @@ _READ = (
 _IS_READ = frozenset({"row", "along_m", "number", "length_cm", "grade"})
 
 
-def to_read(tables: RoundTables) -> Table:
+def reading_table(tables: RoundTables) -> Table:
     """Return the fruit with ten columns to read before the others of `fruit.csv`."""
     table = tables["fruit"]
     others = [column for column in table.columns if column.name not in _IS_READ]
@@ -209,7 +209,7 @@ def to_read(tables: RoundTables) -> Table:
             tables.title,
             *(one[name] for name in ("row", "along_m", "number", "length_cm")),
             *(one[name] for name in ("interval_low_cm", "interval_high_cm", "grade")),
-            said(one) or None,
+            fruit_remarks(one) or None,
             *(one[column.name] for column in others),
         )
         for one in table.records()
@@ -217,12 +217,12 @@ def to_read(tables: RoundTables) -> Table:
     return Table("fruit", (*_READ, *others), tuple(rows))
 
 
-def said(fruit: dict[str, Cell]) -> str:
+def fruit_remarks(fruit: dict[str, Cell]) -> str:
     """Return what else to know of a line of `fruit`, in words.
 
     Examples
     --------
-    >>> said({"flags": "part-hidden", "picked_utc": "2026-05-01T08:00:00Z", "simulated": True})
+    >>> fruit_remarks({"flags": "part-hidden", "picked_utc": "2026-05-01T08:00:00Z", "simulated": True})
     'picked; drawn, not grown; partly hidden'
     """
     parts = (
@@ -308,7 +308,7 @@ class _Writer:
         sheet.set_column(0, 2, 18)
         sheet.set_column(3, 3, 70)
         sheet.write_row(0, 0, ("table", "column", "unit", "what it says"), self.head)
-        shown = {**tables.tables, "fruit": to_read(tables)}
+        shown = {**tables.tables, "fruit": reading_table(tables)}
         columns = [(table.name, one) for table in shown.values() for one in table.columns]
         for line, (name, one) in enumerate(columns, 1):
             sheet.write_row(line, 0, (name, one.name, one.unit, one.says))
@@ -478,7 +478,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(figure=_figure, said=said, hours=_hours)
+    environment.filters.update(figure=_figure, fruit_remarks=fruit_remarks, hours=_hours)
     return environment.get_template("round.html")
 
 

@@ -9,7 +9,7 @@ from sqlalchemy import and_, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.edits import Edits, restore
+from cucumbervision.store.edits import Edits, change_line
 from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
@@ -164,7 +164,7 @@ class Corrections(Edits):
                     begun_again = update(table).where(table.ended_by_id == action.id)
                     connection.execute(begun_again.values(ended_by_id=None))
                 if "before" in action.details:
-                    restore(connection, action.details)
+                    change_line(connection, action.details, back=True)
             except IntegrityError:  # something newer stands where the old would stand again
                 raise _stands_on(action.id) from None
         return made

@@ -21,7 +21,7 @@ from cucumbervision.store.schema import Action, Round, StopLine
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-__all__ = ["STOP_EDITS", "Edits", "StopPlace", "first_name", "restore"]
+__all__ = ["STOP_EDITS", "Edits", "StopPlace", "change_line", "first_name"]
 
 STOP_EDITS = ("place-stop", "delete-stop")
 """Kinds of action after which a round's views have to be merged anew."""
@@ -112,25 +112,27 @@ def _edit(
         details=details,
     )
     number = connection.execute(logged.returning(Action.id)).scalar_one()
-    restore(connection, {**details, "before": after, "after": before})
+    change_line(connection, details)
     return number
 
 
-def restore(connection: Connection, details: dict[str, Any]) -> None:
-    """Let a stop or round say again what it said before an edit, where it says what that made it.
+def change_line(connection: Connection, details: dict[str, Any], *, back: bool = False) -> None:
+    """Write what an action's `details` say into its stop or round; `back` what stood there before.
 
     Raises
     ------
     StoreConflictError
-        If it says something else by now.
+        If the line says something else by now.
     """
     table = _TABLES[details["table"]]
-    now = [getattr(table, name).is_not_distinct_from(x) for name, x in details["after"].items()]
+    old, new = details["before"], details["after"]
+    if back:
+        old, new = new, old
+    now = [getattr(table, name).is_not_distinct_from(value) for name, value in old.items()]
     # Where merging put a stop that is moved no longer holds: the next merging finds it anew.
-    moved = "position_m" in details["before"]
-    fitted = {"fitted_m": None, "fitted_sd_m": None} if moved else {}
+    fitted = {"fitted_m": None, "fitted_sd_m": None} if "position_m" in new else {}
     line = update(table).where(table.key == details["key"], *now)
-    if connection.execute(line.values(**details["before"], **fitted)).rowcount != 1:
+    if connection.execute(line.values(**new, **fitted)).rowcount != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
 
 

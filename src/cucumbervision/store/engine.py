@@ -13,7 +13,7 @@ from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from cucumbervision.errors import MissingExtraError, StoreError, StoreVersionError, refusing
+from cucumbervision.errors import MissingExtraError, StoreError, StoreVersionError
 from cucumbervision.store.images import ImageStore
 from cucumbervision.store.schema import Base
 
@@ -220,18 +220,6 @@ class Database:
         """Open a transaction that only reads."""
         return begin(self.engine)
 
-    @contextmanager
-    def decoding(self) -> Iterator[Connection]:
-        """Open a transaction in which lines become records, and nothing else is done.
-
-        Raises
-        ------
-        StoreError
-            If the database reports an error, or holds what no record is made of.
-        """
-        with refusing(self.name, StoreError, _DAMAGED), self.reading() as connection:
-            yield connection
-
     def writing(self) -> AbstractContextManager[Connection]:
         """Open a transaction that writes."""
         return begin(self.engine, write=True)
@@ -246,8 +234,6 @@ class Database:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-
-_DAMAGED = "copy the database away, and check it with `round check`"
 
 REVISIONS = ("0001", "0002")
 HEAD = REVISIONS[-1]

@@ -10,12 +10,18 @@ from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import aliased
 
 from cucumbervision.errors import StoreError
+from cucumbervision.store.cells import (
+    built,
+    cells_of,
+    columns_of,
+    decoding,
+    detection_from_json,
+    image_ref,
+)
 from cucumbervision.store.engine import Database
 from cucumbervision.store.records import (
     ArtifactRecord,
-    CaptureRecord,
     DetectionRecord,
-    ImageRef,
     MethodRecord,
     RoundRecord,
     StopRecord,
@@ -23,35 +29,25 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.schema import (
     ADDED,
-    CAPTURE_CELLS,
     DETECTION_CELLS,
     IMAGE_COLUMNS,
     METHOD_CELLS,
     ROUND_CELLS,
     STANDS,
     Action,
-    Artifact,
     CaptureLine,
     DetectionLine,
     Image,
     Link,
     Mark,
-    MaskLine,
     MethodLine,
     Round,
     Row,
     Shift,
-    StopArtifact,
     StopLine,
-    built,
-    cells_of,
-    columns_of,
-    detection_from_json,
-    image_ref,
-    points,
     stands,
-    unpack_um,
 )
+from cucumbervision.store.stop_reading import artifacts_of, corrected_of, read_stop
 from cucumbervision.store.views import (
     ActionView,
     CameraAt,
@@ -101,7 +97,7 @@ class Queries(Database):
         query = query.where(Round.deleted == deleted)
         if house is not None:
             query = query.where(Round.house == house)
-        with self.decoding() as connection:
+        with self.reading() as connection:
             rows = cells_of(connection, query)
             return [RoundView(RoundRecord(*row[:6]), *row[6:]) for row in rows]
 
@@ -113,7 +109,7 @@ class Queries(Database):
 
     def stops(self, round_key: str) -> list[StopView]:
         """Return a round's stops in the order in which they were made."""
-        with self.decoding() as connection:
+        with self.reading() as connection:
             rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
             return [
                 built(StopView, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19]))
@@ -127,7 +123,7 @@ class Queries(Database):
 
         `DetectionFilter(best=True)` gives every fruit once, however often it was seen.
         """
-        with self.decoding() as connection:
+        with self.reading() as connection:
             views = _detections_of(connection, round_key)
         return views if only is None else [view for view in views if only.keeps(view)]
 
@@ -141,7 +137,7 @@ class Queries(Database):
         """
         key = checked_key(key, "fruit")
         of_round = select(Round.key).join(DetectionLine, DetectionLine.round_id == Round.id)
-        with self.decoding() as connection:
+        with self.reading() as connection:
             found = of_round.where(DetectionLine.key == key, STANDS)
             round_key = connection.execute(found).scalar()
             if round_key is None:
@@ -153,8 +149,8 @@ class Queries(Database):
             group = group_detections(ends, links)[key]
             views = _detections_of(connection, round_key, sorted(group))
             view = next(one for one in views if one.key == key)
-            stop = _stop_of(connection, view.stop_key)
-            corrected = _corrected_of(connection, DetectionLine.key == key).get(key)
+            stop = read_stop(connection, view.stop_key)
+            corrected = corrected_of(connection, DetectionLine.key == key).get(key)
             log = _actions_of(connection, round_key, None)
         capture = next(one for one in stop.captures if one.name == view.capture)
         original = next(one for one in capture.fruit if one.number == view.record.number)
@@ -169,9 +165,9 @@ class Queries(Database):
 
     def picked(self, round_key: str) -> dict[str, float]:
         """Return when detections were marked as picked, by their keys."""
-        with self.decoding() as connection:
+        with self.reading() as connection:
             marks = _marks_of(connection, round_id_of(connection, round_key), "picked")
-            return {key: float(own["picked"]) for key, own in marks.items()}
+            return {key: own["picked"] for key, own in marks.items()}
 
     def judged(self, round_key: str) -> tuple[int, int]:
         """Return what people said of the finds of a round's house.
@@ -183,7 +179,7 @@ class Queries(Database):
         """
         own, other = aliased(Round), aliased(Round)
         kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
-        with self.decoding() as connection:
+        with self.reading() as connection:
             house = select(own.house).where(own.id == round_id_of(connection, round_key))
             counts = (
                 select(DetectionLine.round_id, Mark.value, func.count())
@@ -210,7 +206,7 @@ class Queries(Database):
         without : sequence of str
             Kinds of action that do not matter.
         """
-        with self.decoding() as connection:
+        with self.reading() as connection:
             found = select(func.max(Action.id)).where(
                 Action.round_id == round_id_of(connection, round_key), Action.kind.not_in(without)
             )
@@ -219,7 +215,7 @@ class Queries(Database):
     def measurements(self, round_key: str) -> dict[str, tuple[MethodRecord, ...]]:
         """Return every method's first measurement by the detections' keys, without the paths."""
         found: dict[str, list[MethodRecord]] = {}
-        with self.decoding() as connection:
+        with self.reading() as connection:
             query = (
                 select(DetectionLine.key, *columns_of(MethodLine, METHOD_CELLS))
                 .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
@@ -232,9 +228,9 @@ class Queries(Database):
 
     def corrected(self, round_key: str) -> dict[str, DetectionRecord]:
         """Return the corrected records, masks included, by the keys of their detections."""
-        with self.decoding() as connection:
+        with self.reading() as connection:
             which = DetectionLine.round_id == round_id_of(connection, round_key)
-            return _corrected_of(connection, which)
+            return corrected_of(connection, which)
 
     def cameras(self, round_key: str) -> dict[str, CameraAt]:
         """Return where the cameras of a round stood, by the stops' keys."""
@@ -249,8 +245,8 @@ class Queries(Database):
             .order_by(StopLine.id, CaptureLine.number)
         )
         found: dict[str, CameraAt] = {}
-        with self.decoding() as connection:
-            for key, given, mirrored, number, name, camera in connection.execute(query):
+        with self.reading() as connection, decoding(connection):
+            for key, given, mirrored, number, name, camera in cells_of(connection, query):
                 pose = [*(-x for x in given[:3]), *given[3:]] if mirrored else given
                 at = found.setdefault(key, CameraAt(pose, {}, camera or {}))
                 if number is not None:
@@ -259,8 +255,8 @@ class Queries(Database):
 
     def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
         """Return what the stops of a round were measured with, by the stops' keys."""
-        with self.decoding() as connection:
-            return _artifacts_of(connection, and_(Round.key == round_key, ~StopLine.deleted))
+        with self.reading() as connection:
+            return artifacts_of(connection, and_(Round.key == round_key, ~StopLine.deleted))
 
     def stop(self, stop_key: str) -> StopRecord:
         """Return a stop with everything: as it was saved, but where people put it since.
@@ -272,18 +268,18 @@ class Queries(Database):
         StoreError
             If it is not there.
         """
-        with self.decoding() as connection:
-            return _stop_of(connection, stop_key)
+        with self.reading() as connection:
+            return read_stop(connection, stop_key)
 
     def links(self, round_key: str, kind: LinkKind | None = None) -> list[LinkRecord]:
         """Return the links that touch a round; of growth both from earlier and to later rounds."""
-        with self.decoding() as connection:
+        with self.reading() as connection:
             return links_of(connection, round_key, kind)
 
     def shifts(self, later: str) -> list[ShiftRecord]:
         """Return how far rows were moved between earlier rounds and this one."""
         first, second = aliased(Round), aliased(Round)
-        with self.decoding() as connection:
+        with self.reading() as connection:
             query = (
                 select(Row.name, first.key, second.key, Shift.shift_m, Shift.sd_m)
                 .join(Row, Row.id == Shift.row_id)
@@ -296,7 +292,7 @@ class Queries(Database):
 
     def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[ActionView]:
         """Return what was done by hand, the newest first."""
-        with self.decoding() as connection:
+        with self.reading() as connection:
             return _actions_of(connection, round_key, limit)
 
 
@@ -335,10 +331,9 @@ def links_of(
     if kind is not None:
         query = query.where(Link.kind == str(kind))
     kinds = {str(one): one for one in LinkKind}
-    return [
-        LinkRecord(kinds[row[0]], row[1], row[2], row[3], row[4] is not None)
-        for row in cells_of(connection, query)
-    ]
+    rows = cells_of(connection, query)
+    with decoding(connection):
+        return [LinkRecord(kinds[row[0]], *row[1:4], row[4] is not None) for row in rows]
 
 
 def _stop_query(round_id: int) -> Any:
@@ -465,127 +460,14 @@ def _marks_of(
         query = query.where(Mark.slot == slot)
     verdicts = {str(verdict): verdict for verdict in Verdict}
     marks: dict[str, dict[str, Any]] = {}
-    for key, slot, value, details in cells_of(connection, query):
-        if slot == ADDED:
-            continue
-        mark: Any = verdicts[value] if slot == "verdict" else details.get("at_s")
-        if slot == "mask":
-            mark = replace(detection_from_json(details), keypoints=(), mask=None, methods=())
-        marks.setdefault(key, {})[slot] = mark
+    rows = cells_of(connection, query.where(Mark.slot != ADDED))
+    with decoding(connection):
+        for key, slot, value, details in rows:
+            mark: Any = verdicts[value] if slot == "verdict" else details.get("at_s")
+            if slot == "mask":
+                mark = replace(detection_from_json(details), keypoints=(), mask=None, methods=())
+            marks.setdefault(key, {})[slot] = mark
     return marks
-
-
-def _corrected_of(connection: Connection, which: Any) -> dict[str, DetectionRecord]:
-    """Return corrected records with masks and methods by the detections' keys."""
-    query = (
-        select(DetectionLine.key, Mark.details)
-        .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-        .where(Mark.slot == "mask", Mark.ended_by_id.is_(None), STANDS, which)
-    )
-    return {key: detection_from_json(details) for key, details in cells_of(connection, query)}
-
-
-def _artifacts_of(connection: Connection, which: Any) -> dict[str, tuple[ArtifactRecord, ...]]:
-    """Return what stops were measured with, in the order given, by the stops' keys."""
-    query = (
-        select(StopLine.key, Artifact.kind, Artifact.name, Artifact.sha256, Artifact.details)
-        .join(StopArtifact, StopArtifact.stop_id == StopLine.id)
-        .join(Artifact, Artifact.id == StopArtifact.artifact_id)
-        .join(Round, Round.id == StopLine.round_id)
-        .where(which)
-        .order_by(StopLine.id, StopArtifact.number)
-    )
-    found: dict[str, list[ArtifactRecord]] = {}
-    for key, *cells in cells_of(connection, query):
-        found.setdefault(key, []).append(ArtifactRecord(*cells))
-    return {key: tuple(artifacts) for key, artifacts in found.items()}
-
-
-def _stop_of(connection: Connection, key: str) -> StopRecord:
-    key = checked_key(key, "stop")
-    query = (
-        select(StopLine, Round.key.label("round_key"), Row.name.label("row"))
-        .join(Round, Round.id == StopLine.round_id)
-        .outerjoin(Row, Row.id == StopLine.row_id)
-        .where(StopLine.key == key)
-    )
-    # A Core connection gives the entity's columns one by one.
-    found = connection.execute(query).mappings().one_or_none()
-    if found is None:
-        raise StoreError(f"stop {key} is not in the store", remedy="look it up in stops()")
-    as_saved = ("round_key", "row", "side", "position_m", "position_sd_m", "step", "taken_s")
-    return StopRecord(
-        key=key,
-        **{name: found[name] for name in (*as_saved, "note")},
-        pose=tuple(found["pose"]),
-        captures=_captures_of(connection, found["id"]),
-        artifacts=_artifacts_of(connection, StopLine.key == key).get(key, ()),
-        failures=tuple(found["failures"]),
-    )
-
-
-def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, ...]:
-    detections = _records_of(connection, stop_id)
-    refs = (CaptureLine.color_sha256, CaptureLine.depth_sha256, CaptureLine.thumbnail_sha256)
-    query = (
-        select(CaptureLine.id, *refs, *columns_of(CaptureLine, CAPTURE_CELLS))
-        .where(CaptureLine.stop_id == stop_id)
-        .order_by(CaptureLine.number)
-    )
-    rows = cells_of(connection, query)
-    wanted = {sha256 for row in rows for sha256 in row[1:4] if sha256}
-    of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(wanted))
-    images = {row[0]: ImageRef(*row) for row in cells_of(connection, of_images)}
-    return tuple(
-        built(
-            CaptureRecord,
-            *row[4:],
-            *(images.get(sha256) for sha256 in row[1:4]),
-            tuple(detections.get(row[0], ())),
-        )
-        for row in rows
-    )
-
-
-def _records_of(connection: Connection, stop_id: int) -> dict[int, list[DetectionRecord]]:
-    """Return the detections of a stop with masks and methods, by their captures' numbers."""
-    of_methods = (
-        select(
-            MethodLine.fruit_id,
-            MethodLine.path_um,
-            MethodLine.diameter_um,
-            *columns_of(MethodLine, METHOD_CELLS),
-        )
-        .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
-        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-        .where(CaptureLine.stop_id == stop_id)
-        .order_by(MethodLine.fruit_id, MethodLine.number)
-    )
-    methods: dict[int, list[MethodRecord]] = {}
-    for row in cells_of(connection, of_methods):
-        method = built(MethodRecord, *row[3:], points(row[1]), unpack_um(row[2]))
-        methods.setdefault(row[0], []).append(method)
-    of_detections = (
-        select(
-            DetectionLine.id,
-            DetectionLine.capture_id,
-            MaskLine.keypoints,
-            MaskLine.rle,
-            *columns_of(DetectionLine, DETECTION_CELLS),
-        )
-        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-        .join(MaskLine, MaskLine.fruit_id == DetectionLine.id)
-        .where(CaptureLine.stop_id == stop_id, STANDS)
-        .order_by(DetectionLine.id)
-    )
-    found: dict[int, list[DetectionRecord]] = {}
-    for row in cells_of(connection, of_detections):
-        keypoints = tuple(tuple(point) for point in row[2])
-        own = tuple(methods.get(row[0], ()))
-        found.setdefault(row[1], []).append(
-            built(DetectionRecord, *row[4:], keypoints, row[3], own)
-        )
-    return found
 
 
 def _actions_of(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import delete, func, insert, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.store.cells import columns_of, pack_um
 from cucumbervision.store.corrections import (
     Corrections,
     find_detections,
@@ -45,8 +46,6 @@ from cucumbervision.store.schema import (
     Shift,
     StopArtifact,
     StopLine,
-    columns_of,
-    pack_um,
 )
 from cucumbervision.store.views import LinkKind, Saved
 

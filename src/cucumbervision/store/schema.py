@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from dataclasses import fields
 from types import UnionType
-from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-import numpy as np
 from sqlalchemy import (
     JSON,
     Boolean,
@@ -32,19 +31,10 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, aliased, mapped_column
 
-from cucumbervision.errors import StoreError
-from cucumbervision.store.records import (
-    CaptureRecord,
-    DetectionRecord,
-    ImageRef,
-    MethodRecord,
-    Point,
-)
+from cucumbervision.store.records import CaptureRecord, DetectionRecord, MethodRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from sqlalchemy import Connection
+    from collections.abc import Sequence
 
 __all__ = [
     "ADDED",
@@ -69,15 +59,7 @@ __all__ = [
     "Shift",
     "StopArtifact",
     "StopLine",
-    "built",
-    "cells_of",
-    "columns_of",
-    "detection_from_json",
-    "image_ref",
-    "pack_um",
-    "points",
     "stands",
-    "unpack_um",
 ]
 
 _ACTIVE = text("ended_by_id IS NULL")
@@ -86,6 +68,18 @@ _ACTIVE = text("ended_by_id IS NULL")
 def _one_active(name: str, *columns: str) -> Index:
     """Return an index that allows one line which has not ended for these columns."""
     return Index(name, *columns, unique=True, sqlite_where=_ACTIVE, postgresql_where=_ACTIVE)
+
+
+class JsonList(JSON):
+    """JSON whose value is a list."""
+
+    python_type = list
+
+
+class JsonObject(JSON):
+    """JSON whose value is an object."""
+
+    python_type = dict
 
 
 class Base(DeclarativeBase):
@@ -100,7 +94,12 @@ class Base(DeclarativeBase):
             "pk": "pk_%(table_name)s",
         }
     )
-    type_annotation_map = {float: Double, str: Text, dict[str, Any]: JSON, list[Any]: JSON}  # noqa: RUF012
+    type_annotation_map = {
+        float: Double,
+        str: Text,
+        dict[str, Any]: JsonObject,
+        list[Any]: JsonList,
+    }
 
 
 class Round(Base):
@@ -335,7 +334,7 @@ def _lay_out(table: type[Base], record: type, leave_out: Sequence[str]) -> tuple
         hint = hints[name]
         kinds = set(get_args(hint)) if isinstance(hint, UnionType) else {hint}
         if not hasattr(table, name):
-            sql = next((_TYPES[kind] for kind in kinds if kind in _TYPES), JSON)
+            sql = next((_TYPES[kind] for kind in kinds if kind in _TYPES), JsonObject)
             setattr(table, name, mapped_column(sql, nullable=type(None) in kinds))
     return names
 
@@ -345,88 +344,3 @@ DETECTION_CELLS = _lay_out(DetectionLine, DetectionRecord, ("keypoints", "mask",
 METHOD_CELLS = _lay_out(MethodLine, MethodRecord, ("path_m", "diameter_m"))
 ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 IMAGE_COLUMNS = (Image.sha256, Image.suffix, Image.size_bytes, Image.width_px, Image.height_px)
-
-T = TypeVar("T")
-
-_REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
-
-
-def columns_of(table: type[Base], names: Sequence[str]) -> list[Any]:
-    """Return a table's columns of these names, for a query."""
-    return [getattr(table, name) for name in names]
-
-
-def pack_um(values_m: Sequence[float] | Sequence[Point]) -> bytes:
-    """Pack lengths as whole micrometres: little-endian, 32 bits each.
-
-    Raises
-    ------
-    StoreError
-        If one is not finite or beyond 2 km.
-
-    Examples
-    --------
-    >>> unpack_um(pack_um([0.1234567, -0.5]))
-    (0.123457, -0.5)
-    """
-    values = np.asarray(values_m, np.float64).ravel()
-    if not (np.abs(values) < _REACH_M).all():
-        raise StoreError("a path holds a number that is no position", remedy="give metres")
-    return np.rint(values * 1e6).astype("<i4").tobytes()
-
-
-def unpack_um(data: bytes) -> tuple[float, ...]:
-    """Return metres from what `pack_um` packed."""
-    return tuple((np.frombuffer(data, "<i4") / 1e6).tolist())
-
-
-def points(data: bytes) -> tuple[Point, ...]:
-    """Return points (x, y, z) in metres from what `pack_um` packed."""
-    flat = unpack_um(data)
-    return tuple(zip(flat[0::3], flat[1::3], flat[2::3], strict=True))
-
-
-def detection_from_json(values: Mapping[str, Any]) -> DetectionRecord:
-    """Return the detection that `record_json` was given.
-
-    Examples
-    --------
-    >>> from cucumbervision.store.records import record_json
-    >>> fruit = DetectionRecord(1, methods=(MethodRecord("M1", 0.2, path_m=((0.0, 0.0, 1.0),)),))
-    >>> detection_from_json(record_json(fruit)) == fruit
-    True
-    """
-    methods = tuple(
-        MethodRecord(
-            **{
-                **method,
-                "path_m": tuple(tuple(point) for point in method["path_m"]),
-                "diameter_m": tuple(method["diameter_m"]),
-            }
-        )
-        for method in values["methods"]
-    )
-    keypoints = tuple(tuple(point) for point in values["keypoints"])
-    return DetectionRecord(**{**values, "methods": methods, "keypoints": keypoints})
-
-
-def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
-    """Run a query and return its rows as plain tuples."""
-    return cast("list[tuple[Any, ...]]", connection.execute(query).all())
-
-
-def built(kind: type[T], *cells: Any) -> T:
-    """Make a record from its fields in order.
-
-    Examples
-    --------
-    >>> built(MethodRecord, "M1", 0.2).length_m
-    0.2
-    """
-    make: Callable[..., T] = kind
-    return make(*cells)
-
-
-def image_ref(cells: Sequence[Any]) -> ImageRef | None:
-    """Return a picture from its five cells, or None where the first is empty."""
-    return None if cells[0] is None else ImageRef(*cells)

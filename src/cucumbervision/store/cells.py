@@ -1,0 +1,162 @@
+"""Cells of the tables into values and back; what cannot be such a value is called damage."""
+
+from __future__ import annotations
+
+from types import NoneType
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
+
+from cucumbervision.errors import StoreError, refusing
+from cucumbervision.store.engine import named
+from cucumbervision.store.records import DetectionRecord, ImageRef, MethodRecord, Point
+from cucumbervision.store.schema import (
+    Base,
+    DetectionLine,
+    Mark,
+    MaskLine,
+    MethodLine,
+    StopLine,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from contextlib import AbstractContextManager
+
+    from sqlalchemy import Connection
+
+__all__ = [
+    "built",
+    "cells_of",
+    "columns_of",
+    "decoding",
+    "detection_from_json",
+    "image_ref",
+    "pack_um",
+    "points",
+    "unpack_um",
+]
+
+T = TypeVar("T")
+
+# Tables whose lines are in every row of a query that has their columns: no outer join.
+_NEVER_MISSING = frozenset(
+    table.__tablename__ for table in (DetectionLine, Mark, MaskLine, MethodLine, StopLine)
+)
+
+_REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
+
+
+def columns_of(table: type[Base], names: Sequence[str]) -> list[Any]:
+    """Return a table's columns of these names, for a query."""
+    return [getattr(table, name) for name in names]
+
+
+def pack_um(values_m: Sequence[float] | Sequence[Point]) -> bytes:
+    """Pack lengths as whole micrometres: little-endian, 32 bits each.
+
+    Raises
+    ------
+    StoreError
+        If one is not finite or beyond 2 km.
+
+    Examples
+    --------
+    >>> unpack_um(pack_um([0.1234567, -0.5]))
+    (0.123457, -0.5)
+    """
+    values = np.asarray(values_m, np.float64).ravel()
+    if not (np.abs(values) < _REACH_M).all():
+        raise StoreError("a path holds a number that is no position", remedy="give metres")
+    return np.rint(values * 1e6).astype("<i4").tobytes()
+
+
+def unpack_um(data: bytes) -> tuple[float, ...]:
+    """Return metres from what `pack_um` packed."""
+    return tuple((np.frombuffer(data, "<i4") / 1e6).tolist())
+
+
+def points(data: bytes) -> tuple[Point, ...]:
+    """Return points (x, y, z) in metres from what `pack_um` packed."""
+    flat = unpack_um(data)
+    return tuple(zip(flat[0::3], flat[1::3], flat[2::3], strict=True))
+
+
+def detection_from_json(values: Mapping[str, Any]) -> DetectionRecord:
+    """Return the detection that `record_json` was given.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.records import record_json
+    >>> fruit = DetectionRecord(1, methods=(MethodRecord("M1", 0.2, path_m=((0.0, 0.0, 1.0),)),))
+    >>> detection_from_json(record_json(fruit)) == fruit
+    True
+    """
+    methods = tuple(
+        MethodRecord(
+            **{
+                **method,
+                "path_m": tuple(tuple(point) for point in method["path_m"]),
+                "diameter_m": tuple(method["diameter_m"]),
+            }
+        )
+        for method in values["methods"]
+    )
+    keypoints = tuple(tuple(point) for point in values["keypoints"])
+    return DetectionRecord(**{**values, "methods": methods, "keypoints": keypoints})
+
+
+def decoding(connection: Connection) -> AbstractContextManager[None]:
+    """Call whatever fails inside damage of the stored data: around what only reads cells.
+
+    Raises
+    ------
+    StoreError
+        For any error but a named one.
+    """
+    remedy = "copy the database away, and check it with `round check`"
+    return refusing(named(connection.engine.url), StoreError, remedy)
+
+
+def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
+    """Run a query and return its rows as plain tuples.
+
+    Raises
+    ------
+    StoreError
+        If a cell is not of its column's kind: SQLite keeps whatever other programs write.
+    """
+    try:
+        rows = connection.execute(query).all()
+    except ValueError as error:  # JSON that is none
+        with decoding(connection):
+            raise error
+    with decoding(connection):
+        for column, cells in zip(query.selected_columns, zip(*rows, strict=True), strict=False):
+            kind = column.type.python_type
+            kinds = {kind, int} if kind is float else {kind}
+            table = getattr(getattr(column, "table", None), "name", None)
+            if table not in _NEVER_MISSING or column.nullable:
+                kinds.add(NoneType)
+            strange = set(map(type, cells)) - kinds
+            if strange and kind is not object:
+                found = ", ".join(sorted(kind.__name__ for kind in strange))
+                raise ValueError(f"{column.name} holds {found}")
+    return cast("list[tuple[Any, ...]]", rows)
+
+
+def built(kind: type[T], *cells: Any) -> T:
+    """Make a record from its fields in order.
+
+    Examples
+    --------
+    >>> built(MethodRecord, "M1", 0.2).length_m
+    0.2
+    """
+    make: Callable[..., T] = kind
+    return make(*cells)
+
+
+def image_ref(cells: Sequence[Any]) -> ImageRef | None:
+    """Return a picture from its five cells, or None where the first is empty."""
+    return None if cells[0] is None else ImageRef(*cells)

@@ -20,14 +20,9 @@ from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.shutter import Press
-from cucumbervision.rounds.settling import settle
-from cucumbervision.rounds.walking import (
-    DEMONSTRATION,
-    NextPlace,
-    home_of,
-    next_place,
-    put_right,
-)
+from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
+from cucumbervision.rounds.settling import move_stop, settle
+from cucumbervision.rounds.walking import NextPlace, next_place
 from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
@@ -288,7 +283,7 @@ def test_a_third_side_of_a_row_is_put_right_where_it_is_seen(house: Path) -> Non
 def test_a_house_whose_sides_have_other_names_is_walked(house: Path) -> None:
     with open_store(house) as store:
         template = store.stop(store.stops(WALK)[0].key)
-        home_of(store, "", simulated=True)
+        round_for_capture(store, "", simulated=True)
         for side in ("A", "B"):
             stop = replace(template, key=key_of(side), round_key=DEMONSTRATION, side=side)
             store.save_stop(stop)
@@ -323,10 +318,10 @@ def test_fruit_turn_with_the_side_of_their_stop(store: Store) -> None:
 
     before = offsets()
     other = "left" if first.side == "right" else "right"
-    put_right(store, first, Stop(first.row, other, first.position_m, first.step))
+    move_stop(store, first, Stop(first.row, other, first.position_m, first.step))
     assert offsets() == [-x for x in before]
     turned = store.stops(WALK)[0]
-    put_right(store, turned, Stop(first.row, first.side, first.position_m, first.step))
+    move_stop(store, turned, Stop(first.row, first.side, first.position_m, first.step))
     assert offsets() == before
 
 
@@ -382,9 +377,9 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(house: Path) -> None:
 
 
 def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:
-    home_of(store, WALK, simulated=True)
+    round_for_capture(store, WALK, simulated=True)
     store.delete_round(DEMONSTRATION)
-    assert home_of(store, WALK, simulated=True) == DEMONSTRATION
+    assert round_for_capture(store, WALK, simulated=True) == DEMONSTRATION
     assert DEMONSTRATION in {one.key for one in store.rounds()}
 
 

@@ -14,7 +14,8 @@ from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.uploading import CAMERAS, measure_uploads
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.walking import DEMONSTRATION, NextPlace
+from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.rounds.walking import NextPlace
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 

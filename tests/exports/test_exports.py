@@ -21,7 +21,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
-from cucumbervision.exports.writers import render_sheet, to_read, write_exports
+from cucumbervision.exports.writers import reading_table, render_sheet, write_exports
 from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -254,7 +254,7 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     write_exports(tables, tmp_path, [ExportFormat.XLSX])
     book = openpyxl.load_workbook(tmp_path / "round.xlsx")
     for name, (title, frozen) in SHEETS.items():
-        table = to_read(tables) if name == "fruit" else tables[name]
+        table = reading_table(tables) if name == "fruit" else tables[name]
         sheet = book[title]
         head, *rows = sheet.iter_rows(values_only=True)
         assert list(head) == [column.title for column in table.columns]
@@ -298,7 +298,7 @@ def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:
 
 
 def test_the_workbook_begins_with_what_people_read(tables: RoundTables) -> None:
-    table = to_read(tables)
+    table = reading_table(tables)
     assert [column.title for column in table.columns[:10]] == [
         *("date", "round", "row", "position [m]", "fruit"),
         *("length [cm]", "low [cm]", "high [cm]", "class", "remarks"),

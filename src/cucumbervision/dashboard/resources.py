@@ -38,13 +38,13 @@ from cucumbervision.dashboard.settings import (
 from cucumbervision.dashboard.shutter import Shutter
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
+from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.service import DAY_S, RowReport, row_reports
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.settling import undo as undo_in
 from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
-from cucumbervision.rounds.walking import DEMONSTRATION, home_of
 from cucumbervision.store.records import MethodRecord
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
@@ -357,7 +357,7 @@ def prepare() -> Job | None:
         return None
     if store().rounds() or store().rounds(deleted=True):
         return worker().submit("Loading the networks", _warm_up)
-    home_of(store(), "", simulated=True, profile=settings().profile)
+    round_for_capture(store(), "", simulated=True, profile=settings().profile)
     return worker().submit("Measuring the bundled captures", _demonstrate)
 
 

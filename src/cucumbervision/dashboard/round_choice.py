@@ -10,8 +10,8 @@ import streamlit as st
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.errors import CucumberVisionError, RoundError
+from cucumbervision.rounds.demonstration import is_demonstration
 from cucumbervision.rounds.settling import later_rounds
-from cucumbervision.rounds.walking import is_demonstration
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:

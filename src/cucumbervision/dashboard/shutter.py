@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.walking import home_of, last_step
+from cucumbervision.rounds.demonstration import round_for_capture
+from cucumbervision.rounds.walking import last_step
 from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ class Shutter:
 
     def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
         capture = grabbed.capture()
-        home = home_of(self._store, round_key, simulated=capture.simulated)
+        home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
         stop = replace(stop, step=last_step(self._store.stops(home), waiting) + 1)
         key = key_of("press", round_key, press.number)

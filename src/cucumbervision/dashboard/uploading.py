@@ -14,7 +14,8 @@ from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.rounds.adding import capture_sha256
-from cucumbervision.rounds.walking import home_of, last_step
+from cucumbervision.rounds.demonstration import round_for_capture
+from cucumbervision.rounds.walking import last_step
 from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def _saved(
     """Measure and save a capture; the same one sent again is there already."""
     name = capture.source or capture.name
     try:
-        home = home_of(store, round_key, simulated=capture.simulated)
+        home = round_for_capture(store, round_key, simulated=capture.simulated)
         stop = capture.stop
         if stop.step is None:
             stop = replace(stop, step=last_step(store.stops(home)) + 1)

@@ -222,7 +222,7 @@ def fruit_remarks(fruit: dict[str, Cell]) -> str:
 
     Examples
     --------
-    >>> fruit_remarks({"flags": "part-hidden", "picked_utc": "2026-05-01T08:00:00Z", "simulated": True})
+    >>> fruit_remarks({"flags": "part-hidden", "picked_utc": "2026-05-01", "simulated": True})
     'picked; drawn, not grown; partly hidden'
     """
     parts = (

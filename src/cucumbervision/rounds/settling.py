@@ -1,19 +1,21 @@
-"""What follows every new stop: views merged, and fruit linked to those of the days before."""
+"""What follows every new or moved stop: views merged, fruit linked to those of other days."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from cucumbervision.errors import RoundError, StoreError
+from cucumbervision.rounds.poses import sign_of_side
 from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
-from cucumbervision.store.edits import STOP_EDITS
+from cucumbervision.store.edits import STOP_EDITS, StopPlace
 
 if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.capture.frames import Stop
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import RoundView
+    from cucumbervision.store.views import RoundView, StopView
 
-__all__ = ["earlier_round", "later_rounds", "settle", "undo"]
+__all__ = ["earlier_round", "later_rounds", "move_stop", "settle", "undo"]
 
 SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
 FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
@@ -46,6 +48,18 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     except (RoundError, StoreError) as error:  # somebody may delete a round or fruit meanwhile
         return str(error)
     return ""
+
+
+def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
+    """Say where a stop was taken really; return the change's number in the log.
+
+    Where the side changes, what lay to the left of the camera lies to the right of it.
+    """
+    turned = sign_of_side(place.side) != sign_of_side(stop.side)
+    where = StopPlace(
+        place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned
+    )
+    return store.place_stop(stop.key, where)
 
 
 def undo(

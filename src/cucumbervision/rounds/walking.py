@@ -1,36 +1,15 @@
-"""A walk from stop to stop: where the next one is, and whose round a capture belongs to."""
+"""A walk from stop to stop: where the next one is, and what sides and steps there are."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from cucumbervision.rounds.poses import sign_of_side
-from cucumbervision.store.edits import StopPlace
-from cucumbervision.store.records import RoundRecord, key_of
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from cucumbervision.capture.frames import Stop
-    from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import StopView
+__all__ = ["NextPlace", "last_step", "next_place", "sides_of"]
 
-__all__ = [
-    "DEMONSTRATION",
-    "NextPlace",
-    "home_of",
-    "is_demonstration",
-    "last_step",
-    "next_place",
-    "put_right",
-    "sides_of",
-]
-
-DEMONSTRATION = key_of("demonstration")
-"""Key of the one round that drawn captures go into."""
-
-_DEMONSTRATION_NAME = "Demonstration (simulated captures)"
 _STEP_M = 0.4
 _WIDEST_M = 5.0
 
@@ -137,49 +116,3 @@ def sides_of(stops: Iterable[_Placed]) -> list[str]:
     usual = ["left", "right"]
     found = sorted({one.side for one in stops if one.side})
     return usual if set(found) <= set(usual) else found
-
-
-def is_demonstration(round_key: str) -> bool:
-    """Return whether a round holds drawn captures only."""
-    return round_key == DEMONSTRATION
-
-
-def home_of(store: Store, round_key: str, *, simulated: bool, profile: str = "") -> str:
-    """Return the round that a capture belongs into: drawn ones into the demonstration alone.
-
-    Parameters
-    ----------
-    store : Store
-        Where the rounds are; the demonstration is begun where it is missing, and comes back where
-        it was deleted.
-    round_key : str
-        The round that is open.
-    simulated : bool
-        Whether the capture was drawn.
-    profile : str
-        Crop profile of a demonstration that is begun.
-
-    Raises
-    ------
-    StoreError
-        If the demonstration cannot be begun.
-    """
-    if not simulated:
-        return round_key
-    if any(one.key == DEMONSTRATION for one in store.rounds(deleted=True)):
-        store.restore_round(DEMONSTRATION)
-    elif all(one.key != DEMONSTRATION for one in store.rounds()):
-        store.save_round(RoundRecord(DEMONSTRATION, _DEMONSTRATION_NAME, profile=profile))
-    return DEMONSTRATION
-
-
-def put_right(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
-    """Say where a stop was taken really; return the change's number in the log.
-
-    Where the side changes, what lay to the left of the camera lies to the right of it.
-    """
-    turned = sign_of_side(place.side) != sign_of_side(stop.side)
-    where = StopPlace(
-        place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned
-    )
-    return store.place_stop(stop.key, where)

@@ -333,7 +333,9 @@ def links_of(
     kinds = {str(one): one for one in LinkKind}
     rows = cells_of(connection, query)
     with decoding(connection):
-        return [LinkRecord(kinds[row[0]], *row[1:4], row[4] is not None) for row in rows]
+        return [
+            LinkRecord(kinds[row[0]], row[1], row[2], row[3], row[4] is not None) for row in rows
+        ]
 
 
 def _stop_query(round_id: int) -> Any:

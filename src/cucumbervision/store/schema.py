@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from types import UnionType
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
 
 from sqlalchemy import (
     JSON,
@@ -94,7 +94,7 @@ class Base(DeclarativeBase):
             "pk": "pk_%(table_name)s",
         }
     )
-    type_annotation_map = {
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
         float: Double,
         str: Text,
         dict[str, Any]: JsonObject,

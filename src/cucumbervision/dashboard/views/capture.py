@@ -28,14 +28,9 @@ from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
 from cucumbervision.dashboard.views.stops import change_stop
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
+from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
 from cucumbervision.rounds.forecasting import grade_of
-from cucumbervision.rounds.walking import (
-    DEMONSTRATION,
-    NextPlace,
-    is_demonstration,
-    next_place,
-    sides_of,
-)
+from cucumbervision.rounds.walking import NextPlace, next_place, sides_of
 from cucumbervision.store.views import DetectionFilter
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted, stop_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.walking import put_right, sides_of
+from cucumbervision.rounds.settling import move_stop
+from cucumbervision.rounds.walking import sides_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -67,7 +68,7 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
         names = ("row", "side", "at", "step", "note")
         typed = [st.session_state[f"stop_{name}_{given}"] for name in names]
         row, side, note = ((typed[k] or "").strip() for k in (0, 1, 4))
-        return put_right(store, stop, Stop(row or None, side or None, *typed[2:4]), note)
+        return move_stop(store, stop, Stop(row or None, side or None, *typed[2:4]), note)
 
     def remove() -> int:
         return store.delete_stop(stop.key)

@@ -16,8 +16,8 @@ from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted, doubtful, name_of_class, round_day
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.rounds.demonstration import is_demonstration
 from cucumbervision.rounds.today import Age, age_words
-from cucumbervision.rounds.walking import is_demonstration
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

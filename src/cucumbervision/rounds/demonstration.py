@@ -1,0 +1,51 @@
+"""The one round that drawn captures go into, so that no real round counts them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cucumbervision.store.records import RoundRecord, key_of
+
+if TYPE_CHECKING:
+    from cucumbervision.store.repository import Store
+
+__all__ = ["DEMONSTRATION", "is_demonstration", "round_for_capture"]
+
+DEMONSTRATION = key_of("demonstration")
+"""Key of the demonstration's round."""
+
+_NAME = "Demonstration (simulated captures)"
+
+
+def is_demonstration(round_key: str) -> bool:
+    """Return whether a round holds drawn captures only."""
+    return round_key == DEMONSTRATION
+
+
+def round_for_capture(store: Store, round_key: str, *, simulated: bool, profile: str = "") -> str:
+    """Return the round that a capture belongs into: drawn ones into the demonstration alone.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are; the demonstration is begun where it is missing, and comes back where
+        it was deleted.
+    round_key : str
+        The round that is open.
+    simulated : bool
+        Whether the capture was drawn.
+    profile : str
+        Crop profile of a demonstration that is begun.
+
+    Raises
+    ------
+    StoreError
+        If the demonstration cannot be begun.
+    """
+    if not simulated:
+        return round_key
+    if any(one.key == DEMONSTRATION for one in store.rounds(deleted=True)):
+        store.restore_round(DEMONSTRATION)
+    elif all(one.key != DEMONSTRATION for one in store.rounds()):
+        store.save_round(RoundRecord(DEMONSTRATION, _NAME, profile=profile))
+    return DEMONSTRATION

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from cucumbervision.cli.choices import ListenOn, Port
+
 __all__ = ["app", "dashboard", "set_password"]
 
 app = typer.Typer(help="Capture, look at and forecast rounds in a browser.")
@@ -27,10 +29,8 @@ def dashboard(
         Path | None,
         typer.Option(help="Folder of the pictures; PostgreSQL needs one.", show_default=False),
     ] = None,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8501,
-    address: Annotated[
-        str, typer.Option(help="Address to listen on; this machine only by default.")
-    ] = "127.0.0.1",
+    port: Port = 8501,
+    address: ListenOn = "127.0.0.1",
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open a browser on this machine.")
     ] = True,

@@ -9,6 +9,7 @@ import typer
 
 from cucumbervision.cli.choices import (
     Confidence,
+    Fast,
     InputSize,
     Prompt,
     Quiet,
@@ -46,14 +47,7 @@ def detect(
     ] = True,
     input_size: InputSize = "",
     runtime: Runtime = "auto",
-    fast: Annotated[
-        bool,
-        typer.Option(
-            "--fast",
-            help="Let networks compute in half precision where the processor can: quicker, but "
-            "outlines may differ a little from machine to machine.",
-        ),
-    ] = False,
+    fast: Fast = False,
     quiet: Quiet = False,
 ) -> None:
     """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""

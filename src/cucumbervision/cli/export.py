@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import Images, StoreName
+from cucumbervision.cli.choices import Images, Profile, StoreName
 from cucumbervision.cli.round import chosen_profile, opened_round
 from cucumbervision.exports import ExportFormat
 
@@ -26,9 +26,7 @@ def export(
         list[ExportFormat] | None,
         typer.Option("--format", "-f", help="Repeat for several; csv, xlsx, json without."),
     ] = None,
-    profile: Annotated[
-        str | None, typer.Option(help="Crop profile; by default the round's own.")
-    ] = None,
+    profile: Profile = None,
     days: Annotated[int, typer.Option(min=0, max=31, help="Days of the forecast.")] = 7,
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Copy the small pictures along.")

@@ -10,13 +10,18 @@ import typer
 from cucumbervision.capture.urls import as_path
 from cucumbervision.cli.choices import (
     AsJson,
+    Burst,
     Calibration,
     Confidence,
+    Fast,
     InputSize,
+    Instances,
+    Intrinsics,
+    Length,
     Prompt,
     Quiet,
     Runtime,
-    SegmenterChoice,
+    Segmenter,
 )
 from cucumbervision.measurement.result import LengthDefinition, Selector
 
@@ -29,21 +34,6 @@ Inputs = Annotated[
         parser=as_path,
         help="Capture folders, BOP scenes, colour + depth pairs, Viewer exports, .bag or .db3; or "
         "URLs of such (s3://…, https://…).",
-    ),
-]
-Instances = Annotated[
-    str,
-    typer.Option(
-        help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
-        "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
-    ),
-]
-Fast = Annotated[
-    bool,
-    typer.Option(
-        "--fast",
-        help="Let networks compute in half precision where the processor can: quicker, but "
-        "lengths may differ a little from machine to machine.",
     ),
 ]
 Guard = Annotated[
@@ -95,27 +85,18 @@ def measure(
     ] = None,
     methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")] = "all",
     selector: Annotated[Selector, typer.Option(help="How one method is chosen.")] = Selector.BEST,
-    length: Annotated[
-        LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
-    ] = LengthDefinition.THREAD,
-    segmenter: Annotated[
-        SegmenterChoice | None,
-        typer.Option(help="Who draws the masks; given, it also redraws a data set's own."),
-    ] = None,
+    length: Length = LengthDefinition.THREAD,
+    segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
     confidence: Confidence = 0.30,
-    intrinsics: Annotated[
-        Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")
-    ] = None,
+    intrinsics: Intrinsics = None,
     depth: Annotated[
         Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
     ] = None,
     depth_unit: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
     ] = None,
-    burst: Annotated[
-        int, typer.Option(min=1, max=99, help="Frames of a recording fused to one capture.")
-    ] = 5,
+    burst: Burst = 5,
     calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import typer
 
-from cucumbervision.cli.choices import Quiet
+from cucumbervision.cli.choices import Burst, Fps, Quiet, Retries, Serial
 
 __all__ = ["cameras", "record"]
 
@@ -16,10 +16,7 @@ Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", 
 
 def record(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Gets a folder a capture.")],
-    serial: Annotated[
-        str | None,
-        typer.Option(help="The camera's serial number; the first one found without it."),
-    ] = None,
+    serial: Serial = None,
     folder: Annotated[
         Path | None,
         typer.Option(
@@ -35,7 +32,7 @@ def record(
     count: Annotated[
         int | None, typer.Option(min=1, help="End after so many.", show_default=False)
     ] = None,
-    burst: Annotated[int, typer.Option(min=1, max=99, help="Frames fused to one capture.")] = 5,
+    burst: Burst = 5,
     row: Annotated[str | None, typer.Option(help="Row in the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row: left or right.")] = None,
     position: Annotated[
@@ -45,7 +42,7 @@ def record(
     name: Annotated[str, typer.Option(help="What the captures are called.")] = "capture",
     width: Annotated[int, typer.Option(min=1, help="Pixels.")] = 1280,
     height: Annotated[int, typer.Option(min=1, help="Pixels.")] = 720,
-    fps: Annotated[int, typer.Option(min=1, max=90, help="The camera's frames a second.")] = 15,
+    fps: Fps = 15,
     preset: Annotated[
         Preset | None, typer.Option(help="The depth camera's preset; its own without.")
     ] = None,
@@ -61,9 +58,7 @@ def record(
     laser: Annotated[
         float | None, typer.Option(min=0, help="Projector's power in milliwatts; 0 is off.")
     ] = None,
-    retries: Annotated[
-        int, typer.Option(min=0, help="How often a camera that is gone is opened again.")
-    ] = 3,
+    retries: Retries = 3,
     quiet: Quiet = False,
 ) -> None:
     """Write captures of a live camera: one at each Enter, or every so many seconds.

@@ -12,9 +12,14 @@ import typer
 from cucumbervision.cli.choices import (
     EXIT_CODES,
     Calibration,
+    Confidence,
     Images,
+    InputSize,
+    Instances,
+    Length,
+    Profile,
     RoundName,
-    RuntimeChoice,
+    Runtime,
     StoreName,
 )
 from cucumbervision.measurement.result import LengthDefinition
@@ -39,9 +44,6 @@ app = typer.Typer(
 
 Fruit = Annotated[list[str], typer.Argument(help="Numbers or keys that `round show` prints.")]
 By = Annotated[str, typer.Option("--by", help="Who says so; goes into the log.")]
-Profile = Annotated[
-    str | None, typer.Option(help="Crop profile for classes; by default the round's own.")
-]
 
 
 @contextmanager
@@ -108,14 +110,12 @@ def add(
     poses: Annotated[
         Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
     ] = None,
-    instances: Annotated[str, typer.Option(help="As in `measure`.")] = "auto",
-    length: Annotated[
-        LengthDefinition, typer.Option(help="As in `measure`.")
-    ] = LengthDefinition.THREAD,
-    confidence: Annotated[float, typer.Option(min=0.0, max=1.0, help="As in `measure`.")] = 0.30,
-    input_size: Annotated[str, typer.Option(help="As in `measure`.", metavar="PX[,PX]")] = "",
+    instances: Instances = "auto",
+    length: Length = LengthDefinition.THREAD,
+    confidence: Confidence = 0.30,
+    input_size: InputSize = "",
     calibration: Calibration = None,
-    runtime: Annotated[RuntimeChoice, typer.Option(help="As in `measure`.")] = "auto",
+    runtime: Runtime = "auto",
     images: Images = None,
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""

@@ -9,20 +9,21 @@ import typer
 from cucumbervision.cli.choices import (
     Calibration,
     Confidence,
+    Fast,
     InputSize,
+    ListenOn,
+    Port,
     Prompt,
     Runtime,
-    SegmenterChoice,
+    Segmenter,
 )
 
 __all__ = ["serve"]
 
 
 def serve(
-    address: Annotated[
-        str, typer.Option(help="Address to listen on; this machine only by default.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8600,
+    address: ListenOn = "127.0.0.1",
+    port: Port = 8600,
     token: Annotated[
         str,
         typer.Option(
@@ -38,17 +39,13 @@ def serve(
     waiting: Annotated[
         int, typer.Option(min=0, help="Requests that may wait for the one that is measured.")
     ] = 8,
-    segmenter: Annotated[
-        SegmenterChoice | None, typer.Option(help="Who draws the masks, as for `measure`.")
-    ] = None,
+    segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
     confidence: Confidence = 0.30,
     calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",
-    fast: Annotated[
-        bool, typer.Option("--fast", help="Half precision where the processor can.")
-    ] = False,
+    fast: Fast = False,
 ) -> None:
     """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'."""
     from cucumbervision.perception.input_sizes import parse_input_sizes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,10 +9,15 @@ import typer
 from cucumbervision.cli.choices import (
     Calibration,
     Confidence,
+    Fps,
     InputSize,
+    Instances,
+    Intrinsics,
     Quiet,
+    Retries,
     Runtime,
-    SegmenterChoice,
+    Segmenter,
+    Serial,
 )
 
 __all__ = ["stream"]
@@ -42,26 +46,16 @@ def stream(
         bool,
         typer.Option("--every", help="Drop no frame of a recording or followed folder."),
     ] = False,
-    serial: Annotated[
-        str | None, typer.Option(help="The camera's serial number; the first one without it.")
-    ] = None,
-    fps: Annotated[int, typer.Option(min=1, max=90, help="The camera's frames a second.")] = 15,
-    retries: Annotated[
-        int, typer.Option(min=0, help="How often a camera that is gone is opened again.")
-    ] = 3,
+    serial: Serial = None,
+    fps: Fps = 15,
+    retries: Retries = 3,
     frames: Annotated[
         int | None, typer.Option(min=1, help="End after so many frames.", show_default=False)
     ] = None,
-    instances: Annotated[
-        str, typer.Option(help="Where fruit come from, as for `measure`.")
-    ] = "auto",
-    segmenter: Annotated[
-        SegmenterChoice | None, typer.Option(help="Who draws the masks, without --fast.")
-    ] = None,
+    instances: Instances = "auto",
+    segmenter: Segmenter = None,
     confidence: Confidence = 0.30,
-    intrinsics: Annotated[
-        Path | None, typer.Option(help="Camera file (JSON) of a folder's colour stream.")
-    ] = None,
+    intrinsics: Intrinsics = None,
     calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",

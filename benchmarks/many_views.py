@@ -13,15 +13,14 @@ that of the 90 % interval, depth scale known.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from resuming import rows_of
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -140,19 +139,6 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
     return found
 
 
-def rows_of(count: int, find: Find | None, keep: Path | None) -> list[dict[str, Any]]:
-    """Measure fruit, or take those that a file keeps already."""
-    kept = [json.loads(line) for line in keep.open()] if keep and keep.exists() else []
-    rows = {row["number"]: row for row in kept}
-    for number in track(range(count), "fruit"):
-        if number not in rows:
-            rows[number] = measured(number, find)
-            if keep:
-                with keep.open("a") as file:
-                    file.write(json.dumps(rows[number]) + "\n")
-    return [rows[number] for number in range(count)]
-
-
 def main() -> None:
     """Print the errors by number of views."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -162,10 +148,11 @@ def main() -> None:
     options = parser.parse_args()
     finder = make_finder(MeasureOptions(instances="models")) if options.perceived else None
     find = None if finder is None else lambda capture: finder.find(capture).instances
-    rows = rows_of(options.fruit, find, options.keep)
-    views = np.bincount([len(row["alone"]) for row in rows], minlength=4)
+    rows = rows_of(options.fruit, lambda number: [measured(number, find)], options.keep)
+    found = rows.to_dict("records")
+    views = np.bincount([len(row["alone"]) for row in found], minlength=4)
     print("views of a fruit that were measured:", dict(enumerate(views.tolist())))
-    kept = [row for row in map(errors_of, rows) if row]
+    kept = [row for row in map(errors_of, found) if row]
     table = Table(title=f"{len(kept)} fruit seen from three stops: error of the centreline, %")
     for head in ("views", "way", "mean", "median", "90 % below", "bias", "of the best view's"):
         table.add_column(head, justify="right")

@@ -7,53 +7,34 @@ import os
 import signal
 import threading
 from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.perception.runtime import limit_threads
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.pipeline.work import Outcome, ReadCapture, Task, Worker
+from cucumbervision.pipeline.work import Batch, Outcome, ReadCapture, Task, Worker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
 __all__ = ["Engine", "Processes", "choose_engine", "cores", "in_process", "killed"]
 
-
-class Engine(Protocol):
-    """Does tasks and yields what became of each, in the tasks' order, as they are done."""
-
-    def __call__(
-        self,
-        tasks: Iterable[Task | Outcome],
-        options: MeasureOptions,
-        out: OutputFolder,
-        stop: Callable[[], bool],
-    ) -> Iterator[Outcome]:
-        """Do the tasks; an outcome among them is passed on in its turn.
-
-        Once `stop` says so, what is being measured is measured to its end, and no more is begun.
-        """
+Engine: TypeAlias = Callable[[Batch], Iterator[Outcome]]
+"""Does a batch, and yields what became of each of its tasks, in order, as they are done."""
 
 
-def in_process(
-    tasks: Iterable[Task | Outcome],
-    options: MeasureOptions,
-    out: OutputFolder,
-    stop: Callable[[], bool],
-) -> Iterator[Outcome]:
+def in_process(batch: Batch) -> Iterator[Outcome]:
     """Do tasks one after the other in this process.
 
     While networks look at one capture, the next is read and the one before is measured.
     """
-    worker = Worker(options, out)
+    worker = Worker(batch.options, batch.out)
     waiting: deque[tuple[Task, Future[Outcome | ReadCapture]] | Outcome] = deque()
     seen: deque[Future[Outcome] | Outcome] = deque()
     begun = False
@@ -62,7 +43,7 @@ def in_process(
         one = waiting.popleft()
         if isinstance(one, Outcome):
             seen.append(one)
-        elif not stop() or one[0].trusted:
+        elif not batch.stop() or one[0].trusted:
             seen.append(measuring.submit(worker.measure, worker.look(one[1].result())))
         elif dropped := one[0].dropped():
             seen.append(dropped)
@@ -76,7 +57,7 @@ def in_process(
             yield one if isinstance(one, Outcome) else one.result()
 
     with ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as measuring:
-        for task in tasks:
+        for task in batch.tasks:
             if isinstance(task, Outcome):
                 waiting.append(task)
             else:
@@ -107,33 +88,27 @@ class Processes:
 
     workers: int
 
-    def __call__(
-        self,
-        tasks: Iterable[Task | Outcome],
-        options: MeasureOptions,
-        out: OutputFolder,
-        stop: Callable[[], bool],
-    ) -> Iterator[Outcome]:
+    def __call__(self, batch: Batch) -> Iterator[Outcome]:
         """Do the tasks: at most two a worker are begun or wait for their turn.
 
         A process that is killed costs no row: what it had is done again in a process of its own,
         and is a failure if that one is killed, too.
         """
-        pool = _Pool(self.workers, options, out)
+        pool = _Pool(self.workers, batch.options, batch.out)
         waiting: deque[tuple[Task, Future[Outcome]] | Outcome] = deque()
 
         def first() -> Iterator[Outcome]:
             one = waiting.popleft()
             if isinstance(one, Outcome):
                 yield one
-            elif stop() and not one[0].trusted and one[1].cancel():
+            elif batch.stop() and not one[0].trusted and one[1].cancel():
                 dropped = one[0].dropped()
                 yield from () if dropped is None else (dropped,)
             else:
                 yield pool.result(*one)
 
         try:
-            for task in tasks:
+            for task in batch.tasks:
                 ready = task if isinstance(task, Outcome) else task.portable()
                 waiting.append(ready if isinstance(ready, Outcome) else (ready, pool.submit(ready)))
                 if len(waiting) > 2 * self.workers:

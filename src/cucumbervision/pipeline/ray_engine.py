@@ -12,10 +12,11 @@ from cucumbervision.perception.runtime import limit_threads
 from cucumbervision.pipeline.work import Outcome, Task, Worker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterator
 
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
+    from cucumbervision.pipeline.work import Batch
 
 __all__ = ["RayEngine"]
 
@@ -42,13 +43,7 @@ class RayEngine:
     address: str = ""
     workers: int = 0
 
-    def __call__(
-        self,
-        tasks: Iterable[Task | Outcome],
-        options: MeasureOptions,
-        out: OutputFolder,
-        stop: Callable[[], bool],
-    ) -> Iterator[Outcome]:
+    def __call__(self, batch: Batch) -> Iterator[Outcome]:
         """Do the tasks; Ray Data bounds what is in memory between reading and measuring.
 
         Raises
@@ -59,13 +54,13 @@ class RayEngine:
             If the cluster cannot be reached, or nothing can be measured at all.
         """
         ray = _import_ray()
-        listed = list(tasks)
+        listed = list(batch.tasks)
         if not any(isinstance(one, Task) for one in listed):
             yield from (one for one in listed if isinstance(one, Outcome))
             return
         self._connect(ray)
         try:
-            dataset = self._dataset(ray, listed, options, out)
+            dataset = self._dataset(ray, listed, batch.options, batch.out)
             done = 0
             for row in dataset.iter_rows():
                 outcome = pickle.loads(row["done"])
@@ -73,7 +68,7 @@ class RayEngine:
                     raise outcome
                 done += 1
                 yield outcome
-                if stop():
+                if batch.stop():
                     break
         finally:
             ray.shutdown()

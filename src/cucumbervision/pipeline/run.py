@@ -21,7 +21,7 @@ from cucumbervision.pipeline.reports import TABLES, rows_of, write_reports
 from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import provenance_of
-from cucumbervision.pipeline.work import Outcome, Task
+from cucumbervision.pipeline.work import Batch, Outcome, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -188,7 +188,8 @@ class _Run:
             distinct(inputs, self.notes.append), self.options.reading, self.batch.opener
         )
         tasks = self._tasks(each_once(listed, self.notes.append), hashes)
-        for outcome in self.batch.engine(tasks, self.options, self.out, self.batch.stop):
+        batch = Batch(tasks, self.options, self.out, self.batch.stop)
+        for outcome in self.batch.engine(batch):
             done = self._take(outcome)
             if report is not None:
                 report(done)

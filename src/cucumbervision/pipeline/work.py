@@ -18,7 +18,7 @@ from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.tables import capture_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["Outcome", "ReadCapture", "SeenCapture", "Task", "Worker"]
+__all__ = ["Batch", "Outcome", "ReadCapture", "SeenCapture", "Task", "Worker"]
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,28 @@ class Outcome:
     record: Record | None = None
     before: bool = False
     failures: tuple[Failure, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Many captures to measure into one place.
+
+    Parameters
+    ----------
+    tasks : iterable of Task or Outcome
+        The captures in order; an outcome among them is passed on in its turn.
+    options : MeasureOptions
+        How to measure.
+    out : OutputFolder
+        Gets the pictures.
+    stop : callable
+        Once it says so, what is being measured is measured to its end, and no more is begun.
+    """
+
+    tasks: Iterable[Task | Outcome]
+    options: MeasureOptions
+    out: OutputFolder
+    stop: Callable[[], bool]
 
 
 @dataclass(frozen=True, eq=False)

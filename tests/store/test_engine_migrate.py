@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import sqlite3
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from cucumbervision.store.engine import (
     begin,
     database_url,
     make_engine,
+    stored_revision,
 )
 from cucumbervision.store.records import (
     CaptureRecord,
@@ -29,6 +32,7 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.schema import Base
+from cucumbervision.store.views import Verdict
 
 
 def test_the_known_revisions_are_those_of_the_files() -> None:
@@ -113,3 +117,27 @@ def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
         again = replace(capture, fruit=(DetectionRecord(1, tilt_deg=5.0),))
         store.save_stop(StopRecord(key_of("next"), walk.key, captures=(again,)))
         assert store.detections(walk.key)[1].record.tilt_deg == 5.0
+
+
+def test_a_store_of_the_first_version_keeps_its_stops_and_fruit(tmp_path: Path) -> None:
+    path, walk = tmp_path / "house.db", key_of("walk")
+    with closing(sqlite3.connect(path)) as raw:
+        raw.executescript(Path(__file__).with_name("version_1.sql").read_text())
+    with open_store(path) as store:
+        stops, fruit = store.stops(walk), store.detections(walk)
+        assert [(one.step, one.position_m, one.fruit, one.mirrored) for one in stops] == [
+            (0, 0.0, 2, False),
+            (1, 0.4, 2, False),
+        ]
+        assert [one.record.length_m for one in fruit] == pytest.approx([0.21, 0.22] * 2)
+        assert [one.verdict for one in fruit] == [Verdict.REJECTED, None, None, None]
+        assert [one.views for one in fruit] == [1, 2, 2, 1]
+        first = store.stop(stops[0].key).captures[0].fruit[0]
+        assert first.methods[1].path_m == ((0.0, 0.1, 0.5), (0.2, 0.1, 0.5))
+        # What the newer tables are for works on the old lines, and so does taking it back.
+        number = store.delete_stop(stops[1].key)
+        assert [one.key for one in store.stops(walk)] == [stops[0].key]
+        store.undo(number=number)
+        assert store.detections(walk) == fruit
+        with begin(store.engine) as connection:
+            assert stored_revision(connection) == HEAD

@@ -86,7 +86,7 @@ class FuzzResult:
     seed : int
         Of the run.
     tried, refused : Counter of str
-        Inputs by door, and how many of them were refused with a named error.
+        Inputs by door, none where it had no turn, and how many were refused with a named error.
     finds : dict of str to list of Find
         By place; the first few of each.
     found : Counter of str
@@ -166,6 +166,7 @@ def fuzz(
     FuzzResult
     """
     result, limits, began = FuzzResult(seed), limits or Limits(), time.monotonic()
+    result.tried.update({door.name: 0 for door in doors})
     with _workplace(doors) as place:
         done = 0
         while done < inputs:

@@ -105,6 +105,15 @@ def test_counts_of_several_runs_add_up(tmp_path: Path) -> None:
     assert add_to_log(fuzz(20, seed=2, doors=poses), log).inputs == 50
 
 
+def test_of_runs_with_one_seed_the_longest_counts_however_short_the_others(tmp_path: Path) -> None:
+    log, doors = tmp_path / "runs.jsonl", find_doors(["poses", "truth"])
+    short = fuzz(1, seed=1, doors=doors)
+    assert sorted(short.tried.values()) == [0, 1]  # one of the readers had no turn
+    add_to_log(short, log)
+    together = add_to_log(fuzz(30, seed=1, doors=doors), log)
+    assert (together.runs, together.inputs) == (1, 30)
+
+
 def test_a_crash_spoils_no_later_input(tmp_path: Path) -> None:
     door = find_doors(["poses"])[0]
     door.seed(tmp_path)

@@ -121,3 +121,13 @@ def test_the_command_switches_and_lists(folder: Path, tmp_path: Path) -> None:
     assert "In use now: cucumber-seg" in runner.invoke(app, ["use", "--shipped"]).output
     for words in (["use"], ["use", str(run), "--back"]):
         assert isinstance(runner.invoke(app, words).exception, ModelError)
+
+
+def test_a_graph_that_would_crash_openvino_is_refused(folder: Path, tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(DETECTOR)
+    conv = next(node for node in model.graph.node if node.op_type == "Conv")
+    conv.input[:] = [""]  # it has no inputs any more
+    onnx.save(model, tmp_path / "mine.onnx")
+    with pytest.raises(ModelError, match="ONNX Runtime cannot load it"):
+        use_network(tmp_path / "mine.onnx", anyway=True)

@@ -62,7 +62,8 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
     path = _network_file(given, judgement)
     from cucumbervision.perception.yolo import YoloDetector
 
-    task = YoloDetector(path).task
+    # ONNX Runtime checks the graph: OpenVINO crashes at a node without its inputs.
+    task = YoloDetector(path, "onnxruntime").task
     sha256 = file_sha256(path)
     if not anyway:
         _require_better(path, sha256, judgement, registry.default(task))

@@ -29,7 +29,8 @@ def export(
     profile: Profile = None,
     days: Annotated[int, typer.Option(min=0, max=31, help="Days of the forecast.")] = 7,
     pictures: Annotated[
-        bool, typer.Option("--pictures/--no-pictures", help="Copy the small pictures along.")
+        bool,
+        typer.Option("--pictures/--no-pictures", help="Write pictures of fruit and stops along."),
     ] = True,
 ) -> None:
     """Write a round: summary, fruit, stops, forecast, pick list; with the hashes it rests on."""

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.agronomy.picking import pick_list, plan_work
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
+from cucumbervision.exports.fruit_pictures import fruit_pictures
 from cucumbervision.exports.tables import Charts, RoundTables, Table, utc
 from cucumbervision.measurement.result import Method
 from cucumbervision.rounds.forecasting import forecast_for, grade_of
@@ -22,8 +24,7 @@ from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.service import DAY_S, fruit_table, row_reports
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from cucumbervision.agronomy.forecast import Counts, Forecast
     from cucumbervision.agronomy.picking import Rates
@@ -69,7 +70,7 @@ def round_tables(
     rates : Rates, optional
         Of picking, for hours and crates.
     pictures : bool
-        Whether the small pictures are named, to be copied along.
+        Whether small pictures are named, to be written along.
 
     Raises
     ------
@@ -129,21 +130,21 @@ def _forecast(
 
 def _pictures(
     store: Store, content: RoundContent, table: Sequence[RoundFruit], called: str
-) -> dict[str, tuple[str, Path]]:
-    """Return name and path of the small pictures that are there, by the keys of fruit and stops."""
-    wanted = [
-        (one.key, one.row, f"stop-{n:03d}", one.thumbnail) for n, one in enumerate(content.stops, 1)
-    ]
-    wanted += [
-        (one.view.key, one.view.row, f"fruit-{one.number:04d}", one.view.thumbnail) for one in table
-    ]
+) -> dict[str, tuple[str, Callable[[], bytes]]]:
+    """Return name and maker of the pictures, by the keys of fruit and stops."""
+    of_stops = {
+        one.key: partial(store.images.read, one.thumbnail)
+        for one in content.stops
+        if one.thumbnail is not None and store.images.path(one.thumbnail).is_file()
+    }
+    makers = {**of_stops, **fruit_pictures(store, content.key, table)}
+    shown = [(one.key, one.row, f"stop-{n:03d}") for n, one in enumerate(content.stops, 1)]
+    shown += [(one.view.key, one.view.row, f"fruit-{one.number:04d}") for one in table]
     found = {}
-    for key, row, what, thumbnail in wanted:
-        path = None if thumbnail is None else store.images.path(thumbnail)
-        if path is not None and path.is_file():
-            parts = (called, row and f"row-{row}", what)
-            name = safe_name("_".join(filter(None, parts)))
-            found[key] = f"{PICTURES}/{name}{path.suffix}", path
+    for key, row, what in shown:
+        if key in makers:
+            name = safe_name("_".join(filter(None, (called, row and f"row-{row}", what))))
+            found[key] = f"{PICTURES}/{name}.jpg", makers[key]
     return found
 
 

@@ -16,8 +16,7 @@ from cucumbervision.pipeline.fields import field as fruit_field
 from cucumbervision.store.records import DetectionRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
+    from collections.abc import Callable, Iterable
 
     from cucumbervision.pipeline.fields import CellType
 
@@ -147,8 +146,8 @@ class RoundTables:
         'provenance', in this order.
     charts : Charts
         What is drawn.
-    pictures : mapping of str to Path
-        Files to copy beside the tables, by the name that the column `picture` gives.
+    pictures : mapping of str to callable
+        What makes the JPEG files beside the tables, by the name that the column `picture` gives.
     note : str
         Why there is no forecast, if there is none.
     """
@@ -157,7 +156,7 @@ class RoundTables:
     provenance: Mapping[str, Any]
     tables: Mapping[str, Table]
     charts: Charts
-    pictures: Mapping[str, Path] = field(default_factory=dict)
+    pictures: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     note: str = ""
 
     def __getitem__(self, name: str) -> Table:
@@ -288,7 +287,7 @@ _FRUIT = (
         "stop_key||text|its stop|view.stop_key",
         "taken_utc||text|when it was seen|view.taken_s",
         "simulated||yes/no|whether the capture was drawn, not taken|view.simulated",
-        "picture||text|small picture of the capture, beside the tables",
+        "picture||text|picture of the fruit, beside the tables",
     ),
     *_WITH,
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,9 +62,9 @@ def write_exports(
     }
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name, path in tables.pictures.items():
+        for name, make in tables.pictures.items():
             (out / name).parent.mkdir(exist_ok=True)
-            shutil.copyfile(path, out / name)
+            (out / name).write_bytes(make())
         return [
             path for one in ExportFormat if one in formats for path in writers[one](tables, out)
         ]

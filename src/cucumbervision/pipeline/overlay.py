@@ -20,7 +20,16 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["COLORS", "draw_detections", "draw_overlay", "draw_path", "draw_region"]
+__all__ = [
+    "COLORS",
+    "draw_bar",
+    "draw_detections",
+    "draw_line",
+    "draw_overlay",
+    "draw_path",
+    "draw_region",
+    "draw_text",
+]
 
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -60,7 +69,7 @@ def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray
         _draw_label(picture, _label(number, one), one.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
-        _text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
+        draw_text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
     return picture
 
 
@@ -123,7 +132,17 @@ def draw_path(
     """
     if chosen.path_m is None or (chosen.path_m[:, 2] <= 0).any():
         return
-    pixels = np.rint(camera.project(chosen.path_m)).astype(np.int32)
+    draw_line(picture, camera.project(chosen.path_m), color, size)
+
+
+def draw_line(
+    picture: NDArray[np.uint8],
+    points_px: NDArray[np.float64],
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    """Draw a line (points of shape (N, 2)) with its tips in a colour, in place."""
+    pixels = np.rint(points_px).astype(np.int32)
     cv2.polylines(picture, [pixels], False, BLACK, max(2, round(4 * size)), cv2.LINE_AA)
     cv2.polylines(picture, [pixels], False, WHITE, max(1, round(2 * size)), cv2.LINE_AA)
     for tip in (pixels[0], pixels[-1]):
@@ -149,10 +168,11 @@ def _draw_label(
     x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
     above = box[1] - 10 * size
     y = above if above > height + 6 else min(box[3] + height + 12 * size, picture.shape[0] - 8)
-    _text(picture, label, (int(x), int(y)), size)
+    draw_text(picture, label, (int(x), int(y)), size)
 
 
-def _text(picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: float) -> None:
+def draw_text(picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: float) -> None:
+    """Write white letters on a darkened plate, their lower left corner at a pixel, in place."""
     scale, thin = 0.65 * size, max(1, round(1.6 * size))
     (width, height), below = cv2.getTextSize(text, FONT, scale, thin)
     pad = max(3, round(5 * size))
@@ -169,12 +189,17 @@ def _draw_scale(
     if not depths:
         return
     depth = float(np.median(depths))
-    length = round(BAR_M * capture.intrinsics.fx_px / depth)
-    left, y = round(16 * size), capture.height - round(20 * size)
+    length_px = BAR_M * capture.intrinsics.fx_px / depth
+    draw_bar(picture, length_px, f"{100 * BAR_M:.0f} cm at {100 * depth:.0f} cm distance", size)
+
+
+def draw_bar(picture: NDArray[np.uint8], length_px: float, text: str, size: float) -> None:
+    """Draw a scale bar with its text into the lower left corner, in place."""
+    left, y = round(16 * size), picture.shape[0] - round(20 * size)
+    right = left + round(length_px)
     for color, thick in ((BLACK, round(8 * size)), (WHITE, round(4 * size))):
-        cv2.line(picture, (left, y), (left + length, y), color, max(2, thick), cv2.LINE_AA)
-    text = f"{100 * BAR_M:.0f} cm at {100 * depth:.0f} cm distance"
-    _text(picture, text, (left, y - round(14 * size)), size)
+        cv2.line(picture, (left, y), (right, y), color, max(2, thick), cv2.LINE_AA)
+    draw_text(picture, text, (left, y - round(14 * size)), size)
 
 
 def _fruit_depths(capture: Capture, fruit: FruitMeasurement) -> NDArray[np.float32]:

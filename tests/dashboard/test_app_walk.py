@@ -122,6 +122,8 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     found = house.wait_for_stops("Monday", 4)
     assert sorted(stop.step or 0 for stop in found) == [1, 2, 3, 4]
     assert {stop.row for stop in found} == {"3"}
+    # However near each other the two were pressed, no two stops are at one place.
+    assert len({(stop.side, stop.position_m) for stop in found}) == 4
     shot(phone, "phone")
 
     # A kill in mid-capture: what was pressed is there when the program starts again.

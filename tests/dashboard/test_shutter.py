@@ -74,6 +74,22 @@ def test_quick_presses_are_each_a_stop_and_none_counts_twice(
     assert len({one.load().name for one in kept}) == 3
 
 
+def test_two_browsers_never_give_one_place_to_two_stops(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay, shutter = Replay(bundled_captures()), Shutter(store, waiting, lambda: None)
+    places = [("a", 0.0), ("b", 0.5), ("c", 0.5), ("d", 0.0), ("e", 0.75)]
+    for number, at_m in places:
+        shutter.press(replay, 1, WALK, Stop("1", "left", at_m), Press(number, time.time()))
+    shutter.press(replay, 1, WALK, Stop("1", "right", 0.5), Press("other side", time.time()))
+    shutter.close()
+    kept = [one.stop.position_m for one in waiting.captures()]
+    # The third and fourth go on from the last, as far as the last two lie apart.
+    assert kept == [0.0, 0.5, 1.0, 1.5, 0.75, 0.5]
+    moved = [one.moved for one in shutter.pressed(WALK)]
+    assert [one and one.position_m for one in moved] == [None, None, 1.0, 1.5, None, None]
+
+
 def test_presses_that_are_told_late_together_keep_their_order(
     store: Store, waiting: WaitingCaptures
 ) -> None:

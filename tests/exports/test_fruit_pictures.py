@@ -73,7 +73,7 @@ def test_a_small_picture_shows_the_same_place() -> None:
     color = np.zeros((480, 640, 3), np.uint8)
     color[:, 320:] = 200
     record, capture = hanging()
-    small = cv2.resize(color, (320, 240), interpolation=cv2.INTER_AREA)
+    small = color[::2, ::2]
     whole, half = (draw_fruit(one, record, capture) for one in (color, small))
     assert whole.shape == half.shape
     assert np.abs(whole.astype(int) - half).mean() < 3
@@ -102,5 +102,5 @@ def test_every_fruit_of_an_export_gets_its_own_picture(tmp_path: Path) -> None:
     assert named["b"] is None
     assert [named["a"]] == list(tables.pictures)
     [make] = tables.pictures.values()
-    read = cv2.imdecode(np.frombuffer(make(), np.uint8), cv2.IMREAD_COLOR)
+    read = np.asarray(cv2.imdecode(np.frombuffer(make(), np.uint8), cv2.IMREAD_COLOR))
     assert np.abs(read[..., ::-1].astype(int) - draw_fruit(color, record, capture)).mean() < 3

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.demonstration import round_for_capture
-from cucumbervision.rounds.walking import last_step
+from cucumbervision.rounds.walking import last_step, unless_taken
 from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
@@ -75,6 +75,14 @@ class Pressed:
             return str(error or "")
         return f"{type(error).__name__}: {error}"
 
+    @property
+    def moved(self) -> Stop | None:
+        """Where it was put because another stop has the place where it was pressed, if so."""
+        if not self.kept.done() or self.kept.exception() is not None:
+            return None
+        stop = self.kept.result().stop
+        return None if stop.position_m == self.stop.position_m else stop
+
 
 class Shutter:
     """Takes a burst at each press and keeps it.
@@ -129,7 +137,8 @@ class Shutter:
         capture = grabbed.capture()
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
-        stop = replace(stop, step=last_step(self._store.stops(home), waiting) + 1)
+        taken = [*self._store.stops(home), *waiting]
+        stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         key = key_of("press", round_key, press.number)
         capture = replace(capture, stop=stop, timestamp_s=press.at_s)
         kept = self._waiting.put(capture, key, home, press.at_s)

@@ -132,12 +132,12 @@ def _pictures(
     store: Store, content: RoundContent, table: Sequence[RoundFruit], called: str
 ) -> dict[str, tuple[str, Callable[[], bytes]]]:
     """Return name and maker of the pictures, by the keys of fruit and stops."""
-    of_stops = {
+    makers: dict[str, Callable[[], bytes]] = {
         one.key: partial(store.images.read, one.thumbnail)
         for one in content.stops
         if one.thumbnail is not None and store.images.path(one.thumbnail).is_file()
     }
-    makers = {**of_stops, **fruit_pictures(store, content.key, table)}
+    makers.update(fruit_pictures(store, content.key, table))
     shown = [(one.key, one.row, f"stop-{n:03d}") for n, one in enumerate(content.stops, 1)]
     shown += [(one.view.key, one.view.row, f"fruit-{one.number:04d}") for one in table]
     found = {}

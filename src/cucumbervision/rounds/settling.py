@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.rounds.poses import sign_of_side
 from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
+from cucumbervision.rounds.walking import taken_by
 from cucumbervision.store.edits import STOP_EDITS, StopPlace
 
 if TYPE_CHECKING:
@@ -54,7 +55,19 @@ def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
     """Say where a stop was taken really; return the change's number in the log.
 
     Where the side changes, what lay to the left of the camera lies to the right of it.
+
+    Raises
+    ------
+    RoundError
+        If it is moved to where another stop of the round is.
     """
+    if (place.row, place.side, place.position_m) != (stop.row, stop.side, stop.position_m):
+        others = [one for one in store.stops(stop.round_key) if one.key != stop.key]
+        if (other := taken_by(place, others)) is not None:
+            raise RoundError(
+                f"stop {other.step or ''} is at {place.position_m:.2f} m of that row and side",
+                remedy="choose another position, or move or delete that stop first",
+            )
     turned = sign_of_side(place.side) != sign_of_side(stop.side)
     where = StopPlace(
         place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["NextPlace", "last_step", "next_place", "sides_of"]
+    from cucumbervision.capture.frames import Stop
+
+__all__ = ["NextPlace", "last_step", "next_place", "sides_of", "taken_by", "unless_taken"]
 
 _STEP_M = 0.4
 _WIDEST_M = 5.0
+_SAME_M = 0.005  # positions are typed to the centimetre
 
 
 class _Placed(Protocol):
@@ -90,6 +93,50 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
     known = 0.0 < abs(apart) <= _WIDEST_M
     step_m = round(abs(apart), 2) if known else _STEP_M
     return NextPlace(row, side, round(at_m, 2), step_m, known and apart < 0).onward()
+
+
+def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
+    """Return a stop where no other is: one whose place is taken goes on from the last of its row.
+
+    So two people who walk one round from one place never give the same place to two stops.
+
+    Parameters
+    ----------
+    stop : Stop
+        Where somebody says that it is.
+    taken : sequence of Stop or StopView
+        Where the others are, in order.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> others = [Stop("3", "left", 0.0), Stop("3", "left", 0.5), Stop("3", "right", 1.0)]
+    >>> unless_taken(Stop("3", "left", 0.5), others).position_m
+    1.0
+    >>> unless_taken(Stop("3", "left", 0.25), others).position_m
+    0.25
+    """
+    if taken_by(stop, taken) is None:
+        return stop
+    own = [one for one in taken if (one.row, one.side) == (stop.row, stop.side)]
+    on = next_place(own)
+    if on.back and on.position_m == 0.0:  # a row ends there: on from its other end
+        on = replace(on, position_m=max(one.position_m or 0.0 for one in own), back=False).onward()
+    while taken_by(moved := replace(stop, position_m=on.position_m), own) is not None:
+        on = replace(on, back=False).onward()
+    return moved
+
+
+def taken_by(stop: _Placed, others: Iterable[_Placed]) -> _Placed | None:
+    """Return the stop that is where this one is; None where none is, or its place is not known."""
+    at_m = stop.position_m
+    if at_m is None:
+        return None
+    for one in others:
+        near = one.position_m is not None and abs(one.position_m - at_m) < _SAME_M
+        if near and (one.row, one.side) == (stop.row, stop.side):
+            return one
+    return None
 
 
 def last_step(*walks: Sequence[_Placed]) -> int:

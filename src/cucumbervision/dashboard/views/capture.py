@@ -30,7 +30,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
 from cucumbervision.rounds.forecasting import grade_of
-from cucumbervision.rounds.walking import NextPlace, next_place, sides_of
+from cucumbervision.rounds.walking import NextPlace, next_place, sides_of, unless_taken
 from cucumbervision.store.views import DetectionFilter
 
 if TYPE_CHECKING:
@@ -119,14 +119,19 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
 def _begin_place(opened: str, home: str) -> None:
     """Go on from the round's last stop, measured or not; what was typed since stands."""
     state = st.session_state
-    if state.get("place_of") == home:
-        _read_typed()
+    begun = state.get("place_of") == home
+    if begun and _read_typed():
         return
     waiting = [one.stop for one in resources.waiting().captures() if one.round_key == home]
     stops = resources.store().stops(home) if _is_round(home) else []
-    taken = [one.stop for one in resources.shutter().pressed(opened) if not one.kept.done()]
+    pressing = [one.stop for one in resources.shutter().pressed(opened) if not one.kept.done()]
+    taken = [*stops, *waiting, *pressing]
     state["place_of"], state["place_sides"] = home, sides_of(stops)
-    _set_place(next_place([*stops, *waiting, *taken]))
+    on = next_place(taken)
+    # Somebody else who walks the same round may have been here meanwhile.
+    passed = begun and unless_taken(here := _stop_of(state["place"]), taken) != here
+    if not begun or (passed and on != state["place"]):
+        _set_place(on)
 
 
 def _is_round(key: str) -> bool:
@@ -135,12 +140,16 @@ def _is_round(key: str) -> bool:
 
 def _set_place(place: NextPlace) -> None:
     # Fields of new names: those on the page keep what was typed, whatever they are told.
-    st.session_state["place"] = place
+    st.session_state["place"] = st.session_state["place_as_set"] = place
     st.session_state["place_number"] = st.session_state.get("place_number", 0) + 1
 
 
-def _read_typed() -> None:
-    """Take over what was typed into the fields since they were drawn."""
+def _stop_of(place: NextPlace) -> Stop:
+    return Stop(place.row or None, place.side, place.position_m)
+
+
+def _read_typed() -> bool:
+    """Take over what was typed into the fields since they were drawn; tell whether anything was."""
     state, place = st.session_state, st.session_state["place"]
 
     def typed(name: str, known: Any) -> Any:
@@ -154,6 +163,7 @@ def _read_typed() -> None:
         float(typed("step", place.step_m)),
         typed("way", "back" if place.back else "onward") == "back",
     )
+    return bool(state["place"] != state["place_as_set"])
 
 
 def _place() -> None:
@@ -196,9 +206,8 @@ def _presses() -> list[Press]:
 
 def _take(one: RoundView, kind: str, press: Press) -> None:
     place = st.session_state["place"]
-    stop = Stop(place.row or None, place.side, place.position_m)
     burst, feed = resources.settings().burst, resources.feed(kind)
-    if resources.shutter().press(feed, burst, one.key, stop, press):
+    if resources.shutter().press(feed, burst, one.key, _stop_of(place), press):
         _set_place(place.onward())
 
 
@@ -208,6 +217,12 @@ def _waits(one: RoundView, home: str) -> None:
     for taken in pressed[-3:][::-1]:
         if taken.error:
             st.error(f"Nothing was captured. {plain(taken.error)}", icon=":material/error:")
+        elif (moved := taken.moved) is not None:
+            st.warning(
+                f"Another stop is at {taken.stop.position_m:.2f} m: this one is kept as "
+                f"{plain(stop_name(moved))}. 'Put right' moves it.",
+                icon=":material/wrong_location:",
+            )
     waiting, measuring = resources.waiting(), resources.wake()
     left = waiting.captures()
     busy = sum(not taken.kept.done() for taken in pressed)

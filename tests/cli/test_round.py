@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
@@ -18,6 +19,7 @@ from cucumbervision.store.records import (
     new_key,
 )
 from cucumbervision.store.repository import open_store
+from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
 
 def run(*arguments: str) -> str:
@@ -66,6 +68,45 @@ def test_a_stop_that_is_put_back_is_merged_at_once(house: list[str]) -> None:
         store.delete_stop(store.stops(key)[0].key)
         assert "logged as action 2" in run("undo", *house)
         assert [one.fitted_m is not None for one in store.stops(key)] == [True]
+
+
+def test_stops_and_rounds_are_deleted_and_brought_back(house: list[str]) -> None:
+    rows = [str(bundled_captures() / f"simulated-row-{name}") for name in "ab"]
+    where = ("--row", "4", "--side", "left", "--position", "2", "--spacing", "3")
+    run("add", *rows, *where, "--instances", "dataset", *house)
+    listed = run("stops", *house)
+    assert "2.00" in listed
+    assert "5.00" in listed
+    assert "logged as action 1" in run("delete-stop", "2", *house, "--by", "kim")
+    with open_store(house[1]) as store:
+        [one] = store.rounds()
+        [stop] = store.stops(one.key)
+        assert (stop.step, stop.fitted_m is not None) == (1, True)  # merged anew
+        assert store.log(one.key)[0].by == "kim"
+    with pytest.raises(CucumberVisionError, match="no stop is called '2'"):
+        run("delete-stop", "2", *house)
+    run("undo", *house)
+    assert "5.00" in run("stops", *house)
+    assert "brings it back" in run("delete", "morning", *house)
+    assert "morning" not in run("list", *house)
+    assert "morning" in run("list", "--deleted", *house)
+    with pytest.raises(CucumberVisionError, match="no round is called 'morning'"):
+        run("delete", "morning", *house)
+    run("restore", "morning", *house)
+    assert "morning" in run("list", *house)
+    with pytest.raises(CucumberVisionError, match="no deleted round is called 'morning'"):
+        run("restore", "morning", *house)
+
+
+def test_a_round_into_which_captures_wait_is_not_deleted(house: list[str]) -> None:
+    waiting = WaitingCaptures(waiting_folder(house[1]))
+    with open_store(house[1]) as store:
+        key = store.rounds()[0].key
+    capture = next(iter(open_source(bundled_captures()))).load()
+    waiting.put(capture, new_key(), key, 1_700_000_000.0)
+    with pytest.raises(CucumberVisionError, match="1 capture waits to be measured into it"):
+        run("delete", "morning", *house)
+    assert "morning" in run("list", *house)
 
 
 def test_growth_is_linked_by_hand_and_taken_back(house: list[str]) -> None:

@@ -1,15 +1,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.service import link_rounds
-from cucumbervision.rounds.settling import settle, undo
+from cucumbervision.rounds.settling import delete_round, move_stop, settle, undo
 from cucumbervision.store.edits import StopPlace
-from cucumbervision.store.records import key_of
+from cucumbervision.store.records import StopRecord, key_of
+from cucumbervision.store.views import LinkKind
+from cucumbervision.store.waiting import WaitingCaptures
 from cucumbervision_lab.simulation import SimulatedRow, simulate_row
 
 if TYPE_CHECKING:
@@ -59,3 +63,51 @@ def test_undoing_tells_of_which_round_a_stop_was_moved(store: Store, stops: list
     assert undo(store, MORNING) == (3, "")
     assert undo(store, MORNING, by="kim") == (4, MORNING)
     assert store.log(MORNING)[0].by == "kim"
+
+
+def test_a_stop_is_not_moved_to_where_another_is(store: Store) -> None:
+    for step, side, at_m in ((1, "left", 0.0), (2, "left", 0.4), (3, "right", 0.4)):
+        store.save_stop(StopRecord(key_of(step), MORNING, "3", side, at_m, step=step))
+    second = store.stops(MORNING)[1]
+    with pytest.raises(RoundError, match=r"stop 1 is at 0\.00 m of that row and side"):
+        move_stop(store, second, Stop("3", "left", 0.0, 2))
+    with pytest.raises(RoundError, match="stop 3 is at"):
+        move_stop(store, second, Stop("3", "right", 0.4, 2))
+    move_stop(store, second, Stop("3", "left", 0.4, 2), "by the door")
+    move_stop(store, store.stops(MORNING)[1], Stop("4", "left", 0.0, 2), "by the door")
+    assert [(one.row, one.note) for one in store.stops(MORNING)][1] == ("4", "by the door")
+
+
+def linked(store: Store, first: str, second: str) -> set[tuple[str, str]]:
+    ends = [{one.key for one in store.detections(key)} for key in (first, second)]
+    links = store.links(second, LinkKind.GROWTH)
+    return {(x.first, x.second) for x in links if x.first in ends[0] and x.second in ends[1]}
+
+
+def test_a_round_that_is_brought_back_is_linked_as_before(
+    store: Store, save_walk: SaveWalk, tmp_path: Path
+) -> None:
+    begun = next(one.record for one in store.rounds())
+    days = [
+        replace(begun, key=key_of("rounds", day), started_s=begun.started_s + 86400.0 * day)
+        for day in range(3)
+    ]
+    walk = simulate_row(SimulatedRow(fruit=12), 1)
+    for day, one in enumerate(days):
+        store.save_round(one)
+        grown = replace(walk.views, length_m=walk.views.length_m + 0.03 * day)
+        save_walk(replace(walk, views=grown), one)
+    first, second, third = (one.key for one in days)
+    for one in days:
+        assert settle(store, one.key) == ""
+    before = linked(store, first, second), linked(store, second, third)
+    assert all(before)
+    assert not linked(store, first, third)
+    waiting = WaitingCaptures(tmp_path / "waiting")
+    assert delete_round(store, second, waiting, by="kim") == [third]
+    settle(store, third)
+    assert linked(store, first, third)
+    store.restore_round(second)
+    settle(store, second)
+    assert (linked(store, first, second), linked(store, second, third)) == before
+    assert not linked(store, first, third)

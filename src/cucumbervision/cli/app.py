@@ -25,6 +25,7 @@ from cucumbervision.cli import (
     models,
     record,
     round,
+    round_edits,
     serve,
     stream,
 )
@@ -52,6 +53,8 @@ app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(serve.serve)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
+for _edit in (round_edits.stops, round_edits.delete_stop, round_edits.delete, round_edits.restore):
+    round.app.command()(_edit)
 _GROUPS = {
     "dashboard": dashboard.app,
     "evaluate": evaluate.app,

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-__all__ = ["app", "chosen_profile", "opened_round"]
+__all__ = ["By", "app", "chosen_profile", "opened_round"]
 
 app = typer.Typer(
     name="round",
@@ -284,13 +284,16 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
 
 
 @app.command("list")
-def list_(store: StoreName = "house.db") -> None:
+def list_(
+    store: StoreName = "house.db",
+    deleted: Annotated[bool, typer.Option("--deleted", help="Those that were deleted.")] = False,
+) -> None:
     """List the rounds, the newest first."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.store.repository import open_store
 
     with open_store(store) as opened:
-        rounds = opened.rounds()
+        rounds = opened.rounds(deleted=deleted)
     left = ("key", "name", "house", "began", "profile")
     table = columns_table(None, left, "stops", "views")
     for one in rounds:

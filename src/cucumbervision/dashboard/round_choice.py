@@ -9,9 +9,9 @@ import streamlit as st
 
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.errors import CucumberVisionError, RoundError
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.demonstration import is_demonstration
-from cucumbervision.rounds.settling import later_rounds
+from cucumbervision.rounds.settling import delete_round
 from cucumbervision.store.records import RoundRecord
 
 if TYPE_CHECKING:
@@ -112,16 +112,11 @@ def _rename(key: str) -> None:
 
 
 def _delete(key: str) -> None:
-    waiting = sum(one.round_key == key for one in resources.waiting().captures())
-    if waiting:
-        waits = "1 capture waits" if waiting == 1 else f"{waiting} captures wait"
-        raise RoundError(f"{waits} to be measured into it", remedy="delete it afterwards")
-    after = later_rounds(resources.store(), key)[:1]
-    resources.store().delete_round(key)
-    for one in after:  # its fruit are those of the round before now
-        resources.merge(one.key)
+    for after in delete_round(resources.store(), key, resources.waiting()):
+        resources.merge(after)
 
 
 def _bring_back(key: str) -> None:
     resources.store().restore_round(key)
+    resources.merge(key)  # its fruit and those of its neighbours were linked past it
     st.session_state["round"] = key

@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import StoredRow
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView, StopView
 
 __all__ = [
     "RoundFruit",
     "RowReport",
     "find_fruit",
     "find_round",
+    "find_stop",
     "fruit_table",
     "link_rounds",
     "merge_round",
@@ -133,15 +134,17 @@ class RoundFruit:
     combined_sd_m: float | None
 
 
-def find_round(store: Store, name: str = "") -> RoundView:
+def find_round(store: Store, name: str = "", *, deleted: bool = False) -> RoundView:
     """Find a round by its key, the start of it, or its name; the newest without one.
+
+    `deleted` looks among those that were deleted instead.
 
     Raises
     ------
     RoundError
         If there is none, or several begin so.
     """
-    rounds = store.rounds()
+    rounds = store.rounds(deleted=deleted)
     wanted = name.strip().lower()
     named = [one for one in rounds if one.record.name == name or one.key == wanted]
     found = named or [one for one in rounds if wanted and one.key.startswith(wanted)]
@@ -149,8 +152,26 @@ def find_round(store: Store, name: str = "") -> RoundView:
         found = rounds[:1]
     if len(found) == 1:
         return found[0]
-    problem = "several rounds are" if found else "no round is"
+    what = "deleted round" if deleted else "round"
+    problem = f"several {what}s are" if found else f"no {what} is"
     raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
+
+
+def find_stop(store: Store, round_key: str, name: str) -> StopView:
+    """Find a stop of a round by its number, its key, or the start of that.
+
+    Raises
+    ------
+    RoundError
+        If there is none, or several are called so.
+    """
+    wanted, stops = name.strip().lower(), store.stops(round_key)
+    found = [one for one in stops if str(one.step) == wanted]
+    found = found or [one for one in stops if wanted and one.key.startswith(wanted)]
+    if len(found) != 1:
+        problem = "several stops are" if found else "no stop is"
+        raise RoundError(f"{problem} called '{name}'", remedy="give its key from `round stops`")
+    return found[0]
 
 
 def merge_round(

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView, StopView
+    from cucumbervision.store.waiting import WaitingCaptures
 
-__all__ = ["earlier_round", "later_rounds", "move_stop", "settle", "undo"]
+__all__ = ["delete_round", "earlier_round", "later_rounds", "move_stop", "settle", "undo"]
 
 SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
 FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
@@ -46,6 +47,8 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
             link_rounds(store, one.key, round_key, profile)
         for one in after[:1]:
             link_rounds(store, round_key, one.key, profile)
+            if before is not None:  # they were neighbours while this round was not there
+                store.save_growth(before.key, one.key, ())
     except (RoundError, StoreError) as error:  # somebody may delete a round or fruit meanwhile
         return str(error)
     return ""
@@ -73,6 +76,38 @@ def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
         place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned
     )
     return store.place_stop(stop.key, where)
+
+
+def delete_round(
+    store: Store, round_key: str, waiting: WaitingCaptures, *, by: str = ""
+) -> list[str]:
+    """Take a round out of the list of rounds; return the rounds that have to be settled then.
+
+    Parameters
+    ----------
+    store : Store
+        Where it is.
+    round_key : str
+        The round.
+    waiting : WaitingCaptures
+        What waits to be measured.
+    by : str
+        Who deletes it.
+
+    Raises
+    ------
+    RoundError
+        If captures wait to be measured into it.
+    StoreError
+        If it is not there.
+    """
+    waits = sum(one.round_key == round_key for one in waiting.captures())
+    if waits:
+        words = "1 capture waits" if waits == 1 else f"{waits} captures wait"
+        raise RoundError(f"{words} to be measured into it", remedy="delete it afterwards")
+    after = later_rounds(store, round_key)[:1]
+    store.delete_round(round_key, by=by)
+    return [one.key for one in after]  # its fruit are those of the round before now
 
 
 def undo(

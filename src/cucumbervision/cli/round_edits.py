@@ -1,0 +1,89 @@
+"""`cucumbervision round`: stops listed, stops and rounds deleted and brought back."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cucumbervision.cli.choices import RoundName, StoreName
+from cucumbervision.cli.round import By, chosen_profile, opened_round
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from cucumbervision.store.repository import Store
+
+__all__ = ["delete", "delete_stop", "restore", "stops"]
+
+Round = Annotated[str, typer.Argument(help="Name, key or start of a key.")]
+
+
+def stops(store: StoreName = "house.db", round_: RoundName = "") -> None:
+    """List a round's stops in the order in which they were taken."""
+    from cucumbervision.cli.console import columns_table, screen
+
+    with opened_round(store, round_, create=False) as (opened, one):
+        found = opened.stops(one.key)
+    table = columns_table(None, ("no.", "row", "side"), "at, m", "fruit")
+    for head in ("taken", "name", "key"):
+        table.add_column(head, overflow="fold")
+    for stop in found:
+        taken = datetime.fromtimestamp(stop.taken_s).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+        at = "" if stop.position_m is None else f"{stop.position_m:.2f}"
+        number = "" if stop.step is None else str(stop.step)
+        place = number, stop.row or "", stop.side or "", at
+        table.add_row(*place, str(stop.fruit), taken, stop.note, stop.key[:8])
+    screen().print(table)
+
+
+def delete_stop(
+    stop: Annotated[list[str], typer.Argument(help="Numbers or keys that `round stops` prints.")],
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    by: By = "",
+) -> None:
+    """Take stops with all their fruit out of every list; `round undo` brings one back."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision.rounds.service import find_stop
+
+    with opened_round(store, round_, create=False) as (opened, one):
+        for key in [find_stop(opened, one.key, name).key for name in stop]:
+            screen().print(f"logged as action {opened.delete_stop(key, by=by)}")
+        _settle(opened, [one.key])
+
+
+def delete(name: Round, store: StoreName = "house.db", by: By = "") -> None:
+    """Take a round out of the list of rounds; `round restore` brings it back."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision.rounds.settling import delete_round
+    from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
+
+    with opened_round(store, name, create=False) as (opened, one):
+        after = delete_round(opened, one.key, WaitingCaptures(waiting_folder(store)), by=by)
+        screen().print(f"deleted; `cucumbervision round restore {one.key[:8]}` brings it back")
+        _settle(opened, after)
+
+
+def restore(name: Round, store: StoreName = "house.db", by: By = "") -> None:
+    """Bring a deleted round back, its fruit linked to the days before and after as they were."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision.rounds.service import find_round
+    from cucumbervision.store.repository import open_store
+
+    with open_store(store, create=False) as opened:
+        key = find_round(opened, name, deleted=True).key
+        screen().print(f"logged as action {opened.restore_round(key, by=by)}")
+        _settle(opened, [key])
+
+
+def _settle(store: Store, round_keys: Iterable[str]) -> None:
+    """Merge rounds anew and link them to their neighbours; print what could not be done."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision.rounds.service import find_round
+    from cucumbervision.rounds.settling import settle
+
+    for key in round_keys:
+        if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
+            screen().print(fault, soft_wrap=True, markup=False)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.camera_feed import Burst, Feed
     from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import StopView
     from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
 __all__ = ["Press", "Pressed", "Shutter"]
@@ -137,7 +138,7 @@ class Shutter:
         capture = grabbed.capture()
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
-        taken = [*self._store.stops(home), *waiting]
+        taken: list[Stop | StopView] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         key = key_of("press", round_key, press.number)
         capture = replace(capture, stop=stop, timestamp_s=press.at_s)

@@ -125,7 +125,7 @@ def _begin_place(opened: str, home: str) -> None:
     waiting = [one.stop for one in resources.waiting().captures() if one.round_key == home]
     stops = resources.store().stops(home) if _is_round(home) else []
     pressing = [one.stop for one in resources.shutter().pressed(opened) if not one.kept.done()]
-    taken = [*stops, *waiting, *pressing]
+    taken: list[Stop | StopView] = [*stops, *waiting, *pressing]
     state["place_of"], state["place_sides"] = home, sides_of(stops)
     on = next_place(taken)
     # Somebody else who walks the same round may have been here meanwhile.

@@ -42,7 +42,6 @@ Guard = Annotated[
         "--guard", help="Play recordings from untrusted senders in a separate, limited process."
     ),
 ]
-
 Fresh = Annotated[
     bool,
     typer.Option(
@@ -53,7 +52,6 @@ Fresh = Annotated[
 Parquet = Annotated[
     bool, typer.Option("--parquet", help="Write the rows as Parquet, too, in parts (parquet/).")
 ]
-
 EngineName = Annotated[
     Literal["local", "ray"],
     typer.Option(help="Where captures are measured: this machine, or a Ray cluster."),
@@ -65,37 +63,43 @@ Workers = Annotated[
 Address = Annotated[
     str, typer.Option(help="Address of the Ray cluster; without it one is started here.")
 ]
+Out = Annotated[
+    Path,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="PLACE",
+        parser=as_path,
+        help="Folder or URL for tables and pictures.",
+    ),
+]
+Pose = Annotated[
+    Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
+]
+Methods = Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")]
+SelectorChoice = Annotated[Selector, typer.Option(help="How one method is chosen.")]
+DepthPicture = Annotated[
+    Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
+]
+DepthUnit = Annotated[
+    float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
+]
 
 
 def measure(
     inputs: Inputs,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="PLACE",
-            parser=as_path,
-            help="Folder or URL for tables and pictures.",
-        ),
-    ],
+    out: Out,
     instances: Instances = "auto",
-    pose: Annotated[
-        Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
-    ] = None,
-    methods: Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")] = "all",
-    selector: Annotated[Selector, typer.Option(help="How one method is chosen.")] = Selector.BEST,
+    pose: Pose = None,
+    methods: Methods = "all",
+    selector: SelectorChoice = Selector.BEST,
     length: Length = LengthDefinition.THREAD,
     segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
     confidence: Confidence = 0.30,
     intrinsics: Intrinsics = None,
-    depth: Annotated[
-        Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
-    ] = None,
-    depth_unit: Annotated[
-        float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
-    ] = None,
+    depth: DepthPicture = None,
+    depth_unit: DepthUnit = None,
     burst: Burst = 5,
     calibration: Calibration = None,
     input_size: InputSize = "",

@@ -14,50 +14,64 @@ __all__ = ["cameras", "record"]
 Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
 
+Out = Annotated[Path, typer.Argument(metavar="OUT", help="Gets a folder a capture.")]
+FilledFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        help="A folder that another program fills, in the camera's place.",
+        show_default=False,
+    ),
+]
+Every = Annotated[
+    float | None,
+    typer.Option(min=0.0, help="Seconds from one capture to the next; else Enter takes one."),
+]
+Count = Annotated[int | None, typer.Option(min=1, help="End after so many.", show_default=False)]
+RowName = Annotated[str | None, typer.Option(help="Row in the house.")]
+Side = Annotated[str | None, typer.Option(help="Side of the row: left or right.")]
+Position = Annotated[float | None, typer.Option(help="Metres along the row of the first capture.")]
+Step = Annotated[float, typer.Option(help="Metres from one capture to the next.")]
+CapturesName = Annotated[str, typer.Option(help="What the captures are called.")]
+Width = Annotated[int, typer.Option(min=1, help="Pixels.")]
+Height = Annotated[int, typer.Option(min=1, help="Pixels.")]
+DepthPreset = Annotated[
+    Preset | None, typer.Option(help="The depth camera's preset; its own without.")
+]
+Exposure = Annotated[
+    float | None,
+    typer.Option(min=1, help="Colour exposure in microseconds; automatic without."),
+]
+Gain = Annotated[float | None, typer.Option(min=0, help="Colour gain.")]
+DepthExposure = Annotated[
+    float | None,
+    typer.Option(min=1, help="Depth exposure in microseconds; automatic without."),
+]
+LaserPower = Annotated[
+    float | None, typer.Option(min=0, help="Projector's power in milliwatts; 0 is off.")
+]
+
+
 def record(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Gets a folder a capture.")],
+    out: Out,
     serial: Serial = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            help="A folder that another program fills, in the camera's place.",
-            show_default=False,
-        ),
-    ] = None,
-    every: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Seconds from one capture to the next; else Enter takes one."),
-    ] = None,
-    count: Annotated[
-        int | None, typer.Option(min=1, help="End after so many.", show_default=False)
-    ] = None,
+    folder: FilledFolder = None,
+    every: Every = None,
+    count: Count = None,
     burst: Burst = 5,
-    row: Annotated[str | None, typer.Option(help="Row in the house.")] = None,
-    side: Annotated[str | None, typer.Option(help="Side of the row: left or right.")] = None,
-    position: Annotated[
-        float | None, typer.Option(help="Metres along the row of the first capture.")
-    ] = None,
-    step: Annotated[float, typer.Option(help="Metres from one capture to the next.")] = 0.0,
-    name: Annotated[str, typer.Option(help="What the captures are called.")] = "capture",
-    width: Annotated[int, typer.Option(min=1, help="Pixels.")] = 1280,
-    height: Annotated[int, typer.Option(min=1, help="Pixels.")] = 720,
+    row: RowName = None,
+    side: Side = None,
+    position: Position = None,
+    step: Step = 0.0,
+    name: CapturesName = "capture",
+    width: Width = 1280,
+    height: Height = 720,
     fps: Fps = 15,
-    preset: Annotated[
-        Preset | None, typer.Option(help="The depth camera's preset; its own without.")
-    ] = None,
-    exposure: Annotated[
-        float | None,
-        typer.Option(min=1, help="Colour exposure in microseconds; automatic without."),
-    ] = None,
-    gain: Annotated[float | None, typer.Option(min=0, help="Colour gain.")] = None,
-    depth_exposure: Annotated[
-        float | None,
-        typer.Option(min=1, help="Depth exposure in microseconds; automatic without."),
-    ] = None,
-    laser: Annotated[
-        float | None, typer.Option(min=0, help="Projector's power in milliwatts; 0 is off.")
-    ] = None,
+    preset: DepthPreset = None,
+    exposure: Exposure = None,
+    gain: Gain = None,
+    depth_exposure: DepthExposure = None,
+    laser: LaserPower = None,
     retries: Retries = 3,
     quiet: Quiet = False,
 ) -> None:

@@ -23,35 +23,42 @@ from cucumbervision.cli.choices import (
 __all__ = ["stream"]
 
 
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="SOURCE",
+        help="camera (a RealSense D4xx), a .bag or .db3 recording, or a folder of captures.",
+    ),
+]
+FastWay = Annotated[
+    bool,
+    typer.Option(
+        "--fast",
+        help="For speed: the detector's masks at 640 pixels, no SAM, no keypoints, half "
+        "precision where the processor can, and one fruit measured a frame.",
+    ),
+]
+Follow = Annotated[
+    bool, typer.Option("--follow", help="Wait for what comes into a folder, from now on.")
+]
+EveryFrame = Annotated[
+    bool,
+    typer.Option("--every", help="Drop no frame of a recording or followed folder."),
+]
+Frames = Annotated[
+    int | None, typer.Option(min=1, help="End after so many frames.", show_default=False)
+]
+
+
 def stream(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="camera (a RealSense D4xx), a .bag or .db3 recording, or a folder of captures.",
-        ),
-    ],
-    fast: Annotated[
-        bool,
-        typer.Option(
-            "--fast",
-            help="For speed: the detector's masks at 640 pixels, no SAM, no keypoints, half "
-            "precision where the processor can, and one fruit measured a frame.",
-        ),
-    ] = False,
-    follow: Annotated[
-        bool, typer.Option("--follow", help="Wait for what comes into a folder, from now on.")
-    ] = False,
-    every: Annotated[
-        bool,
-        typer.Option("--every", help="Drop no frame of a recording or followed folder."),
-    ] = False,
+    source: Source,
+    fast: FastWay = False,
+    follow: Follow = False,
+    every: EveryFrame = False,
     serial: Serial = None,
     fps: Fps = 15,
     retries: Retries = 3,
-    frames: Annotated[
-        int | None, typer.Option(min=1, help="End after so many frames.", show_default=False)
-    ] = None,
+    frames: Frames = None,
     instances: Instances = "auto",
     segmenter: Segmenter = None,
     confidence: Confidence = 0.30,

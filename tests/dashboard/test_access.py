@@ -22,12 +22,12 @@ from cucumbervision.dashboard.access import (
     Session,
     accounts_file,
     decide_login,
-    is_loopback,
     read_accounts,
     read_openid_connect,
     set_password,
 )
 from cucumbervision.errors import AccessError
+from cucumbervision.service.settings import is_loopback
 
 WORDS = "grüne gurken im haus"
 AUTH = '[auth]\nredirect_uri = "https://a/oauth2callback"\ncookie_secret = "x"\n'

@@ -9,8 +9,7 @@ import openpyxl
 import pytest
 
 from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.reports import excel_limit
-from cucumbervision.pipeline.tables import MOST_EXCEL_ROWS, CsvSink, write_workbook
+from cucumbervision.pipeline.tables import MOST_EXCEL_ROWS, CsvSink, excel_limit, write_workbook
 
 
 def row(**cells: Any) -> dict[str, Any]:

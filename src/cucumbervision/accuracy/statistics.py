@@ -147,10 +147,8 @@ class Comparison:
         return self.p_value < self.alpha
 
 
-def compare(
-    first: ArrayLike, second: ArrayLike, comparisons: int = 1, alpha: float = 0.05
-) -> Comparison:
-    """Compare two methods on the same captures.
+def compare(first: ArrayLike, second: ArrayLike, comparisons: int = 1) -> Comparison:
+    """Compare two methods on the same captures, at a level of 5 % for the whole family.
 
     Parameters
     ----------
@@ -158,8 +156,6 @@ def compare(
         Absolute errors, paired.
     comparisons : int
         How many comparisons are made in all, for Bonferroni's correction.
-    alpha : float
-        The level of the whole family.
 
     Examples
     --------
@@ -169,12 +165,13 @@ def compare(
     """
     from scipy.stats import wilcoxon
 
+    alpha = 0.05 / comparisons
     a, b = np.asarray(first, float), np.asarray(second, float)
     difference = a - b
     if not difference.any():
-        return Comparison(1.0, alpha / comparisons, 0.0)
+        return Comparison(1.0, alpha, 0.0)
     p_value = float(wilcoxon(a, b).pvalue)
-    return Comparison(p_value, alpha / comparisons, float(np.median(difference)))
+    return Comparison(p_value, alpha, float(np.median(difference)))
 
 
 @dataclass(frozen=True)
@@ -204,10 +201,9 @@ def estimate(
     values: ArrayLike,
     groups: Sequence[Hashable] | None = None,
     quantile: float | None = None,
-    level: float = 0.95,
     resamples: int = 2000,
 ) -> Estimate:
-    """Compute a mean, or a quantile, with its percentile bootstrap interval.
+    """Compute a mean, or a quantile, with its 95 % percentile bootstrap interval.
 
     Parameters
     ----------
@@ -218,8 +214,6 @@ def estimate(
         group are no independent samples. Without it each value is its own group.
     quantile : float, optional
         0 to 1; the mean without it.
-    level : float
-        Level of the interval.
     resamples : int
         Number of resamples.
 
@@ -248,7 +242,7 @@ def estimate(
         order = np.argsort(data, kind="stable")
         data, member = data[order], member[order]
         drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
-    low, high = np.percentile(drawn, [50 * (1 - level), 50 * (1 + level)])
+    low, high = np.percentile(drawn, [2.5, 97.5])
     return Estimate(value, float(low), float(high), len(data), len(index))
 
 
@@ -271,9 +265,9 @@ def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
     return Estimate(found.value, low, high, found.count, found.groups)
 
 
-def resample_weights(groups: int, resamples: int, seed: int = 0) -> NDArray[np.float64]:
+def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:
     """Return how often each group is drawn in each resample, shape (resamples, groups)."""
-    drawn = np.random.default_rng(seed).integers(groups, size=(resamples, groups))
+    drawn = np.random.default_rng(0).integers(groups, size=(resamples, groups))
     drawn += groups * np.arange(resamples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=resamples * groups)
     return np.asarray(counts.reshape(resamples, groups), float)
@@ -290,8 +284,8 @@ def _weighted_quantile(
     return float((1 - part) * data[first] + part * data[second])
 
 
-def binomial_interval(hits: int, count: int, level: float = 0.95) -> tuple[float, float]:
-    """Compute the exact (Clopper–Pearson) interval of a share.
+def binomial_interval(hits: int, count: int) -> tuple[float, float]:
+    """Compute the exact (Clopper–Pearson) 95 % interval of a share.
 
     Examples
     --------
@@ -301,5 +295,5 @@ def binomial_interval(hits: int, count: int, level: float = 0.95) -> tuple[float
     """
     from scipy.stats import binomtest
 
-    found = binomtest(hits, count).proportion_ci(level, method="exact")
+    found = binomtest(hits, count).proportion_ci(0.95, method="exact")
     return float(found.low), float(found.high)

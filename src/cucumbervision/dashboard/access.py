@@ -6,7 +6,6 @@ OpenID Connect provider by Streamlit's `st.login` with a list of whom it may adm
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import os
 import re
@@ -27,6 +26,7 @@ from argon2.exceptions import InvalidHashError, VerificationError
 
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.errors import AccessError
+from cucumbervision.service.settings import is_loopback
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +41,6 @@ __all__ = [
     "configured_login",
     "decide_login",
     "delay_s",
-    "is_loopback",
     "read_accounts",
     "read_openid_connect",
     "set_password",
@@ -69,24 +68,6 @@ class Login(StrEnum):
     NONE = "none"
     OIDC = "oidc"
     PASSWORD = "password"
-
-
-def is_loopback(address: str) -> bool:
-    """Return whether an address to bind to is reached from this machine alone.
-
-    An empty address means all of a machine's, and a name other than localhost may be anything.
-
-    Examples
-    --------
-    >>> [is_loopback(a) for a in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "", "192.168.1.5")]
-    [True, True, True, False, False, False]
-    """
-    name = address.strip().strip("[]").lower()
-    if name == "localhost":
-        return True
-    with suppress(ValueError):
-        return ipaddress.ip_address(name).is_loopback
-    return False
 
 
 def decide_login(address: str, *, oidc: bool, accounts: bool, always: bool = False) -> Login:

@@ -11,8 +11,14 @@ from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.tables import Table
 from cucumbervision.pipeline.fields import Column
-from cucumbervision.pipeline.parquet import arrow_schema, import_arrow
-from cucumbervision.pipeline.tables import HEAD_COLOR, CsvSink, cell_value, write_json
+from cucumbervision.pipeline.tables import (
+    HEAD_COLOR,
+    CsvSink,
+    arrow_schema,
+    cell_value,
+    import_arrow,
+    write_json,
+)
 from cucumbervision.rounds.remarks import remarks
 
 if TYPE_CHECKING:

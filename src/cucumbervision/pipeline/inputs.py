@@ -88,14 +88,12 @@ def list_captures(
         yield from failures
 
 
-def read_captures(
-    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
-) -> Iterator[Capture | Failure]:
+def read_captures(inputs: Iterable[Path], reading: ReadOptions) -> Iterator[Capture | Failure]:
     """Read the captures of all inputs, each when its turn comes, and an input given twice once.
 
     Parameters
     ----------
-    inputs, reading, opener
+    inputs, reading
         As for `list_captures`.
 
     Yields
@@ -103,7 +101,7 @@ def read_captures(
     Capture or Failure
         A capture, or why one or a whole input cannot be read.
     """
-    for one in list_captures(distinct(inputs, _log.warning), reading, opener):
+    for one in list_captures(distinct(inputs, _log.warning), reading):
         if isinstance(one, Failure):
             yield one
             continue

@@ -16,11 +16,15 @@ from cucumbervision.pipeline.inputs import distinct, each_once, list_captures
 from cucumbervision.pipeline.journal import JOURNAL, Journal, Record
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
 from cucumbervision.pipeline.output import OutputFolder
-from cucumbervision.pipeline.parquet import import_arrow
-from cucumbervision.pipeline.reports import TABLES, rows_of, write_reports
 from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.summary import Summary
-from cucumbervision.pipeline.tables import provenance_of
+from cucumbervision.pipeline.tables import (
+    TABLES,
+    import_arrow,
+    provenance_of,
+    rows_of,
+    write_reports,
+)
 from cucumbervision.pipeline.work import Batch, Outcome, Task
 
 if TYPE_CHECKING:

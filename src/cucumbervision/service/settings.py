@@ -11,7 +11,14 @@ from importlib.util import find_spec
 from cucumbervision.errors import AccessError, MissingExtraError
 from cucumbervision.intake.limits import Limits
 
-__all__ = ["TOKEN_VARIABLE", "ServiceSettings", "check_access", "request_limits", "require_extra"]
+__all__ = [
+    "TOKEN_VARIABLE",
+    "ServiceSettings",
+    "check_access",
+    "is_loopback",
+    "request_limits",
+    "require_extra",
+]
 
 TOKEN_VARIABLE = "CUCUMBERVISION_TOKEN"
 SHORTEST_TOKEN = 16
@@ -74,7 +81,7 @@ def check_access(address: str, token: str) -> None:
     no token; set CUCUMBERVISION_TOKEN, or bind to 127.0.0.1
     """
     remedy = f"set {TOKEN_VARIABLE}, or bind to 127.0.0.1"
-    if not token and not _is_loopback(address):
+    if not token and not is_loopback(address):
         fault = "other machines can reach this address, and there is no token"
         raise AccessError(fault, source=address or "''", remedy=remedy)
     if token and len(token) < SHORTEST_TOKEN:
@@ -83,11 +90,22 @@ def check_access(address: str, token: str) -> None:
         raise AccessError(fault, source=TOKEN_VARIABLE, remedy=remedy)
 
 
-def _is_loopback(address: str) -> bool:
+def is_loopback(address: str) -> bool:
+    """Return whether an address to bind to is reached from this machine alone.
+
+    An empty address means all of a machine's, and a name other than localhost may be anything.
+
+    Examples
+    --------
+    >>> [is_loopback(a) for a in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "", "192.168.1.5")]
+    [True, True, True, False, False, False]
+    """
     name = address.strip().strip("[]").lower()
+    if name == "localhost":
+        return True
     with suppress(ValueError):
         return ipaddress.ip_address(name).is_loopback
-    return name == "localhost"
+    return False
 
 
 def require_extra() -> None:

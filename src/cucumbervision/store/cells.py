@@ -1,4 +1,4 @@
-"""Cells of the tables into values and back; what cannot be such a value is called damage."""
+"""Values into the tables' cells and back; a cell that can be no such value is called damage."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
+from sqlalchemy import select
+from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreError, refusing
 from cucumbervision.store.engine import named
@@ -16,6 +18,8 @@ from cucumbervision.store.schema import (
     Mark,
     MaskLine,
     MethodLine,
+    Round,
+    Row,
     StopLine,
 )
 
@@ -31,9 +35,12 @@ __all__ = [
     "columns_of",
     "decoding",
     "detection_from_json",
+    "id_of",
     "image_ref",
+    "insert_new",
     "pack_um",
     "points",
+    "row_id_of",
     "unpack_um",
 ]
 
@@ -160,3 +167,31 @@ def built(kind: type[T], *cells: Any) -> T:
 def image_ref(cells: Sequence[Any]) -> ImageRef | None:
     """Return a picture from its five cells, or None where the first is empty."""
     return None if cells[0] is None else ImageRef(*cells)
+
+
+def insert_new(
+    connection: Connection, table: type[Base], cells: dict[str, Any], *unique: str
+) -> int | None:
+    """Insert one line and return its id; None where one with that key is there already.
+
+    Where another transaction is just inserting the same key, PostgreSQL waits for its end.
+    """
+    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
+    line = dialect.insert(table).values(**cells).on_conflict_do_nothing(index_elements=unique)
+    key: Any = next(iter(table.__table__.primary_key))
+    return cast("int | None", connection.execute(line.returning(key)).scalar())
+
+
+def id_of(connection: Connection, table: Any, cells: dict[str, Any], *unique: str) -> int:
+    """Return the id of the line with these cells, inserted where it is not there yet."""
+    query = select(table.id).where(*(getattr(table, name) == cells[name] for name in unique))
+    found = connection.execute(query).scalar()
+    if found is None:
+        found = insert_new(connection, table, cells, *unique)
+    return cast("int", connection.execute(query).scalar_one() if found is None else found)
+
+
+def row_id_of(connection: Connection, round_id: int, name: str) -> int:
+    """Return the id of a row of a round's house, inserted where it is not there yet."""
+    house = connection.execute(select(Round.house).where(Round.id == round_id)).scalar_one()
+    return id_of(connection, Row, {"house": house, "name": name}, "house", "name")

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import insert, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.store.cells import row_id_of
 from cucumbervision.store.engine import Database
-from cucumbervision.store.insertion import row_id_of
 from cucumbervision.store.records import checked_key
 from cucumbervision.store.schema import Action, Round, StopLine
 

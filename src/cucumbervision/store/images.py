@@ -19,6 +19,7 @@ import numpy as np
 from sqlalchemy import select
 
 from cucumbervision.errors import StoredImageError, StoreError
+from cucumbervision.pipeline.output import sync_folder
 from cucumbervision.store.records import ImageRef
 from cucumbervision.store.schema import IMAGE_COLUMNS, Image
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.engine import Database
 
-__all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "ImageStore", "check_store", "sync_folder"]
+__all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "ImageStore", "check_store"]
 
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
@@ -232,17 +233,6 @@ def _write_whole(path: Path, data: bytes) -> None:
         raise
     for folder in (path.parent, *(new.parent for new in new_folders)):
         sync_folder(folder)
-
-
-def sync_folder(folder: Path) -> None:
-    """Bring a folder's names to the disk."""
-    if os.name != "posix":  # elsewhere a folder cannot be opened, and names are written at once
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _decoded(image: Any) -> NDArray[Any]:

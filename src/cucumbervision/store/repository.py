@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import delete, func, insert, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.cells import columns_of, pack_um
+from cucumbervision.store.cells import columns_of, id_of, insert_new, pack_um, row_id_of
 from cucumbervision.store.corrections import (
     Corrections,
     find_detections,
@@ -18,7 +18,6 @@ from cucumbervision.store.corrections import (
 )
 from cucumbervision.store.edits import first_name
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
-from cucumbervision.store.insertion import id_of, insert_new, row_id_of
 from cucumbervision.store.queries import Queries, round_id_of
 from cucumbervision.store.records import (
     RoundRecord,

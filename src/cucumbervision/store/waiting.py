@@ -19,7 +19,7 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import StoreError, naming_os_errors
-from cucumbervision.store.images import sync_folder
+from cucumbervision.pipeline.output import sync_folder
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

@@ -180,8 +180,6 @@ class FruitStream:
     fits : int, optional
         How many fruit a frame are measured at most: those never measured first, then those seen
         from a new place, then, every ten frames, the others. All of them if not given.
-    keep_s : float
-        How long a fruit out of sight is remembered.
 
     Examples
     --------
@@ -197,20 +195,18 @@ class FruitStream:
     (3, 3, 1, 18)
     """
 
-    def __init__(
-        self, measurer: Measurer | None = None, *, fits: int | None = None, keep_s: float = 2.0
-    ) -> None:
+    def __init__(self, measurer: Measurer | None = None, *, fits: int | None = None) -> None:
         self.measurer = measurer or Measurer()
         self._fits = fits
-        self._tracker = Tracker(keep_s)
+        self._tracker = Tracker()
         self._known: dict[int, _Known] = {}
         self._received_s: float | None = None
         self._own_s = 0.0
 
     @classmethod
-    def fast(cls, options: MeasureOptions | None = None, *, keep_s: float = 2.0) -> FruitStream:
+    def fast(cls, options: MeasureOptions | None = None) -> FruitStream:
         """Return a stream for speed, as `fast_options` says; one fruit is measured a frame."""
-        return cls(Measurer(fast_options(options)), fits=FAST_FITS, keep_s=keep_s)
+        return cls(Measurer(fast_options(options)), fits=FAST_FITS)
 
     def follow(
         self, arrivals: Iterable[Arrival[Capture | Failure]]

@@ -105,7 +105,7 @@ def pipeline(quick: bool) -> list[Figure]:
     def networks_s() -> float:
         clock.start()
         for capture in captures:
-            alone.look(capture)
+            alone.detect(capture)
         return sum(clock.seconds.values()) / len(captures)
 
     networks_s()

@@ -271,7 +271,7 @@ def refusing(
     kind: type[CucumberVisionError] = CucumberVisionError,
     remedy: str = "correct or export it again",
 ) -> Iterator[None]:
-    """Raise a named error for whatever a damaged file makes its reader raise: the reader's door.
+    """Raise a named error for whatever a damaged file makes its reader raise.
 
     Named errors pass as they are; the original error stays their cause.
 

@@ -12,7 +12,7 @@ import pytest
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.errors import CaptureError
 from cucumbervision.intake.limits import Limits, RecordingLimits
-from cucumbervision.intake.recordings import open_guarded, play_apart
+from cucumbervision.intake.recordings import open_guarded, play_in_process
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.inputs import count_captures
 
@@ -65,7 +65,7 @@ def test_broken_recordings_cost_the_others_nothing(
 def run(code: str, folder: Path, **limits: float) -> list[str]:
     """Let Python run something else in the player's place."""
     order = "import sys, json; order = json.loads(sys.argv[1]); "
-    played = play_apart(
+    played = play_in_process(
         Path("a.bag"),
         folder / "out",
         RecordingLimits(**limits),  # type: ignore[arg-type]
@@ -104,7 +104,8 @@ def test_a_crash_is_one_named_error(tmp_path: Path) -> None:
 @posix
 def test_its_memory_and_its_files_are_limited(tmp_path: Path) -> None:
     limited = (
-        "from cucumbervision.intake.recordings import limit_itself; limit_itself(order['limits']); "
+        "from cucumbervision.intake.recordings import limit_this_process as limit; "
+        "limit(order['limits']); "
     )
     faults = run(limited + "x = bytearray(3_000_000_000)", tmp_path, memory_bytes=2_000_000_000)
     assert faults == ["a.bag: broke the player (exit code 1); copy or record it again"]
@@ -137,8 +138,8 @@ def test_an_upload_limit_reaches_the_player(walk: Path, tmp_path: Path) -> None:
 def test_it_sees_no_network_where_the_system_allows(tmp_path: Path) -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     code = (
-        "from cucumbervision.intake.recordings import leave_network; import socket; "
-        "sys.exit(9) if not leave_network() else None; "
+        "from cucumbervision.intake.recordings import drop_network; import socket; "
+        "sys.exit(9) if not drop_network() else None; "
         f"socket.create_connection(('127.0.0.1', {listener.getsockname()[1]}), 5)"
     )
     faults = run(code, tmp_path)

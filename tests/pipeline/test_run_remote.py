@@ -13,7 +13,7 @@ from urllib.request import Request, urlopen
 import pytest
 
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.capture.urls import as_path, patiently
+from cucumbervision.capture.urls import as_path, with_retries
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.options import MeasureOptions
@@ -100,11 +100,11 @@ def test_a_store_that_is_gone_for_a_while_is_asked_again(
         return answer
 
     place = as_path(f"{bucket}/captures/a.png")
-    assert patiently(place, read, waits_s=(0, 0)) == b"back"
+    assert with_retries(place, read, waits_s=(0, 0)) == b"back"
     said = f"{bucket}/captures/a.png: does not answer (ConnectionError); asked again in 0 s"
     assert caplog.messages[0] == said
     with pytest.raises(OSError, match=r"the store does not answer \(StopIteration"):
-        patiently(place, read, waits_s=(0,))
+        with_retries(place, read, waits_s=(0,))
 
 
 def test_captures_are_read_over_http(tmp_path: Path) -> None:

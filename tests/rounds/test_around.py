@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.rounds.around import around, doubtful_first
+from cucumbervision.rounds.around import around, least_sure_first
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.row_fruit import FalseFinds
 from cucumbervision.rounds.service import DAY_S, row_reports
@@ -91,9 +91,9 @@ def test_views_neighbours_and_days_stand_about_a_fruit(store: Store) -> None:
 
 def test_the_least_sure_are_looked_at_first_until_somebody_judged_them(store: Store) -> None:
     views = store.detections(MONDAY.key)
-    assert [round(v.record.score, 1) for v in doubtful_first(views)] == [0.4, 0.4, 0.5, 0.5]
+    assert [round(v.record.score, 1) for v in least_sure_first(views)] == [0.4, 0.4, 0.5, 0.5]
     store.set_verdict([views[0].key], Verdict.ACCEPTED)
-    assert len(doubtful_first(store.detections(MONDAY.key))) == 3
+    assert len(least_sure_first(store.detections(MONDAY.key))) == 3
 
 
 def test_what_people_say_of_a_house_is_what_is_believed_of_its_next_round(store: Store) -> None:

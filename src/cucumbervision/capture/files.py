@@ -16,7 +16,7 @@ from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from cucumbervision.capture.urls import patiently
+from cucumbervision.capture.urls import with_retries
 from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
@@ -36,6 +36,7 @@ __all__ = [
     "COLOR_SUFFIXES",
     "DEPTH_SUFFIXES",
     "PHOTO_SUFFIXES",
+    "each_file_read_once",
     "json_value",
     "parse_model",
     "read_arrays",
@@ -46,7 +47,6 @@ __all__ = [
     "read_mask",
     "read_photo",
     "read_text",
-    "reading_once",
     "write_bytes",
     "write_jpeg",
     "write_png",
@@ -67,7 +67,7 @@ _held: ContextVar[dict[str, bytes] | None] = ContextVar("held", default=None)
 
 
 @contextmanager
-def reading_once() -> Iterator[None]:
+def each_file_read_once() -> Iterator[None]:
     """Hold every file that is read inside, so that reading it again costs nothing.
 
     For what hashes a capture's files and then reads them: from a store on the network each would
@@ -94,7 +94,7 @@ def read_bytes(
         naming_os_errors("cannot be read", path, "check the path", error),
         suppress(FileNotFoundError),
     ):
-        data = patiently(path, path.read_bytes)
+        data = with_retries(path, path.read_bytes)
     if not data:
         fault = "the file is missing" if data is None else "the file is empty"
         raise error(fault, source=path, remedy=remedy)

@@ -13,7 +13,7 @@ from cucumbervision.errors import CucumberVisionError, MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["as_path", "is_remote", "patiently"]
+__all__ = ["as_path", "is_remote", "with_retries"]
 
 _log = logging.getLogger(__name__)
 
@@ -82,7 +82,7 @@ def is_remote(place: object) -> bool:
     return not isinstance(place, str | Path)
 
 
-def patiently(
+def with_retries(
     place: Path, call: Callable[[], Result], waits_s: Sequence[float] = _WAITS_S
 ) -> Result:
     """Call what reads or writes at a place; a store that does not answer is asked again.

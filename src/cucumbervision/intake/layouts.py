@@ -13,14 +13,14 @@ from cucumbervision.capture.readers.native import FORMAT, MANIFEST, MASKS, Manif
 from cucumbervision.capture.readers.pair import is_8_bit_png, pair_up
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError
 from cucumbervision.intake.file_checks import COLORS, DEPTHS, PICTURES, Item, Kind
-from cucumbervision.intake.recordings import play_apart
+from cucumbervision.intake.recordings import play_in_process
 from cucumbervision.intake.staging import Layout, is_intrinsics, shown_name
 
 if TYPE_CHECKING:
     from cucumbervision.intake.limits import Limits
     from cucumbervision.intake.staging import Staging
 
-__all__ = ["lay_out"]
+__all__ = ["arrange_uploads"]
 
 _EXTRA = frozenset({"rgb", "depth", "gray", "mask", MASKS})
 _BURST, _MASKS = 4, 20  # times the pixels of one picture: of a burst's frames, of a frame's masks
@@ -28,7 +28,7 @@ _RAW = "_Depth.raw"
 _SNAPSHOT = (_RAW, "_Depth_metadata.csv", "_Color.png", "_Color_metadata.csv")
 
 
-def lay_out(staging: Staging, burst: int) -> None:
+def arrange_uploads(staging: Staging, burst: int) -> None:
     """Make sources of all files of a zip or batch; the result is in `staging.out`.
 
     Parameters
@@ -55,7 +55,7 @@ def _recordings(staging: Staging, burst: int) -> None:
         item.path.rename(recording)  # the player goes by the ending
         layout = Layout(staging, "recording")
         layout.folder.rmdir()  # the player makes it
-        played = play_apart(
+        played = play_in_process(
             recording,
             layout.folder,
             staging.limits.recording,

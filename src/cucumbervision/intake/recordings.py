@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Played",
-    "leave_network",
-    "limit_itself",
+    "drop_network",
+    "limit_this_process",
     "open_guarded",
-    "play_apart",
+    "play_in_process",
 ]
 
 _REPORT = "report.jsonl"
@@ -73,7 +73,7 @@ class Played:
     errors: tuple[CucumberVisionError, ...]
 
 
-def play_apart(
+def play_in_process(
     path: Path,
     folder: Path,
     limits: RecordingLimits | None = None,
@@ -261,7 +261,7 @@ def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> I
     name = safe_name(path.stem)
     with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
         out = Path(folder) / "captures"
-        played = play_apart(path, out, limits, burst=options.burst, name=name)
+        played = play_in_process(path, out, limits, burst=options.burst, name=name)
         if played.captures:
             for ref in open_source(out, replace(options, depth_unit_m=None)):
                 # Its files are gone when the iteration ends: only loading tells its content.
@@ -272,7 +272,7 @@ def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> I
             yield CaptureRef(f"{name}_end", -1, partial(fail, error))
 
 
-def limit_itself(limits: dict[str, Any]) -> None:
+def limit_this_process(limits: dict[str, Any]) -> None:
     """Set this process's limits; what the system has not is left to who watches it."""
     try:
         import resource
@@ -294,7 +294,7 @@ def limit_itself(limits: dict[str, Any]) -> None:
     signal.alarm(int(limits["wall_s"]) + 5)
 
 
-def leave_network() -> bool:
+def drop_network() -> bool:
     """Cut this process off from every network, where the system lets it; say whether it did.
 
     Linux with user namespaces (`unshare(2)`): the process keeps its files but sees no interface.
@@ -337,8 +337,8 @@ def _play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
 def _main() -> None:
     """Take the order from the command line."""
     order = json.loads(sys.argv[1])
-    leave_network()
-    limit_itself(order["limits"])
+    drop_network()
+    limit_this_process(order["limits"])
     most = order["limits"]["captures"]
     _play(Path(order["path"]), Path(order["folder"]), order["burst"], order["name"], most)
 

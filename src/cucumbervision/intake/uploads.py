@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import Budget, clean_name, unpack, write_chunk
 from cucumbervision.intake.file_checks import HEAD_BYTES, Kind, check_item, file_kind
-from cucumbervision.intake.layouts import lay_out
+from cucumbervision.intake.layouts import arrange_uploads
 from cucumbervision.intake.limits import Limits
 from cucumbervision.intake.staging import AcceptedUploads, Staging
 
@@ -126,7 +126,7 @@ class _Intake:
     def sort(self, title: str, items: Sequence[Item], *, is_archive: bool) -> None:
         """Make sources of the files of one zip or batch."""
         staging = Staging(title, items, self.batch, self.limits, self.out, is_archive=is_archive)
-        lay_out(staging, self._burst)
+        arrange_uploads(staging, self._burst)
 
     def _copy(self, content: BinaryIO | Path, own: Path, title: str) -> None:
         if isinstance(content, Path):

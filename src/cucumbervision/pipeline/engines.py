@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["Engine", "Processes", "choose_engine", "cores", "in_process", "killed"]
+__all__ = ["Engine", "Processes", "choose_engine", "cores", "in_process", "outcome_of_killed"]
 
 Engine: TypeAlias = Callable[[Batch], Iterator[Outcome]]
 """Does a batch, and yields what became of each of its tasks, in order, as they are done."""
@@ -44,7 +44,7 @@ def in_process(batch: Batch) -> Iterator[Outcome]:
         if isinstance(one, Outcome):
             seen.append(one)
         elif not batch.stop() or one[0].trusted:
-            seen.append(measuring.submit(worker.measure, worker.look(one[1].result())))
+            seen.append(measuring.submit(worker.measure, worker.detect(one[1].result())))
         elif dropped := one[0].dropped():
             seen.append(dropped)
 
@@ -149,7 +149,7 @@ class _Pool:
                 try:
                     return alone.submit(_do, task).result()
                 except BrokenProcessPool:
-                    return killed(task)
+                    return outcome_of_killed(task)
 
     def close(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -183,7 +183,7 @@ def choose_engine(name: str, workers: int = 0, address: str = "") -> Engine:
     return Processes(workers) if workers > 1 else in_process
 
 
-def killed(task: Task) -> Outcome:
+def outcome_of_killed(task: Task) -> Outcome:
     """Return the outcome of a task whose process was killed twice."""
     one = task.listed
     error = CaptureError(

@@ -17,7 +17,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from cucumbervision.capture.urls import patiently
+from cucumbervision.capture.urls import with_retries
 from cucumbervision.errors import naming_os_errors
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Failure
@@ -196,7 +196,7 @@ class Journal:
         """Return a segment on a network's store, whole: most often the next record is in it."""
         if number not in self._held:
             segment = self._segments[number]
-            self._held[number] = patiently(segment, segment.read_bytes)
+            self._held[number] = with_retries(segment, segment.read_bytes)
             if len(self._held) > _SEGMENTS_HELD:
                 self._held.popitem(last=False)
         self._held.move_to_end(number)

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Boundary",
     "CaptureResult",
+    "DetectedCapture",
     "Failure",
-    "Looked",
     "Measurer",
     "calibrated_capture",
     "calibrated_fruit",
@@ -180,7 +180,7 @@ class CaptureResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class DetectedCapture:
     """A capture, its depth scaled where a calibration says so, and the fruit found in it."""
 
     capture: Capture
@@ -267,9 +267,9 @@ class Measurer:
         CucumberVisionError
             If a network cannot be loaded, or the calibration belongs to another camera.
         """
-        return self.measured(self.look(capture))
+        return self.measure_detected(self.detect(capture))
 
-    def look(self, capture: Capture) -> Looked:
+    def detect(self, capture: Capture) -> DetectedCapture:
         """Find the fruit of one capture: the first half of `measure`.
 
         Raises
@@ -280,19 +280,21 @@ class Measurer:
         finder = self.load()
         if self.site is not None:
             capture = calibrated_capture(capture, self.site)
-        return Looked(capture, finder.find(capture))
+        return DetectedCapture(capture, finder.find(capture))
 
-    def measured(self, looked: Looked, chosen: Collection[int] | None = None) -> CaptureResult:
+    def measure_detected(
+        self, detected: DetectedCapture, chosen: Collection[int] | None = None
+    ) -> CaptureResult:
         """Measure fruit that were found: the second half of `measure`.
 
         Parameters
         ----------
-        looked : Looked
-            Of `look`.
+        detected : DetectedCapture
+            Of `detect`.
         chosen : collection of int, optional
             Which of the fruit, from 0; the others get no measurement. All if not given.
         """
-        capture, found = looked.capture, looked.found
+        capture, found = detected.capture, detected.found
         fruit = [
             self.measure_instance(capture, one)
             if chosen is None or k in chosen
@@ -320,23 +322,23 @@ class Measurer:
 
     def attempt(self, capture: Capture) -> CaptureResult:
         """Measure a capture; whatever goes wrong is in the result."""
-        return self.attempt_measured(self.attempt_look(capture))
+        return self.attempt_measure(self.attempt_detect(capture))
 
-    def attempt_look(self, capture: Capture) -> Looked | CaptureResult:
+    def attempt_detect(self, capture: Capture) -> DetectedCapture | CaptureResult:
         """Find the fruit of a capture: the first half of `attempt`; a result if that failed."""
         try:
-            return self.look(capture)
+            return self.detect(capture)
         except Exception as error:
             return _failed(error, capture)
 
-    def attempt_measured(self, looked: Looked | CaptureResult) -> CaptureResult:
+    def attempt_measure(self, detected: DetectedCapture | CaptureResult) -> CaptureResult:
         """Measure fruit that were found: the second half of `attempt`."""
-        if isinstance(looked, CaptureResult):
-            return looked
+        if isinstance(detected, CaptureResult):
+            return detected
         try:
-            return self.measured(looked)
+            return self.measure_detected(detected)
         except Exception as error:
-            return _failed(error, looked.capture)
+            return _failed(error, detected.capture)
 
 
 def _failed(error: Exception, capture: Capture) -> CaptureResult:

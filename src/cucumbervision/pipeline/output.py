@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.urls import is_remote, patiently
+from cucumbervision.capture.urls import is_remote, with_retries
 from cucumbervision.errors import CucumberVisionError, naming_os_errors
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class OutputFolder:
 
     def has(self, name: str) -> bool:
         """Return whether a file of that name is there."""
-        return patiently(self.path, (self.path / name).exists)
+        return with_retries(self.path, (self.path / name).exists)
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file.
@@ -58,7 +58,7 @@ class OutputFolder:
         """
         if self.is_remote:
             target = self.path / name
-            patiently(target, lambda: target.write_bytes(data))
+            with_retries(target, lambda: target.write_bytes(data))
             return
         with self.replacing(name) as path:
             path.write_bytes(data)
@@ -94,7 +94,7 @@ class OutputFolder:
 
     def _upload(self, filled: Path, name: str) -> None:
         target: Any = self.path / name
-        patiently(target, lambda: target.fs.put_file(str(filled), target.path))
+        with_retries(target, lambda: target.fs.put_file(str(filled), target.path))
 
     def put_aside(self, names: Sequence[str]) -> Path | None:
         """Move files and folders below `earlier/`, in a folder named by the time.

@@ -134,7 +134,7 @@ class _Measuring:
 
     def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
         try:
-            seen = self._worker.look(pickle.loads(row["read"]))
+            seen = self._worker.detect(pickle.loads(row["read"]))
             return {"done": pickle.dumps(self._worker.measure(seen))}
         except CucumberVisionError as error:  # nothing can be measured at all
             return {"done": pickle.dumps(error)}

@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.files import json_value, read_bytes, reading_once
+from cucumbervision.capture.files import each_file_read_once, json_value, read_bytes
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.journal import Record, place_of
-from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Looked, Measurer
+from cucumbervision.pipeline.measurer import (
+    Boundary,
+    CaptureResult,
+    DetectedCapture,
+    Failure,
+    Measurer,
+)
 from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.tables import capture_json
 
@@ -27,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["Batch", "Outcome", "ReadCapture", "SeenCapture", "Task", "Worker"]
+__all__ = ["Batch", "Outcome", "ReadCapture", "SearchedCapture", "Task", "Worker"]
 
 
 @dataclass(frozen=True)
@@ -141,19 +147,19 @@ class ReadCapture:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenCapture:
+class SearchedCapture:
     """A capture whose fruit were found, on its way to be measured.
 
     Parameters
     ----------
     read : ReadCapture
         What was read.
-    looked : Looked or CaptureResult
+    detected : DetectedCapture or CaptureResult
         Its fruit, or what went wrong.
     """
 
     read: ReadCapture
-    looked: Looked | CaptureResult
+    detected: DetectedCapture | CaptureResult
 
 
 class Worker:
@@ -188,7 +194,7 @@ class Worker:
 
     def __call__(self, task: Task) -> Outcome:
         """Do a task: `read` it, `look` at it, and `measure` it."""
-        return self.measure(self.look(self.read(task)))
+        return self.measure(self.detect(self.read(task)))
 
     def read(self, task: Task) -> Outcome | ReadCapture:
         """Read a capture, unless it was measured before; what goes wrong is in the outcome."""
@@ -198,7 +204,7 @@ class Worker:
             return replace(done, before=True)
         failures: list[Failure] = []
         content, capture = "", None
-        with reading_once():
+        with each_file_read_once():
             if one.ref.parts is not None:
                 content = content_of(one.ref.parts())
             if content and content == task.known and self._out.has(_picture(one.name)):
@@ -212,7 +218,7 @@ class Worker:
             return replace(done, before=True)
         return ReadCapture(done, capture, content)
 
-    def look(self, read: Outcome | ReadCapture) -> Outcome | SeenCapture:
+    def detect(self, read: Outcome | ReadCapture) -> Outcome | SearchedCapture:
         """Find the fruit of what was read; whatever goes wrong in the capture stays in it.
 
         Raises
@@ -223,14 +229,14 @@ class Worker:
         if isinstance(read, Outcome):
             return read
         self.load()
-        return SeenCapture(read, self._measurer.attempt_look(read.capture))
+        return SearchedCapture(read, self._measurer.attempt_detect(read.capture))
 
-    def measure(self, seen: Outcome | SeenCapture) -> Outcome:
+    def measure(self, seen: Outcome | SearchedCapture) -> Outcome:
         """Measure the fruit that were found, draw them, and say what to journal."""
         if isinstance(seen, Outcome):
             return seen
         done, capture, content = seen.read.done, seen.read.capture, seen.read.content
-        result = self._measurer.attempt_measured(seen.looked)
+        result = self._measurer.attempt_measure(seen.detected)
         failures = list(result.failures)
         record = picture = None
         if result.error is None:

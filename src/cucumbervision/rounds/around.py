@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, LinkRecord, RoundView
 
-__all__ = ["Around", "OtherDay", "around", "doubtful_first", "nearest"]
+__all__ = ["Around", "OtherDay", "around", "least_sure_first", "nearest"]
 
 NEAR_M, FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
 SHOWN = 4
@@ -131,7 +131,7 @@ def nearest(
     return tuple(view for gap, _, view in sorted(placed)[:SHOWN] if gap <= reach_m)
 
 
-def doubtful_first(fruit: Sequence[DetectionView]) -> list[DetectionView]:
+def least_sure_first(fruit: Sequence[DetectionView]) -> list[DetectionView]:
     """Return the fruit that one view alone shows and nobody has judged, the least sure first."""
     once = [view for view in fruit if view.views == 1 and view.verdict is None]
     return sorted(once, key=lambda view: (view.record.score, view.key))

@@ -148,7 +148,7 @@ class Work:
         # Without a reading and with any lens: who finds fruit looks at the colours.
         nowhere = np.zeros((height, width), np.float32)
         lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
-        found = self.measurer.look(Capture(color, nowhere, lens, shown)).found
+        found = self.measurer.detect(Capture(color, nowhere, lens, shown)).found
         fruit = [
             {**coco_fields(one, keypoints=one.keypoints is not None), "class": one.class_name}
             for one in found.instances

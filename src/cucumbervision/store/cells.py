@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection
 
 __all__ = [
-    "built",
     "cells_of",
     "columns_of",
     "decoding",
@@ -40,6 +39,7 @@ __all__ = [
     "insert_new",
     "pack_um",
     "points",
+    "record_of",
     "row_id_of",
     "unpack_um",
 ]
@@ -152,12 +152,12 @@ def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
     return cast("list[tuple[Any, ...]]", rows)
 
 
-def built(kind: type[T], *cells: Any) -> T:
+def record_of(kind: type[T], *cells: Any) -> T:
     """Make a record from its fields in order.
 
     Examples
     --------
-    >>> built(MethodRecord, "M1", 0.2).length_m
+    >>> record_of(MethodRecord, "M1", 0.2).length_m
     0.2
     """
     make: Callable[..., T] = kind

@@ -21,7 +21,7 @@ from cucumbervision.store.schema import Action, Round, StopLine
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-__all__ = ["STOP_EDITS", "Edits", "StopPlace", "change_line", "first_name"]
+__all__ = ["STOP_EDITS", "Edits", "StopPlace", "change_line", "original_name"]
 
 STOP_EDITS = ("place-stop", "delete-stop")
 """Kinds of action after which a round's views have to be merged anew."""
@@ -136,7 +136,7 @@ def change_line(connection: Connection, details: dict[str, Any], *, back: bool =
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
 
 
-def first_name(connection: Connection, round_key: str) -> str | None:
+def original_name(connection: Connection, round_key: str) -> str | None:
     """Return what a round was called before it was renamed; None where it never was."""
     renamed = (
         select(Action.details)

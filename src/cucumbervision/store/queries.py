@@ -11,12 +11,12 @@ from sqlalchemy.orm import aliased
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.cells import (
-    built,
     cells_of,
     columns_of,
     decoding,
     detection_from_json,
     image_ref,
+    record_of,
 )
 from cucumbervision.store.engine import Database
 from cucumbervision.store.records import (
@@ -112,7 +112,9 @@ class Queries(Database):
         with self.reading() as connection:
             rows = cells_of(connection, _stop_query(round_id_of(connection, round_key)))
             return [
-                built(StopView, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19]))
+                record_of(
+                    StopView, row[0], round_key, *row[1:13], len(row[13]), image_ref(row[14:19])
+                )
                 for row in rows
             ]
 
@@ -429,7 +431,7 @@ def _detection_view(
     offset_m = (record.offset_m or 0.0) * (-1.0 if mirrored else 1.0)
     along_m = None if stop_m is None else stop_m + offset_m
     sd_known = stop_m is not None and stop_sd_m is not None
-    return built(
+    return record_of(
         DetectionView,
         *row[:2],
         round_key,
@@ -491,6 +493,6 @@ def _actions_of(
     if round_key is not None:
         query = query.where(Round.key == checked_key(round_key, "round"))
     return [
-        built(ActionView, *row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
+        record_of(ActionView, *row[:5], tuple(row[5]), row[6], row[7], row[8] is not None)
         for row in cells_of(connection, query)
     ]

@@ -16,7 +16,7 @@ from cucumbervision.store.corrections import (
     lock_rounds,
     mark_added,
 )
-from cucumbervision.store.edits import first_name
+from cucumbervision.store.edits import original_name
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
 from cucumbervision.store.queries import Queries, round_id_of
 from cucumbervision.store.records import (
@@ -136,7 +136,7 @@ class Store(Queries, Corrections):
             columns = columns_of(Round, ROUND_CELLS)
             found = connection.execute(select(*columns).where(Round.key == record.key)).one()
             first = RoundRecord(*found)
-            if (name := first_name(connection, record.key)) is not None:
+            if (name := original_name(connection, record.key)) is not None:
                 first = replace(first, name=name)
             if first != record:
                 raise _conflict("round", record.key)

@@ -8,12 +8,12 @@ from sqlalchemy import select
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.cells import (
-    built,
     cells_of,
     columns_of,
     decoding,
     detection_from_json,
     points,
+    record_of,
     unpack_um,
 )
 from cucumbervision.store.records import (
@@ -122,7 +122,7 @@ def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, .
     of_images = select(*IMAGE_COLUMNS).where(Image.sha256.in_(wanted))
     images = {row[0]: ImageRef(*row) for row in cells_of(connection, of_images)}
     return tuple(
-        built(
+        record_of(
             CaptureRecord,
             *row[4:],
             *(images.get(sha256) for sha256 in row[1:4]),
@@ -150,7 +150,7 @@ def _records_of(connection: Connection, stop_id: int) -> dict[int, list[Detectio
     for row in cells_of(connection, of_methods):
         with decoding(connection):
             line_m, diameter_m = points(row[1]), unpack_um(row[2])
-        methods.setdefault(row[0], []).append(built(MethodRecord, *row[3:], line_m, diameter_m))
+        methods.setdefault(row[0], []).append(record_of(MethodRecord, *row[3:], line_m, diameter_m))
     of_detections = (
         select(
             DetectionLine.id,
@@ -170,6 +170,6 @@ def _records_of(connection: Connection, stop_id: int) -> dict[int, list[Detectio
             keypoints = tuple(tuple(point) for point in row[2])
         own = tuple(methods.get(row[0], ()))
         found.setdefault(row[1], []).append(
-            built(DetectionRecord, *row[4:], keypoints, row[3], own)
+            record_of(DetectionRecord, *row[4:], keypoints, row[3], own)
         )
     return found

@@ -269,13 +269,13 @@ class FruitStream:
             at_s = capture.timestamp_s
         if at_s is None:
             at_s = self._own_time(received_s)
-        looked = self.measurer.look(capture)
-        instances = looked.found.instances
-        views = [frame_view(looked.capture, one) for one in instances]
-        numbers = self._tracker.assign(views, looked.capture.intrinsics, at_s)
+        detected = self.measurer.detect(capture)
+        instances = detected.found.instances
+        views = [frame_view(detected.capture, one) for one in instances]
+        numbers = self._tracker.assign(views, detected.capture.intrinsics, at_s)
         self._known = {n: self._known.get(n, _Known()) for n in self._tracker.known}
         chosen = self._choose(numbers, views)
-        result = self.measurer.measured(looked, chosen)
+        result = self.measurer.measure_detected(detected, chosen)
         fruit = tuple(
             self._tracked(result.capture, k, one, numbers[k], views[k])
             for k, one in enumerate(result.fruit)

@@ -15,8 +15,9 @@ __all__ = ["fuzz"]
 
 
 def fuzz(
-    doors: Annotated[
-        list[str] | None, typer.Argument(help="Readers by the beginnings of their names; all.")
+    targets: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[READER]...", help="By the beginnings of their names; all."),
     ] = None,
     inputs: Annotated[int, typer.Option("--inputs", "-n", min=1, help="How many.")] = 10_000,
     seed: Annotated[int, typer.Option(min=0, help="The same seed damages alike.")] = 1,
@@ -42,15 +43,15 @@ def fuzz(
     the end of the process; exit code 1 tells that there was one.
     """
     from cucumbervision_lab.cli.screen import show, show_tables, ticking
-    from cucumbervision_lab.robustness.fuzz import find_doors
+    from cucumbervision_lab.robustness.fuzz import find_targets
     from cucumbervision_lab.robustness.fuzz import fuzz as run
     from cucumbervision_lab.robustness.fuzz_log import add_to_log, as_json
 
     with ticking("reading damaged files", inputs, quiet=quiet) as tick:
         seconds = None if minutes is None else 60 * minutes
-        result = run(inputs, seed, find_doors(doors or []), out, seconds=seconds, tick=tick)
+        result = run(inputs, seed, find_targets(targets or []), out, seconds=seconds, tick=tick)
     if not quiet:
-        show_tables([_by_door(result)])
+        show_tables([_by_target(result)])
         tried = sum(result.tried.values())
         show(
             f"{tried:,} inputs in {result.seconds:.0f} s, {tried / result.seconds:.0f} a second; "
@@ -71,7 +72,7 @@ def fuzz(
     raise typer.Exit(1 if result.found else 0)
 
 
-def _by_door(result: FuzzResult) -> Table:
+def _by_target(result: FuzzResult) -> Table:
     from cucumbervision.accuracy.page import Table
 
     finds = dict.fromkeys(result.tried, 0)

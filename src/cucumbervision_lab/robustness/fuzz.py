@@ -20,14 +20,14 @@ from random import Random
 from typing import TYPE_CHECKING, Any, cast
 
 from cucumbervision.errors import CucumberVisionError, InternalError, OutOfMemoryError
-from cucumbervision_lab.robustness.doors import DOORS, Door
 from cucumbervision_lab.robustness.mutations import damaged
+from cucumbervision_lab.robustness.targets import TARGETS, Target
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from multiprocessing.connection import Connection
 
-__all__ = ["Find", "FuzzResult", "Limits", "find_doors", "fuzz", "replay"]
+__all__ = ["Find", "FuzzResult", "Limits", "find_targets", "fuzz", "replay"]
 
 _CRASH = "crash.txt"  # where the process was when a signal ended it
 _KEPT = 3  # inputs kept of each place
@@ -58,7 +58,7 @@ class Find:
 
     Parameters
     ----------
-    door : str
+    target : str
         Which reader.
     number : int
         The input: with the run's seed it can be made again.
@@ -70,7 +70,7 @@ class Find:
         The traceback, or how the process ended.
     """
 
-    door: str
+    target: str
     number: int
     kind: str
     place: str
@@ -86,7 +86,7 @@ class FuzzResult:
     seed : int
         Of the run.
     tried, refused : Counter of str
-        Inputs by door, none where it had no turn, and how many were refused with a named error.
+        Inputs by target, none where it had no turn, and how many were refused with a named error.
     finds : dict of str to list of Find
         By place; the first few of each.
     found : Counter of str
@@ -104,7 +104,7 @@ class FuzzResult:
 
     def note(self, find: Find) -> bool:
         """Count a find; tell whether it is one of the first of its place."""
-        key = f"{find.door}: {find.kind} at {find.place}"
+        key = f"{find.target}: {find.kind} at {find.place}"
         self.found[key] += 1
         kept = self.finds.setdefault(key, [])
         if len(kept) < _KEPT:
@@ -117,17 +117,17 @@ class _TooLongError(BaseException):
     """Not an Exception: no reader may take it for a fault of the file."""
 
 
-def find_doors(names: Sequence[str]) -> tuple[Door, ...]:
-    """Return the doors whose names begin with any of the given; all without one.
+def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
+    """Return the targets whose names begin with any of the given; all without one.
 
     Examples
     --------
-    >>> [door.name for door in find_doors(["truth", "poses"])]
+    >>> [target.name for target in find_targets(["truth", "poses"])]
     ['truth tables', 'poses']
     """
-    found = [d for d in DOORS if not names or d.name.lower().startswith(tuple(names))]
+    found = [d for d in TARGETS if not names or d.name.lower().startswith(tuple(names))]
     if not found:
-        known = ", ".join(door.name for door in DOORS)
+        known = ", ".join(target.name for target in TARGETS)
         raise CucumberVisionError(f"no reader is called {', '.join(names)}", remedy=f"take {known}")
     return tuple(found)
 
@@ -135,7 +135,7 @@ def find_doors(names: Sequence[str]) -> tuple[Door, ...]:
 def fuzz(
     inputs: int,
     seed: int = 1,
-    doors: Sequence[Door] = DOORS,
+    targets: Sequence[Target] = TARGETS,
     out: Path | None = None,
     *,
     limits: Limits | None = None,
@@ -150,7 +150,7 @@ def fuzz(
         How many.
     seed : int
         The same seed damages alike.
-    doors : sequence of Door
+    targets : sequence of Target
         Which readers, in the shares of their weights.
     out : Path, optional
         Where finds are kept: `PLACE/NUMBER/` with the files and `traceback.txt`.
@@ -166,19 +166,19 @@ def fuzz(
     FuzzResult
     """
     result, limits, began = FuzzResult(seed), limits or Limits(), time.monotonic()
-    result.tried.update({door.name: 0 for door in doors})
-    with _workplace(doors) as place:
+    result.tried.update({target.name: 0 for target in targets})
+    with _workplace(targets) as place:
         done = 0
         while done < inputs:
             if seconds is not None and time.monotonic() - began > seconds:
                 break
-            worker = _Worker(place, doors, seed, (done, inputs), limits)
+            worker = _Worker(place, targets, seed, (done, inputs), limits)
             try:
                 done = worker.follow(result, out, tick, _until(began, seconds))
             finally:
                 worker.end()
-                for door in doors:  # one that ended by itself left a damaged file behind
-                    _tidy(place / door.name, everything=True)
+                for target in targets:  # one that ended by itself left a damaged file behind
+                    _tidy(place / target.name, everything=True)
     result.seconds = time.monotonic() - began
     return result
 
@@ -188,15 +188,15 @@ def _until(began: float, seconds: float | None) -> float:
 
 
 @contextmanager
-def _workplace(doors: Sequence[Door]) -> Iterator[Path]:
-    """Write every door's seeds into a folder, in memory where the system has one there."""
+def _workplace(targets: Sequence[Target]) -> Iterator[Path]:
+    """Write every target's seeds into a folder, in memory where the system has one there."""
     memory = Path("/dev/shm")
     roomy = memory.is_dir() and shutil.disk_usage(memory).free > 256 * 1024**2
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory if roomy else None) as tmp:
-        for door in doors:
-            folder = Path(tmp) / door.name
+        for target in targets:
+            folder = Path(tmp) / target.name
             folder.mkdir()
-            door.seed(folder)
+            target.seed(folder)
             _tidy(folder)
         (Path(tmp) / _CRASH).touch()
         yield Path(tmp)
@@ -208,7 +208,7 @@ class _Worker:
     def __init__(
         self,
         place: Path,
-        doors: Sequence[Door],
+        targets: Sequence[Target],
         seed: int,
         span: tuple[int, int],
         limits: Limits,
@@ -217,8 +217,8 @@ class _Worker:
         self._at = context.Value("q", -1, lock=False)
         self._here, there = context.Pipe()
         self._limits, self._seed, self._stop = limits, seed, span[1]
-        self._doors, self._place = doors, place
-        names = [door.name for door in doors]
+        self._targets, self._place = targets, place
+        names = [target.name for target in targets]
         self._process = context.Process(
             target=_work, args=(there, self._at, str(place), names, seed, span, limits), daemon=True
         )
@@ -266,22 +266,24 @@ class _Worker:
                 f"the reading process did not start (exit {self._process.exitcode}) {crashed}",
                 remedy="give it more memory",
             )
-        door = _door_of(self._doors, self._seed, at)
+        target = _target_of(self._targets, self._seed, at)
         code = self._process.exitcode
         kind, how = ("time", "no end") if stuck else ("crash", f"exit {code}")
-        find = Find(door.name, at, kind, how, f"the process ended: {how}\n{crashed}")
-        _tidy(self._place / door.name, everything=True)
+        find = Find(target.name, at, kind, how, f"the process ended: {how}\n{crashed}")
+        _tidy(self._place / target.name, everything=True)
         if result.note(find) and out is not None:
             self._keep(find, out)
-        result.tried[door.name] += 1
+        result.tried[target.name] += 1
         return at + 1
 
     def _keep(self, find: Find, out: Path) -> None:
-        door = next(d for d in self._doors if d.name == find.door)
-        words = "".join(c if c.isalnum() else "-" for c in f"{find.door} {find.kind} {find.place}")
+        target = next(d for d in self._targets if d.name == find.target)
+        words = "".join(
+            c if c.isalnum() else "-" for c in f"{find.target} {find.kind} {find.place}"
+        )
         folder = out / words[:150] / str(find.number)
         shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(self._place / door.name, folder)
+        shutil.copytree(self._place / target.name, folder)
         _damage(folder, self._seed, find.number)
         (folder / "traceback.txt").write_text(find.detail, encoding="utf-8")
 
@@ -292,17 +294,17 @@ class _Worker:
         self._here.close()
 
 
-def _door_of(doors: Sequence[Door], seed: int, number: int) -> Door:
-    return Random(f"{seed}/{number}").choices(doors, [d.weight for d in doors])[0]
+def _target_of(targets: Sequence[Target], seed: int, number: int) -> Target:
+    return Random(f"{seed}/{number}").choices(targets, [d.weight for d in targets])[0]
 
 
-def replay(number: int, seed: int, folder: Path, doors: Sequence[Door] = DOORS) -> Door:
-    """Write one input of a run into a folder, which must not exist; return its door."""
-    door = _door_of(doors, seed, number)
+def replay(number: int, seed: int, folder: Path, targets: Sequence[Target] = TARGETS) -> Target:
+    """Write one input of a run into a folder, which must not exist; return its target."""
+    target = _target_of(targets, seed, number)
     folder.mkdir(parents=True)
-    door.seed(folder)
+    target.seed(folder)
     _damage(folder, seed, number)
-    return door
+    return target
 
 
 def _damage(folder: Path, seed: int, number: int) -> tuple[Path, bytes]:
@@ -335,21 +337,21 @@ def _work(
     span: tuple[int, int],
     limits: Limits,
 ) -> None:
-    doors = [next(d for d in DOORS if d.name == name) for name in names]
+    targets = [next(d for d in TARGETS if d.name == name) for name in names]
     signal.signal(signal.SIGPROF, _ring)
     faulthandler.enable((Path(place) / _CRASH).open("w"), all_threads=False)
     _silence()
     warnings.simplefilter("ignore")
-    _warm_up(doors, Path(place))
+    _warm_up(targets, Path(place))
     _limit_memory(limits.memory_bytes)
     tried: Counter[str] = Counter()
     refused: Counter[str] = Counter()
     for number in range(*span):
         at.value = number
-        door = _door_of(doors, seed, number)
-        folder = Path(place) / door.name
-        tried[door.name] += 1
-        find = _one(door, folder, seed, number, limits, refused)
+        target = _target_of(targets, seed, number)
+        folder = Path(place) / target.name
+        tried[target.name] += 1
+        find = _one(target, folder, seed, number, limits, refused)
         if find is not None:
             report.send(find)
         if sum(tried.values()) >= _BATCH or number + 1 == span[1]:
@@ -373,15 +375,15 @@ def _limit_memory(most: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
-def _warm_up(doors: Sequence[Door], place: Path) -> None:
+def _warm_up(targets: Sequence[Target], place: Path) -> None:
     """Read every seed once: all is imported before memory is limited, and seeds are valid."""
-    for door in doors:
+    for target in targets:
         try:
-            door.read(place / door.name)
+            target.read(place / target.name)
         except CucumberVisionError:
-            if door.whole:
+            if target.whole:
                 raise
-        _tidy(place / door.name)
+        _tidy(place / target.name)
 
 
 _SEEDS: dict[Path, dict[Path, bytes]] = {}
@@ -407,14 +409,14 @@ def _tidy(folder: Path, *, everything: bool = False) -> None:
 
 
 def _one(
-    door: Door, folder: Path, seed: int, number: int, limits: Limits, refused: Counter[str]
+    target: Target, folder: Path, seed: int, number: int, limits: Limits, refused: Counter[str]
 ) -> Find | None:
     file, data = _damage(folder, seed, number)
     kind, error = "", cast("BaseException | None", None)
     try:
         signal.setitimer(signal.ITIMER_PROF, limits.seconds)
         try:
-            door.read(folder)
+            target.read(folder)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
     except _TooLongError as caught:
@@ -424,7 +426,7 @@ def _one(
     except InternalError as caught:
         kind, error = "unnamed", caught
     except CucumberVisionError:
-        refused[door.name] += 1
+        refused[target.name] += 1
     except BaseException as caught:
         kind, error = "unnamed", caught
     if file.is_dir():
@@ -434,7 +436,7 @@ def _one(
     if error is None:
         return None
     detail = "".join(traceback.format_exception(error))
-    return Find(door.name, number, kind, _place_of(error), detail[-20_000:])
+    return Find(target.name, number, kind, _place_of(error), detail[-20_000:])
 
 
 def _place_of(error: BaseException) -> str:

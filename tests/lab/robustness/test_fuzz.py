@@ -10,10 +10,10 @@ from random import Random
 import pytest
 
 from cucumbervision_lab.robustness import fuzz as fuzzing
-from cucumbervision_lab.robustness.doors import DOORS, Door
-from cucumbervision_lab.robustness.fuzz import Limits, find_doors, fuzz, replay
+from cucumbervision_lab.robustness.fuzz import Limits, find_targets, fuzz, replay
 from cucumbervision_lab.robustness.fuzz_log import add_to_log
 from cucumbervision_lab.robustness.mutations import damaged
+from cucumbervision_lab.robustness.targets import TARGETS, Target
 
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 
@@ -27,14 +27,14 @@ def test_every_reader_bears_a_short_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "door", [d for d in DOORS if d.whole and d.weight > 3], ids=lambda d: d.name
+    "target", [d for d in TARGETS if d.whole and d.weight > 3], ids=lambda d: d.name
 )
-def test_seeds_are_valid(door: Door, tmp_path: Path) -> None:
-    door.seed(tmp_path)
-    door.read(tmp_path)
+def test_seeds_are_valid(target: Target, tmp_path: Path) -> None:
+    target.seed(tmp_path)
+    target.read(tmp_path)
 
 
-def _fails(error: type[BaseException], when: bytes = b"") -> Door:
+def _fails(error: type[BaseException], when: bytes = b"") -> Target:
     def read(folder: Path) -> None:
         if (folder / "a.txt").read_bytes() != b"1 2 3\n":
             raise error("broken")
@@ -42,16 +42,16 @@ def _fails(error: type[BaseException], when: bytes = b"") -> Door:
     def seed(folder: Path) -> None:
         (folder / "a.txt").write_text("1 2 3\n")
 
-    return Door("made here", seed, read)
+    return Target("made here", seed, read)
 
 
 @pytest.mark.parametrize(
     ("error", "kind"), [(KeyError, "unnamed"), (MemoryError, "memory"), (SystemExit, "unnamed")]
 )
 def test_what_has_no_name_is_a_find(error: type[BaseException], kind: str, tmp_path: Path) -> None:
-    door = _fails(error)
-    door.seed(tmp_path)
-    found = [fuzzing._one(door, tmp_path, 1, n, Limits(), Counter()) for n in range(20)]
+    target = _fails(error)
+    target.seed(tmp_path)
+    found = [fuzzing._one(target, tmp_path, 1, n, Limits(), Counter()) for n in range(20)]
     kinds = {one.kind for one in found if one is not None}
     assert kinds == {kind}
     # Whatever was done to it, the folder is as it was.
@@ -60,11 +60,11 @@ def test_what_has_no_name_is_a_find(error: type[BaseException], kind: str, tmp_p
 
 
 def test_an_input_is_made_again_from_its_number(tmp_path: Path) -> None:
-    doors = find_doors(["poses"])
+    targets = find_targets(["poses"])
     first, second = (
         {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
         for folder in (tmp_path / "a", tmp_path / "b")
-        if replay(4, 7, folder, doors).name == "poses"
+        if replay(4, 7, folder, targets).name == "poses"
     )
     assert first == second
 
@@ -98,25 +98,25 @@ def test_json_damage_reaches_values(tmp_path: Path) -> None:
 
 def test_counts_of_several_runs_add_up(tmp_path: Path) -> None:
     log = tmp_path / "runs.jsonl"
-    poses = find_doors(["poses"])
-    sums = [add_to_log(fuzz(n, seed=seed, doors=poses), log) for n, seed in ((30, 1), (20, 2))]
+    poses = find_targets(["poses"])
+    sums = [add_to_log(fuzz(n, seed=seed, targets=poses), log) for n, seed in ((30, 1), (20, 2))]
     assert [(one.runs, one.inputs, one.finds) for one in sums] == [(1, 30, 0), (2, 50, 0)]
     # The same run made again is the same inputs: it counts once.
-    assert add_to_log(fuzz(20, seed=2, doors=poses), log).inputs == 50
+    assert add_to_log(fuzz(20, seed=2, targets=poses), log).inputs == 50
 
 
 def test_of_runs_with_one_seed_the_longest_counts_however_short_the_others(tmp_path: Path) -> None:
-    log, doors = tmp_path / "runs.jsonl", find_doors(["poses", "truth"])
-    short = fuzz(1, seed=1, doors=doors)
+    log, targets = tmp_path / "runs.jsonl", find_targets(["poses", "truth"])
+    short = fuzz(1, seed=1, targets=targets)
     assert sorted(short.tried.values()) == [0, 1]  # one of the readers had no turn
     add_to_log(short, log)
-    together = add_to_log(fuzz(30, seed=1, doors=doors), log)
+    together = add_to_log(fuzz(30, seed=1, targets=targets), log)
     assert (together.runs, together.inputs) == (1, 30)
 
 
 def test_a_crash_spoils_no_later_input(tmp_path: Path) -> None:
-    door = find_doors(["poses"])[0]
-    door.seed(tmp_path)
+    target = find_targets(["poses"])[0]
+    target.seed(tmp_path)
     fuzzing._tidy(tmp_path)
     whole = {p: p.read_bytes() for p in tmp_path.iterdir()}
     # As a process leaves it that ends while it reads a damaged file.

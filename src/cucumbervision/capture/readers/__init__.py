@@ -15,7 +15,7 @@ from cucumbervision.capture.readers.pair import find_pairs, open_pair_file, open
 from cucumbervision.capture.readers.recording import open_recording
 from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
-from cucumbervision.capture.urls import as_path, is_remote, patiently
+from cucumbervision.capture.urls import as_path, is_remote, with_retries
 from cucumbervision.errors import CaptureError
 
 __all__ = ["RECORDING_SUFFIXES", "CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
@@ -50,7 +50,7 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     """
     path = as_path(path)
     options = options or ReadOptions()
-    source = patiently(path, lambda: _open_or_error(path, options))
+    source = with_retries(path, lambda: _open_or_error(path, options))
     if isinstance(source, CaptureError):
         raise source
     return source

@@ -22,7 +22,7 @@ from cucumbervision.dashboard.round_tables import (
 )
 from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.around import around, doubtful_first
+from cucumbervision.rounds.around import around, least_sure_first
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _choose(chart: str, keys: Sequence[str]) -> None:
 
 
 def _doubtful(lists: RoundLists) -> None:
-    left = doubtful_first(lists.fruit)
+    left = least_sure_first(lists.fruit)
     if not left:
         return
 

@@ -15,11 +15,11 @@ from cucumbervision_lab.robustness import seeds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-__all__ = ["DOORS", "Door"]
+__all__ = ["TARGETS", "Target"]
 
 
 @dataclass(frozen=True)
-class Door:
+class Target:
     """One way by which files enter.
 
     Parameters
@@ -274,29 +274,29 @@ def _recording(folder: Path) -> None:
     _each(ref.load for ref in open_guarded(folder / "walk.db3"))
 
 
-DOORS: tuple[Door, ...] = (
-    Door("native captures", seeds.native, _captures),
-    Door("BOP scenes", seeds.bop, _captures),
-    Door("picture pairs, arrays", seeds.pairs, _pairs),
-    Door("Viewer exports", seeds.viewer, _viewer),
-    Door("camera files", seeds.camera_file, _camera_files, 200),
-    Door("COCO instances", seeds.coco, _instances("coco.json", "results.json"), 200),
-    Door("YOLO labels", seeds.yolo, _instances("", "a.txt"), 200),
-    Door("truth tables", seeds.truth, _truth, 200),
-    Door("poses", seeds.poses, _poses, 200),
-    Door("runs", seeds.run, _run, 50),
-    Door("calibration", seeds.calibration, _calibration, 200),
-    Door("store files", seeds.store, _store, 3),
-    Door("ONNX", seeds.network, _network, 100),
-    Door("own networks", seeds.own_networks, _registry, 100),
-    Door("judged networks", seeds.judgement, _judgement, 50, whole=False),
-    Door("settings, accounts", seeds.settings, _settings, 100),
-    Door("profiles, registry, audit", seeds.published, _published, 50),
-    Door("COCO data sets", seeds.coco_set, _data_set, 50),
-    Door("YOLO data sets", seeds.yolo_set, _data_set, 50),
-    Door("benchmark records", seeds.records, _records, 50),
-    Door("trainings", seeds.training, _training, 100),
-    Door("model cards", seeds.model_card, _card, 100),
-    Door("uploads", seeds.uploads, _uploads, 15),
-    Door("recordings", seeds.recording, _recording, 1),
+TARGETS: tuple[Target, ...] = (
+    Target("native captures", seeds.native, _captures),
+    Target("BOP scenes", seeds.bop, _captures),
+    Target("picture pairs, arrays", seeds.pairs, _pairs),
+    Target("Viewer exports", seeds.viewer, _viewer),
+    Target("camera files", seeds.camera_file, _camera_files, 200),
+    Target("COCO instances", seeds.coco, _instances("coco.json", "results.json"), 200),
+    Target("YOLO labels", seeds.yolo, _instances("", "a.txt"), 200),
+    Target("truth tables", seeds.truth, _truth, 200),
+    Target("poses", seeds.poses, _poses, 200),
+    Target("runs", seeds.run, _run, 50),
+    Target("calibration", seeds.calibration, _calibration, 200),
+    Target("store files", seeds.store, _store, 3),
+    Target("ONNX", seeds.network, _network, 100),
+    Target("own networks", seeds.own_networks, _registry, 100),
+    Target("judged networks", seeds.judgement, _judgement, 50, whole=False),
+    Target("settings, accounts", seeds.settings, _settings, 100),
+    Target("profiles, registry, audit", seeds.published, _published, 50),
+    Target("COCO data sets", seeds.coco_set, _data_set, 50),
+    Target("YOLO data sets", seeds.yolo_set, _data_set, 50),
+    Target("benchmark records", seeds.records, _records, 50),
+    Target("trainings", seeds.training, _training, 100),
+    Target("model cards", seeds.model_card, _card, 100),
+    Target("uploads", seeds.uploads, _uploads, 15),
+    Target("recordings", seeds.recording, _recording, 1),
 )

@@ -251,6 +251,18 @@ def test_reasons(camera: Intrinsics) -> None:
     assert measure_m6(depth, everything, camera).reason is Reason.OUTLINE_TOO_SHORT
 
 
+def test_a_body_far_too_long_for_its_girth_is_measured_only_across_the_view(
+    camera: Intrinsics,
+) -> None:
+    # Half a metre long and 24 mm thick: along the view that is what stray readings draw out.
+    snake = arc_tube(0.5, 0.012)
+    across = snake.moved(rotation(10, 0), (0, 0, 0.9))
+    lengths, _ = fitted(measure_m6(*seen(across, camera), camera))
+    assert lengths.centreline_m == pytest.approx(0.5, rel=0.01)
+    along = snake.moved(rotation(10, 75), (0, 0, 0.9))
+    assert measure_m6(*seen(along, camera), camera).reason is Reason.ALONG_THE_VIEW
+
+
 def shapes() -> dict[str, NDArray[np.bool_]]:
     rows, columns = np.mgrid[0:480, 0:848]
     rng = np.random.default_rng(2)

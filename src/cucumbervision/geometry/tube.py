@@ -57,6 +57,13 @@ class TubeShape:
     bend_m: NDArray[np.float64]
     width_m: NDArray[np.float64]
 
+    @property
+    def length_m(self) -> float:
+        """Length of the curve and the radii at its ends, metres: about the axis from end to end."""
+        centres, radii = self.balls()
+        steps = centres[1:] - centres[:-1]
+        return float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).sum() + radii[0] + radii[-1])
+
     def balls(self, count: int = BALLS) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return centres, shape (count, 3), and radii, shape (count,), evenly along the curve."""
         bend, width = bases(count)

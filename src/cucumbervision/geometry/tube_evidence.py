@@ -25,6 +25,7 @@ __all__ = [
     "Evidence",
     "Readings",
     "ends_seen",
+    "median_of",
     "normal_equations",
     "point_readings",
     "ray_readings",
@@ -79,6 +80,19 @@ class Evidence:
         """How many waves of depth noise are fitted along."""
         return 0 if self.waves_m is None else self.waves_m.shape[1]
 
+    def thinned(self, every: int) -> Evidence:
+        """Return every so manieth reading, each counting for as many more."""
+        waves = None if self.waves_m is None else self.waves_m[::every]
+        return replace(
+            self,
+            points_m=self.points_m[::every],
+            points_sd_m=self.points_sd_m[::every],
+            rays=self.rays[::every],
+            points_share=min(1.0, every * self.points_share),
+            rays_share=min(1.0, every * self.rays_share),
+            waves_m=waves,
+        )
+
     @cached_property
     def directions(self) -> NDArray[np.float64]:
         """Unit directions to the depth points, shape (N, 3)."""
@@ -124,7 +138,7 @@ class Readings:
         """Return how many times their own errors the gaps scatter, robustly, within limits."""
         if not len(self.sd_m):
             return 1.0
-        spread = 1.4826 * float(np.median(np.abs(self.found.gap_m / self.sd_m)))
+        spread = 1.4826 * median_of(np.abs(self.found.gap_m / self.sd_m))
         return min(max(spread, limits[0]), limits[1])
 
 
@@ -229,6 +243,20 @@ def normal_equations(
         normal[own, own] += weighted.T @ weighted
         target[own] -= (root * gap) @ weighted
     return normal, target
+
+
+def median_of(values: NDArray[np.float64]) -> float:
+    """Return the median of some numbers; `numpy.median` takes three times as long for hundreds.
+
+    Examples
+    --------
+    >>> median_of(np.array([3.0, 1.0, 2.0])), median_of(np.array([4.0, 1.0, 2.0, 3.0]))
+    (2.0, 2.5)
+    """
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    return float(np.partition(values, (half - 1, half))[half - 1 : half + 1].sum()) / 2
 
 
 def _tukey(u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from cucumbervision.geometry.tube_evidence import (
     SLIPS,
     Evidence,
     ends_seen,
+    median_of,
     normal_equations,
     point_readings,
     ray_readings,
@@ -29,7 +30,9 @@ __all__ = ["SCATTER_POINTS", "SCATTER_RAYS", "TubeFitting", "fit_shape", "solve_
 
 # How much larger than its own each reading's error is taken to be, step by step.
 SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
-MORE_STEPS, STILL_M = 6, 1e-4  # after these, until nothing moves by more
+MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
+STILL_M, STILL_SHARE = 1e-4, 3e-4
+THINNED, FEWEST_THINNED = 3, 50  # in the first steps a third of the readings says as much
 SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
 LEAST_WIDTH = 0.15  # of the middle radius
 LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
@@ -67,8 +70,7 @@ class TubeFitting:
     def centreline_sd_m(self) -> float:
         """Standard deviation of the axis' length from pole to pole, metres."""
         bend, width = bases(BALLS)
-        centres = bend @ self.shape.bend_m
-        steps = np.diff(centres, axis=0)
+        steps = np.diff(bend @ self.shape.bend_m, axis=0)
         steps /= np.maximum(np.linalg.norm(steps, axis=1), 1e-12)[:, None]
         by_bend = np.diff(bend, axis=0).T @ steps
         slope = np.concatenate([by_bend.ravel(), width[0] + width[-1], np.zeros(SLIPS)])
@@ -110,23 +112,30 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     shape, beside = guess, np.zeros(SLIPS + evidence.waves)
     scatter, hold = (1.0, 1.0), end_hold((True, True))
     anchors = guess.balls(2)[0]
-    settled = False
+    settled, length_m, still = False, 0.0, 0
+    few = min(len(evidence.points_m), len(evidence.rays)) < THINNED * FEWEST_THINNED
+    thin = evidence if few else evidence.thinned(THINNED)
     for step, scale in enumerate((*SCHEDULE, *[SCHEDULE[-1]] * MORE_STEPS)):
         if settled and step >= len(SCHEDULE):
             break
-        points = point_readings(evidence, shape, beside)
-        rays = ray_readings(evidence, shape, beside[:SLIPS])
+        used = thin if step < SETTLED else evidence
+        points = point_readings(used, shape, beside)
+        rays = ray_readings(used, shape, beside[:SLIPS])
         if step >= SETTLED:
             scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
             seen = ends_seen(shape, rays.found, evidence.rays)
             hold = end_hold(seen)
-        shares = evidence.points_share, evidence.rays_share
+        shares = used.points_share, used.rays_share
         normal, target = normal_equations((points, rays), shares, scatter, scale)
         add_shape_prior(normal, target, shape, anchors, hold)
         add_beside_prior(normal, target, beside, evidence)
         move = solve_held(normal, target, BODY)
         settled = float(np.abs(move[:SHAPE]).max()) < STILL_M
         shape, move = stepped(shape, move, BODY)
+        if step >= SETTLED:
+            before, length_m = length_m, shape.length_m
+            still = still + 1 if abs(length_m - before) < STILL_SHARE * length_m else 0
+            settled = settled or still > 1
         beside = beside + move[SHAPE:]
     rays = ray_readings(evidence, shape, beside[:SLIPS])
     points = point_readings(evidence, shape, beside)
@@ -184,5 +193,5 @@ def stepped(
     move = move * min(1.0, limit / max(float(np.abs(move[:body]).max()), 1e-12))
     split = shape.bend_m.size
     width = shape.width_m + move[split:SHAPE]
-    width = np.maximum(width, LEAST_WIDTH * float(np.median(width)))
+    width = np.maximum(width, LEAST_WIDTH * median_of(width))
     return TubeShape(shape.bend_m + move[:split].reshape(-1, 3), width), move

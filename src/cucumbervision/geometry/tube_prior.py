@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.tube import BEND_SEGMENTS, TubeShape, bases
-from cucumbervision.geometry.tube_evidence import BODY, SLIPS
+from cucumbervision.geometry.tube_evidence import BODY, SLIPS, median_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -67,7 +67,7 @@ def add_shape_prior(
     count, split = len(bend), bend.size
     steps = bend[1:] - bend[:-1]
     step = float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).mean())
-    radius = max(float(np.median(width)), 0.002)
+    radius = max(median_of(width), 0.002)
     second, smooth, twist = _differences(count)
     twist_sd = min(TWIST_SD * step / BEND_SEGMENTS**2, BEND_CHANGE_SD * step**3)
     ends = bases(2)[0]

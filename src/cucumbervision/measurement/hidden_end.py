@@ -51,6 +51,17 @@ class GirthRelation:
     slope: float
     spread: float
 
+    def beyond(self, length_m: float, diameter_m: float) -> float:
+        """Return how far a length lies above the usual one, in the logarithm's deviations.
+
+        Examples
+        --------
+        >>> round(DRAWN_KINDS.beyond(0.34, 0.024), 1)
+        5.4
+        """
+        usual = self.log_length + self.slope * np.log(max(diameter_m, 0.005))
+        return float((np.log(length_m) - usual) / self.spread)
+
 
 DRAWN_KINDS = GirthRelation(5.36, 2.16, 0.30)
 """Over drawn fruit of three kinds, gherkin to long cucumber, with room for others (0.24 there)."""
@@ -182,8 +193,8 @@ def hidden_length(
     lengths = np.exp(
         np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * REACH_SD_M), GRID)
     )
-    usual = relation.log_length + relation.slope * np.log(max(diameter_m, 0.005))
-    by_girth = np.exp(-0.5 * ((np.log(lengths) - usual) / relation.spread) ** 2)
+    off = relation.beyond(1.0, diameter_m)  # of one metre
+    by_girth = np.exp(-0.5 * (np.log(lengths) / relation.spread + off) ** 2)
     beyond = ndtr(np.log(lengths / seen_m) / SEEN_SD)
     before = ndtr((seen_m + reach_m - lengths) / REACH_SD_M)
     weight = (by_girth + 1e-6) * beyond * before

@@ -14,7 +14,7 @@ from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
-from cucumbervision.measurement.hidden_end import with_hidden_end
+from cucumbervision.measurement.hidden_end import DRAWN_KINDS, with_hidden_end
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -232,36 +232,23 @@ def _rays(
 
 
 MIN_POINTS = 30
-
 MIN_RAYS = 20
-
 BALLS = 128
-
 RANGE_M = (0.02, 1.0)
-
 OUTLINE_SD_PX = 0.7
-
 MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
-
 GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
-
 ON_SURFACE_SD, ON_SURFACE_M, GOOD_ON_SURFACE = 4.0, 0.002, 0.8
-
 MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
-
 GOOD_OVERLAP, UNSURE_M, FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
-
 LEAST_SEEN = 6  # readings that such a start needs
-
 SPARSE_FILL = 0.5  # below it most of the depth is missing: the fruit is nearer than the sensor sees
 
 # Then a few wrong readings make the misfit, and they decide less: shares of it, of the silhouette.
 SPARSE_ALIKE, SPARSE_BETTER = 0.1, 0.05
-
 END_ON_DEG = 70.0
-
+STEEP, TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
 BEYOND, BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
-
 PART_HIDDEN, UNCERTAIN = 0.1, 0.05
 
 
@@ -289,7 +276,8 @@ def measure_m6(
     Measurement
         `length_m` is the centreline (kind 'centreline'); `tube` has all three lengths and `fit`
         everything else. Reason 'too-few-points' (of depth), 'outline-too-short' (hardly any of
-        the outline is the fruit's own), 'not-a-tube', 'out-of-range'.
+        the outline is the fruit's own), 'not-a-tube', 'along-the-view' (it points along the view
+        and is far too long for its girth), 'out-of-range'.
 
     Examples
     --------
@@ -323,8 +311,9 @@ def fit_view(view: TubeView) -> TubeFitting | Reason:
     except np.linalg.LinAlgError:
         return Reason.NOT_A_TUBE
     shape = fitting.shape
-    sound = np.isfinite(shape.bend_m).all() and np.isfinite(shape.width_m).all()
-    return fitting if sound else Reason.NOT_A_TUBE
+    if not (np.isfinite(shape.bend_m).all() and np.isfinite(shape.width_m).all()):
+        return Reason.NOT_A_TUBE
+    return Reason.ALONG_THE_VIEW if _runs_away(fitting) else fitting
 
 
 def _best_fit(view: TubeView) -> TubeFitting:
@@ -354,6 +343,7 @@ def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
     overlap = [_coverage(view, fit.shape)[2] for fit in fits]
     least_overlap = max(overlap) - (SPARSE_BETTER if view.sparse else CLEARLY_BETTER)
     covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
+    covering = [f for f in covering if not _runs_away(f)] or covering
     least = min(fit.misfit for fit in covering)
     alike = SPARSE_ALIKE * least if view.sparse else FITS_ALIKE
     of_these = [f for f in covering if f.misfit <= least + alike]
@@ -365,10 +355,19 @@ def _unevenness(fit: TubeFitting) -> float:
     return abs(float(radii[3] - radii[1])) / float(radii[3] + radii[1])
 
 
+def _runs_away(fit: TubeFitting) -> bool:
+    # Along the view, where the outline says nothing of the length, readings of what lies behind
+    # draw a body out; then only its girth tells that it is too long.
+    if _depth_share(fit) < STEEP:
+        return False
+    _, radii = fit.shape.balls()
+    return DRAWN_KINDS.beyond(fit.shape.length_m, 2.0 * float(radii.max())) > TOO_LONG_SD
+
+
 def _depth_share(fit: TubeFitting) -> float:
     centres, _ = fit.shape.balls(2)
-    run = centres[1] - centres[0]
-    return abs(float(run @ centres.mean(axis=0))) / float(np.linalg.norm(run))
+    run, middle = centres[1] - centres[0], centres.mean(axis=0)
+    return abs(float(run @ middle)) / float(np.linalg.norm(run) * np.linalg.norm(middle))
 
 
 def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:

@@ -84,6 +84,7 @@ class Reason(StrEnum):
     ENDPOINT_MISSING = "endpoint-missing"
     OUTLINE_TOO_SHORT = "outline-too-short"
     NOT_A_TUBE = "not-a-tube"
+    ALONG_THE_VIEW = "along-the-view"
     OUT_OF_RANGE = "out-of-range"
 
 

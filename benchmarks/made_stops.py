@@ -19,8 +19,6 @@ from cucumbervision.store.records import (
     key_of,
 )
 
-__all__ = ["FRUIT", "METHODS", "SPACING_M", "made_round", "made_stop"]
-
 METHODS = ("M1", "M2", "M3", "M4", "M5", "M6")
 FRUIT = 6
 SPACING_M = 0.4

@@ -10,8 +10,6 @@ from typing import Any
 import pandas as pd
 from rich.progress import track
 
-__all__ = ["rows_of"]
-
 Rows = list[dict[str, Any]]
 
 

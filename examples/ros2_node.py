@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.geometry.camera import Distortion
 from cucumbervision.service.client import Client
 
 _COLORS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}

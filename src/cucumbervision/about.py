@@ -7,8 +7,6 @@ from importlib.metadata import PackageNotFoundError, metadata, version
 
 from cucumbervision._version import __version__
 
-__all__ = ["LICENCE", "installed_versions", "software", "source_offer"]
-
 LICENCE = "AGPL-3.0-only"
 _VERSIONS_OF = (
     "numpy",

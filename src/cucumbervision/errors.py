@@ -15,39 +15,6 @@ from typing import TYPE_CHECKING, Self
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = [
-    "AccessError",
-    "CalibrationError",
-    "CameraError",
-    "CaptureError",
-    "CucumberVisionError",
-    "DataSetError",
-    "DepthError",
-    "FileError",
-    "ForecastError",
-    "InstancesError",
-    "InternalError",
-    "IntrinsicsError",
-    "MissingExtraError",
-    "ModelError",
-    "ModelHashError",
-    "OutOfMemoryError",
-    "ProfileError",
-    "RoundError",
-    "StoreConflictError",
-    "StoreError",
-    "StoreVersionError",
-    "StoredImageError",
-    "TrainingError",
-    "TruthError",
-    "UnknownModelError",
-    "UploadError",
-    "as_errors_of",
-    "named_error",
-    "naming_os_errors",
-    "refusing",
-]
-
 
 class CucumberVisionError(Exception):
     """Base of all named errors.

@@ -14,8 +14,6 @@ import cv2
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["each_done"]
-
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 

@@ -22,17 +22,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.kalman import Spreads
 
-__all__ = [
-    "HouseSettings",
-    "SimulatedHouse",
-    "SimulatedRow",
-    "Walk",
-    "grow_plants",
-    "simulate_house",
-    "simulate_row",
-    "walk",
-]
-
 SIZES = 64  # bodies drawn, from which fruit take their thickness
 UNFLAGGED = 0.2  # share of hidden fruit that nothing tells from whole ones
 

@@ -14,8 +14,9 @@ from cucumbervision.calibration.calibration_file import (
     read_site_calibration,
     write_site_calibration,
 )
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CalibrationError
+from cucumbervision.geometry.camera import Distortion
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0)
 SITE = SiteCalibration(

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.geometry.camera import Distortion
 
 
 @pytest.fixture

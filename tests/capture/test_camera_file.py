@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.errors import CaptureError, IntrinsicsError
+from cucumbervision.geometry.camera import Distortion
 
 OURS = {
     "stream": "color",

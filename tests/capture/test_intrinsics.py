@@ -3,13 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.capture.intrinsics import (
-    Distortion,
-    Intrinsics,
-    Stream,
-    check_intrinsics,
-)
+from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics
 from cucumbervision.errors import IntrinsicsError
+from cucumbervision.geometry.camera import Distortion
 
 COLOR = Intrinsics(1280, 720, 910.5, 909.8, 645.2, 366.1)
 DEPTH = Intrinsics(1280, 720, 640.0, 640.0, 641.3, 358.7, stream=Stream.DEPTH)

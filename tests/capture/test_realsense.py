@@ -15,22 +15,17 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision.capture.intrinsics import Distortion, Stream
+from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.realsense import (
-    AlignedStream,
-    CameraConfig,
-    RealSenseCamera,
-    camera_fault,
-    play_file,
-)
+from cucumbervision.capture.realsense import AlignedStream, CameraConfig, RealSenseCamera, play_file
+from cucumbervision.capture.realsense_device import camera_fault
 from cucumbervision.errors import (
     CameraError,
     CaptureError,
     IntrinsicsError,
     MissingExtraError,
 )
-from cucumbervision.geometry.camera import align_depth_to_color
+from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 
 pytest.importorskip("pyrealsense2")
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.capture.intrinsics import Distortion
 from cucumbervision.errors import CaptureError
+from cucumbervision.geometry.camera import Distortion
 
 
 @pytest.fixture(scope="module")

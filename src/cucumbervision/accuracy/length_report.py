@@ -22,17 +22,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-__all__ = [
-    "GLOSSARY",
-    "GROUPED_CAPTURES",
-    "accuracy_entries",
-    "fruit_entries",
-    "group_entries",
-    "main_truths",
-    "plot_entries",
-    "reading_section",
-]
-
 TRACKED_CAPTURES = 120  # beyond, one cannot tell captures apart
 GROUPED_CAPTURES = 10  # fewer are shown one by one, and neither tested nor grouped
 GLOSSARY = (

@@ -16,23 +16,6 @@ from cucumbervision.measurement.result import LengthDefinition
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = [
-    "DESCRIPTIONS",
-    "PAPER_METHODS",
-    "Factor",
-    "accuracy_table",
-    "against",
-    "comparison_table",
-    "factors_of",
-    "fruit_table",
-    "group_table",
-    "length_and_error",
-    "method_metrics",
-    "shown_methods",
-    "span_text",
-    "truths_of",
-]
-
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
 """Kinds of true length, in the order of every report."""
 

@@ -14,8 +14,6 @@ from cucumbervision.errors import CucumberVisionError, refusing
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["REPORTED", "Measured", "Reading", "read_measured"]
-
 REPORTED = "reported"
 _TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
 _METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}

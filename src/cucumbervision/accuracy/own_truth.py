@@ -27,16 +27,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.measured import Measured
 
-__all__ = [
-    "MethodScore",
-    "OwnTruth",
-    "comparable",
-    "evaluate_lengths",
-    "match_truth",
-    "scores_table",
-    "write_own_report",
-]
-
 KIND_OF = {calibration_key(Method.M6, kind): kind for kind in LengthDefinition}
 
 LONGEST_M, SHORTEST_M = 1.0, 0.01

@@ -19,18 +19,6 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-__all__ = [
-    "HTML_NAME",
-    "JSON_NAME",
-    "Cell",
-    "Column",
-    "Picture",
-    "Section",
-    "Table",
-    "render_page",
-    "write_report",
-]
-
 Cell = str | int | float | bool | None
 HTML_NAME = "report.html"
 JSON_NAME = "benchmark.json"

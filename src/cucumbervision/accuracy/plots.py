@@ -16,16 +16,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import LengthDefinition
 
-__all__ = [
-    "STYLES",
-    "as_png",
-    "error_spread",
-    "method_style",
-    "new_figure",
-    "predicted_against_truth",
-    "tracking",
-]
-
 DPI = 110
 WIDTH_IN = 10.0
 FEW_CAPTURES = 200  # drawn as larger dots

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-__all__ = ["Masks", "Record", "append_record", "read_records", "readings_frame"]
-
 _NUMBERS = (
     *("centreline_m", "thread_m", "chord_m", "distance_m", "tilt_deg", "bend_radius_m"),
     *("hidden_share", "fill", "depth_scale", "length_m"),

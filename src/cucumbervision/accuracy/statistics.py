@@ -12,19 +12,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "Comparison",
-    "Estimate",
-    "Metrics",
-    "binomial_interval",
-    "compare",
-    "estimate",
-    "percent_errors",
-    "resample_weights",
-    "score",
-    "share",
-]
-
 _FEWEST_GROUPS = 2
 
 

@@ -19,20 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = [
-    "MISSED",
-    "Floor",
-    "Line",
-    "Table",
-    "TrueLength",
-    "Truth",
-    "floor_of",
-    "parse_number",
-    "read_bar_rows",
-    "read_table",
-    "read_truth",
-]
-
 SEPARATORS = (",", ";", "\t")
 
 FORMULA_STARTS = ("=", "+", "-", "@")

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import FilteredStates, Histories, Spreads
     from cucumbervision.agronomy.profiles import CropProfile
 
-__all__ = ["Counts", "DetectionRates", "Forecast", "FruitState", "forecast", "natural_key"]
-
 
 @dataclass(frozen=True)
 class FruitState:

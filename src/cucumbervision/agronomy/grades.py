@@ -18,16 +18,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.profiles import CropProfile
 
-__all__ = [
-    "BORDERLINE",
-    "OUT_OF_GRADE",
-    "Grade",
-    "GradingTraits",
-    "LengthBelief",
-    "Verdict",
-    "grade",
-]
-
 INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_high_cm`
 
 

@@ -26,16 +26,6 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import Histories
     from cucumbervision.agronomy.profiles import CropProfile
 
-__all__ = [
-    "LINEAR",
-    "Curve",
-    "Growth",
-    "GrowthPrior",
-    "Link",
-    "fit_growth",
-    "measured_points",
-]
-
 NEARLY_FULL = 0.98  # nearer to its full length a fruit's age cannot be told from its length
 
 

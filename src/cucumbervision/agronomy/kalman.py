@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Basis", "FilteredStates", "Histories", "Spreads", "kalman_filter", "measured_histories"]
-
 Array: TypeAlias = "NDArray[Any]"
 Point = tuple[float, float, float]  # day, length in metres, its variance
 

@@ -13,8 +13,6 @@ from cucumbervision.agronomy.profiles import TOO_LONG
 if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast, FruitState
 
-__all__ = ["Pick", "Rates", "Span", "pick_list", "plan_work"]
-
 
 @dataclass(frozen=True)
 class Pick:

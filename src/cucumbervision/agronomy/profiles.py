@@ -19,8 +19,6 @@ from cucumbervision.measurement.result import LengthDefinition
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["TOO_LONG", "CropProfile", "load_profile", "profiles", "profiles_folder"]
-
 TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
 
 Positive = Annotated[float, Field(gt=0)]

@@ -19,18 +19,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = [
-    "CalibratedCamera",
-    "CorrectionEntry",
-    "DepthScaleEntry",
-    "IntervalEntry",
-    "MeasuredWith",
-    "SiteCalibration",
-    "TruthUsed",
-    "read_site_calibration",
-    "write_site_calibration",
-]
-
 _FORMAT = "cucumbervision-calibration"
 CAMERA_TOLERANCE_PX = 0.01
 

@@ -13,19 +13,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "LEAST_CAPTURES",
-    "LEVEL",
-    "OUTLINE_SD_PX",
-    "DepthScale",
-    "Fit",
-    "Form",
-    "conformal_half_width",
-    "corrected",
-    "fit_correction",
-    "fit_depth_scale",
-]
-
 LEAST_CAPTURES = 3
 
 OUTLINE_SD_PX = 0.7

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.measured import Measured, Reading
     from cucumbervision.accuracy.truth import TrueLength, Truth
 
-__all__ = ["calibrate_depth", "calibrate_lengths"]
-
 _BAR_METHODS = ("M6 chord", "M3")
 WORST_SCALE = 0.10
 WORST_SPREAD = 0.02

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.capture.source import CaptureRef
 
-__all__ = ["FolderCamera", "RgbdCamera", "captures_of"]
-
 
 class RgbdCamera(Protocol):
     """A camera as a context manager: open between entering and leaving.

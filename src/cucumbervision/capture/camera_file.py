@@ -9,15 +9,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.files import parse_model, read_json
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.errors import IntrinsicsError, as_errors_of
+from cucumbervision.geometry.camera import Distortion
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-__all__ = ["CameraFile", "CameraModel", "Extrinsics", "StrictModel", "read_camera_file"]
 
 _BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
 _SAY_STREAM = (

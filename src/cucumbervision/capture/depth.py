@@ -12,8 +12,6 @@ from cucumbervision.errors import DepthError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["depth_to_metres", "require_readings", "scale_depth"]
-
 _FEW, _MOST = 0.01, 0.5
 _UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
 

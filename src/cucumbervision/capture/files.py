@@ -32,26 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pydantic import TypeAdapter
 
-__all__ = [
-    "COLOR_SUFFIXES",
-    "DEPTH_SUFFIXES",
-    "PHOTO_SUFFIXES",
-    "each_file_read_once",
-    "json_value",
-    "parse_model",
-    "read_arrays",
-    "read_bytes",
-    "read_color",
-    "read_depth",
-    "read_json",
-    "read_mask",
-    "read_photo",
-    "read_text",
-    "write_bytes",
-    "write_jpeg",
-    "write_png",
-]
-
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
 DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".npz"})

@@ -16,17 +16,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = [
-    "DEPTH_MAX_M",
-    "DEPTH_MIN_M",
-    "Capture",
-    "Stop",
-    "fuse_burst",
-    "median_depth",
-    "sharpness",
-    "valid_depth",
-]
-
 DEPTH_MIN_M = 0.1
 
 DEPTH_MAX_M = 5.0

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.geometry.camera import Distortion, distort, scale_error, undistort
+from cucumbervision.geometry.camera import Distortion as Distortion
+from cucumbervision.geometry.camera import distort, scale_error, undistort
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
-
-__all__ = ["Distortion", "Intrinsics", "Stream", "check_intrinsics"]
 
 
 class Stream(StrEnum):

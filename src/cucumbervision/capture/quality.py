@@ -12,8 +12,6 @@ from cucumbervision.capture.frames import valid_depth
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["DepthQuality", "depth_quality"]
-
 NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
 POOR_FILL = 0.60
 NEAREST = 0.10

@@ -12,7 +12,7 @@ import numpy as np
 
 from cucumbervision.capture.depth import require_readings, scale_depth
 from cucumbervision.capture.frames import Capture, Stop, fuse_burst
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.realsense_device import (
     CameraSettings,
     apply_settings,
@@ -20,23 +20,13 @@ from cucumbervision.capture.realsense_device import (
     import_realsense,
 )
 from cucumbervision.errors import CameraError, CaptureError
+from cucumbervision.geometry.camera import Distortion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-__all__ = [
-    "AlignedFrame",
-    "AlignedStream",
-    "CameraConfig",
-    "RealSenseCamera",
-    "burst_capture",
-    "camera_fault",
-    "import_realsense",
-    "play_file",
-]
 
 _STEP_MS = 200
 

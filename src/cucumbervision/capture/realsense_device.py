@@ -7,15 +7,6 @@ from typing import Any
 
 from cucumbervision.errors import CameraError, MissingExtraError
 
-__all__ = [
-    "CameraSettings",
-    "FoundCamera",
-    "apply_settings",
-    "camera_fault",
-    "import_realsense",
-    "list_cameras",
-]
-
 
 def import_realsense() -> Any:
     """Import pyrealsense2, or say in one line what is missing.

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera import RgbdCamera
     from cucumbervision.capture.quality import DepthQuality
 
-__all__ = ["Recorded", "Walk", "record_captures"]
-
 
 @dataclass(frozen=True)
 class Walk:

@@ -20,16 +20,6 @@ if TYPE_CHECKING:
         str, int, Callable[[str], Capture], Path, Callable[[], Iterable[Path | bytes]] | None
     ]
 
-__all__ = [
-    "CaptureRef",
-    "CaptureSource",
-    "ReadOptions",
-    "bundled_captures",
-    "fail",
-    "safe_name",
-    "unique_name",
-]
-
 
 @dataclass(frozen=True)
 class ReadOptions:

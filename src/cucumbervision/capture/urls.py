@@ -13,8 +13,6 @@ from cucumbervision.errors import CucumberVisionError, MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["as_path", "is_remote", "with_retries"]
-
 _log = logging.getLogger(__name__)
 
 _SAID_S = 2.0  # of shorter waits nothing is said

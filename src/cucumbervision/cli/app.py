@@ -32,8 +32,6 @@ from cucumbervision.cli import (
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
 
-__all__ = ["app", "main"]
-
 _COMMANDS = "cucumbervision.commands"
 """Entry points of further commands: each is called with the program and its groups."""
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.page import Table
     from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
 
-__all__ = ["calibrate"]
-
 
 def calibrate(
     measurements: Annotated[

@@ -40,17 +40,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.run import BatchOptions, RunResult
 
-__all__ = [
-    "columns_table",
-    "detect_and_show",
-    "measure_and_show",
-    "print_table",
-    "progress_bar",
-    "screen",
-    "show_failures",
-    "summary_table",
-]
-
 MOST_ROWS = 40
 WIDTH = 120
 SIMULATED = "simulated captures are among them: drawn, not taken"

@@ -9,8 +9,6 @@ import typer
 
 from cucumbervision.cli.choices import ListenOn, Port
 
-__all__ = ["app", "dashboard", "set_password"]
-
 app = typer.Typer(help="Capture, look at and forecast rounds in a browser.")
 
 

@@ -17,8 +17,6 @@ from cucumbervision.cli.choices import (
     SegmenterChoice,
 )
 
-__all__ = ["detect"]
-
 
 def detect(
     inputs: Annotated[

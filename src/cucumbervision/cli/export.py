@@ -11,8 +11,6 @@ from cucumbervision.cli.choices import Images, Profile, StoreName
 from cucumbervision.cli.round import chosen_profile, opened_round
 from cucumbervision.exports import ExportFormat
 
-__all__ = ["export"]
-
 
 def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.streaming.stream import StreamedFrame
 
-__all__ = ["clock", "enter_keys", "print_recording", "print_stream"]
-
 
 def print_stream(
     frames: Iterator[StreamedFrame | Failure], most: int | None = None, *, quiet: bool = False

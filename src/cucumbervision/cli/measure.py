@@ -25,8 +25,6 @@ from cucumbervision.cli.choices import (
 )
 from cucumbervision.measurement.result import LengthDefinition, Selector
 
-__all__ = ["demo", "measure"]
-
 Inputs = Annotated[
     list[Path],
     typer.Argument(

@@ -10,8 +10,6 @@ import typer
 if TYPE_CHECKING:
     from cucumbervision.perception.registry import Model
 
-__all__ = ["app"]
-
 app = typer.Typer(
     name="models",
     help="List, fetch, verify and export the networks.",

@@ -9,8 +9,6 @@ import typer
 
 from cucumbervision.cli.choices import Burst, Fps, Quiet, Retries, Serial
 
-__all__ = ["cameras", "record"]
-
 Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
 

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-__all__ = ["By", "app", "chosen_profile", "opened_round"]
-
 app = typer.Typer(
     name="round",
     help="Rounds of a house: stops, fruit counted once, growth between days, picking.",

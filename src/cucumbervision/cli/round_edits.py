@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.repository import Store
 
-__all__ = ["delete", "delete_stop", "restore", "stops"]
-
 Round = Annotated[str, typer.Argument(help="Name, key or start of a key.")]
 
 

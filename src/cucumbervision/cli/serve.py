@@ -18,8 +18,6 @@ from cucumbervision.cli.choices import (
     Segmenter,
 )
 
-__all__ = ["serve"]
-
 
 def serve(
     address: ListenOn = "127.0.0.1",

@@ -20,9 +20,6 @@ from cucumbervision.cli.choices import (
     Serial,
 )
 
-__all__ = ["stream"]
-
-
 Source = Annotated[
     str,
     typer.Argument(

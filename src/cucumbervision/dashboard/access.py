@@ -31,21 +31,6 @@ from cucumbervision.service.settings import is_loopback
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = [
-    "SESSION_S",
-    "Login",
-    "OpenIdConnect",
-    "PasswordChecker",
-    "Session",
-    "accounts_file",
-    "configured_login",
-    "decide_login",
-    "delay_s",
-    "read_accounts",
-    "read_openid_connect",
-    "set_password",
-]
-
 SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
 SHORTEST = 10  # characters of a password
 FREE_ATTEMPTS = 3  # wrong passwords in a row before the first delay

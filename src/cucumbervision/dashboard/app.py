@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
     from streamlit.navigation.page import StreamlitPage
 
-__all__ = ["footer", "keep_inputs", "main"]
-
 # Streamlit forgets the input of a page that is left; these are kept for its return.
 KEPT_INPUTS = (
     "round",

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.realsense_device import CameraSettings
 
-__all__ = ["PREVIEW_FPS", "REACH_S", "Burst", "CameraFeed", "Feed", "Preview", "Replay"]
-
 REACH_S = 0.15  # how far from its press a burst's frames may be: nobody walks far meanwhile
 HELD_S = 1.5  # how late a press may reach us: frames of so long are held
 UNWATCHED_S = 6.0  # viewers ask several times a second

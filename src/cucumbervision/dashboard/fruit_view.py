@@ -28,20 +28,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, MethodRecord
     from cucumbervision.store.views import DetectionView
 
-__all__ = [
-    "CLOUD_HEIGHT_PX",
-    "as_data_url",
-    "component",
-    "crop",
-    "depth_picture",
-    "fruit_layers",
-    "picture",
-    "point_cloud",
-    "ruler_m",
-    "scale_bar",
-    "stop_layers",
-]
-
 # Okabe and Ito's palette, told apart by colour-blind people too.
 METHOD_COLORS = {
     "M1": "#56B4E9",

@@ -15,8 +15,6 @@ from typing import Any, TypeAlias
 
 from cucumbervision.errors import CucumberVisionError
 
-__all__ = ["Job", "Work", "Worker"]
-
 KEPT = 20  # finished jobs whose results are still held
 
 

@@ -40,13 +40,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionDetail
     from cucumbervision.store.waiting import WaitingCaptures
 
-__all__ = [
-    "SharedMeasurer",
-    "TakenStop",
-    "measure_waiting",
-    "stored_capture",
-]
-
 SEGMENTER = "mobile-sam"
 
 

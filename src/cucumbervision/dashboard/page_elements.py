@@ -21,20 +21,6 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job, Work
     from cucumbervision.store.views import RoundView
 
-__all__ = [
-    "button",
-    "choose_page",
-    "finished_job",
-    "halves",
-    "link",
-    "of_round",
-    "page_of",
-    "progress",
-    "start_job",
-    "table",
-    "work_words",
-]
-
 
 def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
     """Return a wide and a narrow column, under each other where a tablet is held upright."""

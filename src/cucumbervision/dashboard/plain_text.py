@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["plain"]
-
 # Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
 _MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
 _LINE_STARTS = re.compile(r"(?m)^(\s*\d+)\.")

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.dashboard.camera_feed import Feed
 
-__all__ = ["Recorder", "Recording"]
-
 EVERY_S = 1.0
 
 

@@ -50,36 +50,6 @@ from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
-__all__ = [
-    "camera",
-    "change_settings",
-    "content_of",
-    "cutout_of",
-    "feed",
-    "forecast_of",
-    "fruit_detail",
-    "lists_of",
-    "measurer",
-    "merge",
-    "methods_of",
-    "prepare",
-    "profile_of",
-    "recorder",
-    "registry",
-    "replay_named",
-    "rows_of",
-    "settings",
-    "shutter",
-    "store",
-    "thumbnail_of",
-    "today_of",
-    "undo",
-    "waiting",
-    "wake",
-    "where",
-    "worker",
-]
-
 CUT_PX, CUT_SHARE = 320, 0.8
 KEPT = 8  # rounds, forecasts or fruit that are held at once
 

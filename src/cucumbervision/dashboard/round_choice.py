@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import RoundView
 
-__all__ = ["choose_round"]
-
 
 def choose_round() -> RoundView | None:
     """Draw the choice, and return the round that is open; None where there is none."""

@@ -33,38 +33,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.views import DetectionView, StopView
 
-__all__ = [
-    "RoundLists",
-    "class_color",
-    "class_colors",
-    "class_name",
-    "count_words",
-    "counted",
-    "day_name",
-    "doubtful",
-    "expected_classes",
-    "figure_lines",
-    "forecast_chart",
-    "grade_name",
-    "histogram",
-    "hours_words",
-    "length_lines",
-    "length_words",
-    "list_round",
-    "map_chart",
-    "map_lines",
-    "method_chart",
-    "method_lines",
-    "name_of_class",
-    "remarks",
-    "round_day",
-    "row_name",
-    "span_words",
-    "statistics",
-    "stop_name",
-]
-
-
 # Vega itself says what is wrong with a chart; to check each against its schema takes longer than
 # all else that a page does.
 disable_debug_mode()

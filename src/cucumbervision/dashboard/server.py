@@ -8,17 +8,6 @@ from pathlib import Path
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 
-__all__ = [
-    "IMAGES_VARIABLE",
-    "LOGIN_VARIABLE",
-    "REPLAY_VARIABLE",
-    "STORE_VARIABLE",
-    "default_store",
-    "require_extra",
-    "serve",
-    "server_arguments",
-]
-
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"

@@ -15,17 +15,6 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = [
-    "EXPOSURE_US",
-    "PRESETS",
-    "Settings",
-    "Units",
-    "read_settings",
-    "replace_text",
-    "settings_file",
-    "write_settings",
-]
-
 UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 
 

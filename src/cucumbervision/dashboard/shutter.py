@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import StopView
     from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
-__all__ = ["Press", "Pressed", "Shutter"]
-
 LATEST_S = 1.2  # frames are held so long: of an older press, which came late, the oldest are taken
 REMEMBERED = 200
 

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, MutableMapping
 
-__all__ = ["UploadGuard", "note_viewer"]
-
 _UPLOAD = re.compile(r"/_stcore/upload_file/([^/]+)/")
 _MOST = 10_000  # sessions that are remembered
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.walking import NextPlace
     from cucumbervision.store.repository import Store
 
-__all__ = ["CAMERAS", "Outcome", "measure_uploads", "usual_intrinsics"]
-
 # Focal length over the picture's height, of colour cameras as their makers give them.
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
 

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-__all__ = ["round_tables"]
-
 PICTURES = "pictures"
 _BIN_CM = 2
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, ImageRef
     from cucumbervision.store.repository import Store
 
-__all__ = ["draw_fruit", "fruit_pictures"]
-
 LONG_SIDE_PX = 480
 MARGIN, NARROWEST = 0.12, 0.6  # of the fruit's longer side: around it, and the other side's least
 BARS_M = (0.10, 0.05, 0.02, 0.01)

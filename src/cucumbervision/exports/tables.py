@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.pipeline.fields import CellType
 
-__all__ = ["COLUMNS", "Charts", "RoundTables", "Table", "utc"]
-
 _NUMBER: dict[str, type] = {"text": str, "whole": int, "number": float, "yes/no": bool}
 
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from cucumbervision.exports.tables import Charts, RoundTables
     from cucumbervision.pipeline.fields import Cell
 
-__all__ = ["SHEETS", "ExportFormat", "reading_table", "render_sheet", "write_exports"]
-
 
 def write_exports(
     tables: RoundTables, out: Path, formats: Collection[ExportFormat] = tuple(ExportFormat)

@@ -10,14 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "AlignedCloud",
-    "align_near",
-    "bin_centroids",
-    "depth_gate",
-    "principal_axis",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class AlignedCloud:

@@ -13,15 +13,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "Distortion",
-    "align_depth_to_color",
-    "distort",
-    "scale_error",
-    "scale_error_tilted",
-    "undistort",
-]
-
 _LARGEST_FOOTPRINT = 4096.0  # colour pixels of one depth pixel; of a D4xx it is under 100
 _UNDISTORT_STEPS = 10  # as the SDK: more changes nothing at the distortions of a D4xx
 

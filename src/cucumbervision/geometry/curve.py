@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["arc_positions", "natural_spline", "points_along", "polyline_length"]
-
 COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters would be
 
 

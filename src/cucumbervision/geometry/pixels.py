@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["depth_across", "outline_cracks", "valid_median"]
-
 
 def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) -> NDArray[Any]:
     """Return the median along an axis over the valid entries only.

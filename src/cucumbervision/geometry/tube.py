@@ -14,23 +14,6 @@ from cucumbervision.geometry.curve import arc_positions
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "BALLS",
-    "BEND_SEGMENTS",
-    "TubeShape",
-    "axis_path",
-    "bases",
-    "bending_direction",
-    "cubic_basis",
-    "guess_from_picture",
-    "guess_shape",
-    "inner_arc_height",
-    "near_depths",
-    "profile",
-    "shape_from_curve",
-    "thread_length",
-]
-
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12
 BALLS = 64

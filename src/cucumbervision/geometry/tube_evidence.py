@@ -18,19 +18,6 @@ from cucumbervision.geometry.tube_gaps import Gaps, depth_gaps, gaps
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "BODY",
-    "SHAPE",
-    "SLIPS",
-    "Evidence",
-    "Readings",
-    "ends_seen",
-    "median_of",
-    "normal_equations",
-    "point_readings",
-    "ray_readings",
-]
-
 SLIPS = 3  # of the whole outline: along x and y, and outward
 BENDS = 3 * (BEND_SEGMENTS + 3)
 SHAPE = BENDS + WIDTH_SEGMENTS + 3

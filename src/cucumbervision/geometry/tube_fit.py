@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.geometry.tube_gaps import Gaps
 
-__all__ = ["SCATTER_POINTS", "SCATTER_RAYS", "TubeFitting", "fit_shape", "solve_held", "stepped"]
-
 # How much larger than its own each reading's error is taken to be, step by step.
 SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
 MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice

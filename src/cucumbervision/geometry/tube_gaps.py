@@ -19,8 +19,6 @@ from cucumbervision.geometry.tube import BALLS, TubeShape, bases
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Gaps", "depth_gaps", "gaps"]
-
 FINE = 1024  # positions along the curve to which a nearest ball is rounded
 GRAZING = 0.2  # the cosine below which a ray only grazes the body
 MISSED_M = 100.0

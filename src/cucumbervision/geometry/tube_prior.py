@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.geometry.tube_evidence import Evidence
 
-__all__ = ["add_beside_prior", "add_shape_prior", "end_hold"]
-
 # In shares of the length L and the radius r.
 TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
 BEND_SD, BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["SeenFrom", "fit_views"]
-
 SCHEDULE = (4.0, 2.5, 1.6, 1.0, 1.0, 1.0, 1.0, 1.0)
 SETTLED = 3  # from this step on each view's own scatter is used
 TURNS = 6  # unknowns of a pose: a shift and a turn

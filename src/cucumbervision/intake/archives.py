@@ -19,15 +19,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.intake.limits import Limits
 
-__all__ = [
-    "ZIP_FAULTS",
-    "Budget",
-    "check_directory",
-    "clean_name",
-    "unpack",
-    "write_chunk",
-]
-
 _LONGEST = 120
 _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 

@@ -22,19 +22,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.intake.limits import Limits
 
-__all__ = [
-    "COLORS",
-    "DEPTHS",
-    "HEAD_BYTES",
-    "PICTURES",
-    "Item",
-    "Kind",
-    "check_item",
-    "check_picture",
-    "file_kind",
-    "picture_size",
-]
-
 HEAD_BYTES = 512
 _TEXT_CONTROLS = frozenset(range(32)) - {9, 10, 12, 13}
 _SIDE = 65_500  # JPEG's largest; nothing that is a picture of fruit is wider

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from cucumbervision.intake.limits import Limits
     from cucumbervision.intake.staging import Staging
 
-__all__ = ["arrange_uploads"]
-
 _EXTRA = frozenset({"rgb", "depth", "gray", "mask", MASKS})
 _BURST, _MASKS = 4, 20  # times the pixels of one picture: of a burst's frames, of a frame's masks
 _RAW = "_Depth.raw"

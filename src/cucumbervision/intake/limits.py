@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-__all__ = ["Limits", "RecordingLimits"]
-
 _MB = 1_000_000
 _GB = 1000 * _MB
 

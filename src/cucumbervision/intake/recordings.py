@@ -35,14 +35,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
 
-__all__ = [
-    "Played",
-    "drop_network",
-    "limit_this_process",
-    "open_guarded",
-    "play_in_process",
-]
-
 _REPORT = "report.jsonl"
 
 _POLL_S = 0.05

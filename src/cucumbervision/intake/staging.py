@@ -24,16 +24,6 @@ if TYPE_CHECKING:
     from cucumbervision.intake.file_checks import Item
     from cucumbervision.intake.limits import Limits
 
-__all__ = [
-    "AcceptedSource",
-    "AcceptedUploads",
-    "Layout",
-    "Refused",
-    "Staging",
-    "is_intrinsics",
-    "shown_name",
-]
-
 _LONGEST = 60
 _INTRINSICS = "intrinsics.json"
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.intake.file_checks import Item
 
-__all__ = ["accept_uploads"]
-
 _CHUNK = 1 << 20
 
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["box_pixels", "box_points", "masked_points"]
-
 
 def masked_points(
     depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics

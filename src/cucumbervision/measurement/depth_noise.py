@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["depth_noise", "edge_error", "noise_waves"]
-
 DISPARITY_RMS_PX = 0.08  # within windows of 26 pixels
 
 WAVES_RMS_PX = 0.17  # what goes on over longer ways: 0.19 pixels together

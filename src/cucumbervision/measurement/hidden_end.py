@@ -19,15 +19,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import Measurement
 
-__all__ = [
-    "DRAWN_KINDS",
-    "GirthRelation",
-    "HiddenLength",
-    "covered_reach",
-    "hidden_length",
-    "with_hidden_end",
-]
-
 STEP_M, FARTHEST_M = 0.002, 0.40
 NEARER_M = 0.005  # what is nearer than the end by this covers it
 SEEN_SD, REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres

@@ -26,21 +26,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import Measurement
 
-__all__ = [
-    "FLOOR",
-    "SCALE_SD",
-    "Band",
-    "IntervalModel",
-    "IntervalModels",
-    "feature_group",
-    "raw_features",
-    "read_interval_models",
-    "shipped_interval_models",
-    "tube_features",
-    "with_interval",
-]
-
-
 FLOOR = 1e-4  # of the length: nothing is surer than a tenth of a per mille
 
 

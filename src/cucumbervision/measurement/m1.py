@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["measure_m1", "reference_depth", "sample_grid", "window_depths"]
-
 LINES = (0.25, 0.5, 0.75)
 SAMPLES = 13
 WINDOW_PX = 11

@@ -12,8 +12,6 @@ from cucumbervision.measurement.result import LengthKind, Measurement, Method, R
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["GATE_M", "MIN_POINTS", "measure_m2", "measure_m3"]
-
 GATE_M = 0.035
 
 

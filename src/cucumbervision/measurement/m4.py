@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["MIN_VISIBILITY", "endpoints_visible", "measure_m4"]
-
 MIN_VISIBILITY = np.array([0.50, 0.25, 0.25, 0.25, 0.50])
 WINDOW_PX = 5
 DEPTH_SPREAD_M = 0.08

@@ -14,8 +14,6 @@ from cucumbervision.measurement.result import LengthKind, Measurement, Method, R
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MIN_POINTS", "measure_m5"]
-
 MIN_POINTS = 100
 BINS = 25
 MIN_BIN_POINTS = 3

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["TubeView", "fit_view", "judged_fit", "measure_m6", "view_tube"]
-
 DEPTH_POINTS = 500
 
 OUTLINE_POINTS = 200

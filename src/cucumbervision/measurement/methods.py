@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = ["AVAILABLE", "Region", "run_methods"]
-
 AVAILABLE = tuple(Method)
 
 

@@ -17,23 +17,6 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.traits import TubeLengths, TubeTraits
     from cucumbervision.perception.instances import Instance, MaskSource
 
-__all__ = [
-    "LOWER_BOUND",
-    "Choice",
-    "Flag",
-    "FruitMeasurement",
-    "IntervalBasis",
-    "Length",
-    "LengthDefinition",
-    "LengthKind",
-    "Measurement",
-    "Method",
-    "Reason",
-    "Selector",
-    "TubeFit",
-    "calibration_key",
-]
-
 
 class Method(StrEnum):
     """The six measuring methods."""

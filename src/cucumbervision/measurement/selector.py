@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["choose", "end_flags", "measure_fruit"]
-
 # Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
 IN_SIGHT = 0.40
 

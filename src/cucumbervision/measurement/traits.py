@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import LengthDefinition
 
-__all__ = ["TubeLengths", "TubeTraits", "tube_traits"]
-
 SMALLEST_RADIUS_M = 1e-4
 
 

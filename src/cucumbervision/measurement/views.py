@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from cucumbervision.geometry.tube_fit import TubeFitting
     from cucumbervision.measurement.m6 import TubeView
 
-__all__ = ["FruitView", "measure_views"]
-
 SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
 ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
 

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["box_areas", "box_iou", "box_ious", "share_inside", "suppress"]
-
 
 def box_areas(boxes: NDArray[Any]) -> NDArray[np.float64]:
     """Compute the areas of boxes, shape (N, 4); 0 where one has no extent."""

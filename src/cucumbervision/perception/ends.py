@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["STRIP_PX", "SURE", "EndTeller", "straighten"]
-
 STRIP_PX = (32, 96)
 """Height and width of a fruit laid level."""
 

@@ -27,8 +27,6 @@ from cucumbervision.perception.registry import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["JUDGEMENT", "use_back", "use_network", "use_shipped"]
-
 JUDGEMENT = "judgement.json"
 _LONGEST_NAME = 200
 """What `train house` writes into its run's folder: old and new network on the same pictures."""

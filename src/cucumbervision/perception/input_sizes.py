@@ -14,8 +14,6 @@ from cucumbervision.perception.instances import Instance
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["merge_sizes", "parse_input_sizes"]
-
 _SIZE_STEP_PX, _LARGEST_PX = 32, 4096
 
 

@@ -22,16 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "FileInstances",
-    "InstanceFile",
-    "Picture",
-    "Record",
-    "parse_yolo_line",
-    "read_coco",
-    "read_instances",
-]
-
 _KEYPOINTS = 5
 _SLACK = 1e-6  # numbers written with few digits may lie this far outside 0 to 1
 

@@ -26,19 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "KEYPOINT_NAMES",
-    "SKELETON",
-    "Instance",
-    "MaskSource",
-    "apart",
-    "each_once",
-    "join_pieces",
-    "merge_instances",
-    "visible_mask",
-    "with_keypoints",
-]
-
 KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
 """The five landmarks along a fruit, in the order in which they are stored."""
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["axis_line", "body_without_stalk", "keypoints_between", "place_keypoints"]
-
 LEAST_PIXELS = 80
 LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
 SAMPLES = 400

@@ -13,21 +13,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "Rle",
-    "box_of_mask",
-    "decode_rle",
-    "disjoint_masks",
-    "encode_rle",
-    "fill_polygon",
-    "mask_iou",
-    "mask_ious",
-    "mask_of_segmentation",
-    "mask_window",
-    "painted_mask",
-    "polygon_points",
-]
-
 
 def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, slice] | None:
     """Return the rows and columns that hold a mask's pixels, None where none is set.

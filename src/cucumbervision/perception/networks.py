@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["Detectors", "NetworkLoader", "each_fruit_once"]
-
 
 class Detectors:
     """A detector, a pose network beside it, and what puts their finds together.

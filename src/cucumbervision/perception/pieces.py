@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["join_across"]
-
 # Lengths are in diameters of the thinner part.
 NARROWEST_GAP = 0.08  # a string's; masks that touch are two fruit, one before the other
 LONGEST_GAP, LONGEST_GAP_UNSEEN = 2.5, 2.0  # with depth, and without

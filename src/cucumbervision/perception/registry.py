@@ -19,19 +19,6 @@ from typing import Any
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, refusing
 
-__all__ = [
-    "FORMATS",
-    "IN_USE",
-    "FileCheck",
-    "Model",
-    "ModelFile",
-    "ModelSource",
-    "Registry",
-    "file_sha256",
-    "load_registry",
-    "models_folder",
-]
-
 
 @dataclass(frozen=True)
 class ModelFile:

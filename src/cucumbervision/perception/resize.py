@@ -21,18 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from scipy.sparse import csr_array
 
-__all__ = [
-    "SIDE",
-    "Letterbox",
-    "fit",
-    "mask_from_logits",
-    "mask_to_sam",
-    "points_to_sam",
-    "prepare_picture",
-    "rows_needed",
-    "scaled_size",
-]
-
 SIDE = 1024
 """Side of the square that SAM sees, in pixels."""
 

@@ -23,16 +23,6 @@ import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
 
-__all__ = [
-    "RUNTIMES",
-    "Network",
-    "TensorInfo",
-    "import_onnxruntime",
-    "import_openvino",
-    "limit_threads",
-    "open_network",
-]
-
 RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
 
 Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]

@@ -35,11 +35,6 @@ if TYPE_CHECKING:
 
     _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
-__all__ = [
-    "PROMPTS",
-    "Segmenter",
-]
-
 PROMPTS = ("box", "box+point", "point")
 """What a detection can be prompted by: its box, its centre, or both."""
 

@@ -25,19 +25,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.ends import EndTeller
     from cucumbervision.perception.runtime import Network, TensorInfo
 
-__all__ = [
-    "BY_PLACE",
-    "DEFAULT_CONFIDENCE",
-    "ONE_TO_ONE_KEY",
-    "ORDER_KEY",
-    "POSE_CONFIDENCE",
-    "SIZES_KEY",
-    "YoloDetector",
-    "YoloLayout",
-    "choose_raw",
-    "choose_rows",
-]
-
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' where the raw head is the one-to-one one."""
 

@@ -38,17 +38,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
 
-__all__ = [
-    "DetectOptions",
-    "DetectResult",
-    "DetectedPicture",
-    "Picture",
-    "PictureList",
-    "coco_fields",
-    "detect_inputs",
-    "find_pictures",
-]
-
 
 @dataclass(frozen=True)
 class Picture:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["Engine", "Processes", "choose_engine", "cores", "in_process", "outcome_of_killed"]
-
 Engine: TypeAlias = Callable[[Batch], Iterator[Outcome]]
 """Does a batch, and yields what became of each of its tasks, in order, as they are done."""
 

@@ -14,18 +14,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement
 
-__all__ = [
-    "FIELDS",
-    "Cell",
-    "Column",
-    "Field",
-    "SeenFruit",
-    "defused",
-    "field",
-    "fruit_row",
-    "si_values",
-]
-
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
 

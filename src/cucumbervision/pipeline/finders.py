@@ -21,14 +21,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
 
-__all__ = [
-    "Finder",
-    "Found",
-    "dataset_instances",
-    "demo_options",
-    "make_finder",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Found:

@@ -20,16 +20,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 
-__all__ = [
-    "Listed",
-    "Opener",
-    "count_captures",
-    "distinct",
-    "each_once",
-    "list_captures",
-    "read_captures",
-]
-
 _log = logging.getLogger(__name__)
 
 Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]

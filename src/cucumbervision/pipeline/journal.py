@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["JOURNAL", "Journal", "Record", "place_of"]
-
 JOURNAL = "journal"
 
 _HEAD = b'{"format": "cucumbervision-journal", "version": 1}\n'

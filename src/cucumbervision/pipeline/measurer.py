@@ -36,17 +36,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.finders import Finder, Found
     from cucumbervision.pipeline.stages import Stage
 
-__all__ = [
-    "Boundary",
-    "CaptureResult",
-    "DetectedCapture",
-    "Failure",
-    "Measurer",
-    "calibrated_capture",
-    "calibrated_fruit",
-    "exit_code",
-]
-
 RANGE_MARGIN = 0.10
 WARM_UP_PX = (640, 480)
 

@@ -14,8 +14,6 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 
-__all__ = ["MeasureOptions", "parse_methods"]
-
 
 @dataclass(frozen=True)
 class MeasureOptions:

@@ -15,8 +15,6 @@ from cucumbervision.errors import CucumberVisionError, naming_os_errors
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["OutputFolder", "sync_folder"]
-
 ASIDE = "earlier"
 """Where `put_aside` moves what a fresh run begins without."""
 

@@ -20,17 +20,6 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.instances import Instance
 
-__all__ = [
-    "COLORS",
-    "draw_bar",
-    "draw_detections",
-    "draw_line",
-    "draw_overlay",
-    "draw_path",
-    "draw_region",
-    "draw_text",
-]
-
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
 

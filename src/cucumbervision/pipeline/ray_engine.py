@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.output import OutputFolder
     from cucumbervision.pipeline.work import Batch
 
-__all__ = ["RayEngine"]
-
 MEASURING = 0.75
 """Share of the CPUs that the measuring actors claim together: actors that claim every core starve
 the readers, and the run hangs."""

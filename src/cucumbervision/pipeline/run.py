@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.inputs import Listed, Opener
     from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = ["BatchOptions", "RunResult", "measure_inputs"]
-
 Report: TypeAlias = Callable[[Outcome], None]
 
 

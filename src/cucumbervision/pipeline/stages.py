@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.registry import Registry
     from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = ["Stage", "StageHashes"]
-
 
 class Stage(StrEnum):
     """What the fruit of a capture went through before they were measured."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.pipeline.fields import Cell
 
-__all__ = ["Summary"]
-
 
 @dataclass
 class Summary:

@@ -35,24 +35,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.output import OutputFolder
     from cucumbervision.pipeline.summary import Summary
 
-__all__ = [
-    "FAILURE_COLUMNS",
-    "HEAD_COLOR",
-    "MOST_EXCEL_ROWS",
-    "PARQUET",
-    "TABLES",
-    "CsvSink",
-    "arrow_schema",
-    "capture_json",
-    "cell_value",
-    "import_arrow",
-    "provenance_of",
-    "rows_of",
-    "write_json",
-    "write_reports",
-    "write_workbook",
-]
-
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
 HEAD_COLOR = "#2F6B3A"
 MOST_EXCEL_ROWS = 1_048_575

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
 
-__all__ = ["Batch", "Outcome", "ReadCapture", "SearchedCapture", "Task", "Worker"]
-
 
 @dataclass(frozen=True)
 class Task:

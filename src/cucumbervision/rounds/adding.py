@@ -37,15 +37,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord, StopRecord
     from cucumbervision.store.repository import Store
 
-__all__ = [
-    "Added",
-    "Place",
-    "add_captures",
-    "capture_sha256",
-    "measured_stop",
-    "placed_fruit",
-]
-
 Report: TypeAlias = Callable[["Added"], None]
 
 

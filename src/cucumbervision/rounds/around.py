@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, LinkRecord, RoundView
 
-__all__ = ["Around", "OtherDay", "around", "least_sure_first", "nearest"]
-
 NEAR_M, FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
 SHOWN = 4
 

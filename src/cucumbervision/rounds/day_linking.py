@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.row_fruit import RowFruit
     from cucumbervision.rounds.row_views import Bools, Floats, Ints
 
-__all__ = ["SURE", "DayLinks", "link_days"]
-
 STAY = 0.7  # share of fruit that are still there and seen
 SWING_M = (0.04, 0.04, 0.05)  # how far a fruit hangs off its plant's shift: along, up, into the row
 MOST_ALONG_M, MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for

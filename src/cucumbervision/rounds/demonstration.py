@@ -9,8 +9,6 @@ from cucumbervision.store.records import RoundRecord, key_of
 if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
 
-__all__ = ["DEMONSTRATION", "is_demonstration", "round_for_capture"]
-
 DEMONSTRATION = key_of("demonstration")
 """Key of the demonstration's round."""
 

@@ -27,15 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView
 
-__all__ = [
-    "detection_rates",
-    "forecast_for",
-    "fruit_states",
-    "grade_of",
-    "growth_links",
-    "shared_scale_sd",
-]
-
 UNKNOWN_SD = 0.08  # relative, of a length without interval
 
 

@@ -23,15 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import CameraAt, DetectionView, LinkRecord, StopView
 
-__all__ = [
-    "RoundContent",
-    "StoredRow",
-    "by_hand_of",
-    "load_rows",
-    "read_round",
-    "stored_merging",
-]
-
 CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
 LENGTH_Z = 1.6449  # of 90 % intervals

@@ -22,16 +22,6 @@ from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_s
 if TYPE_CHECKING:
     from cucumbervision.rounds.row_views import Floats, Ints, RowViews
 
-__all__ = [
-    "ByHand",
-    "MergeSettings",
-    "Merged",
-    "cluster_pairs",
-    "join_clusters",
-    "merge_row",
-    "sweep",
-]
-
 UNLIKE = -8.0  # what a pair counts that is not among the likely ones
 
 HELD = 40.0  # what a pair counts that was merged by hand

@@ -19,16 +19,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.records import DetectionRecord
 
-__all__ = [
-    "MIDDLE_SD_M",
-    "PoseLine",
-    "offset_of",
-    "pose_matrix",
-    "read_poses",
-    "sign_of_side",
-    "stored_pose",
-]
-
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
 _FACING_BACK = frozenset({"right", "r", "b", "2"})

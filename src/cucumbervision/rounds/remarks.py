@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from cucumbervision.measurement.result import Flag
 
-__all__ = ["remarks"]
-
 SAYINGS = {
     Flag.CUT_BY_FRAME: "cut by the picture's edge",
     Flag.BOX_CLIPPED: "cut by the picture's edge",

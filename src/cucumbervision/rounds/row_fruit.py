@@ -23,20 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.merge import Merged
     from cucumbervision.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
-__all__ = [
-    "USUAL",
-    "CountEstimate",
-    "FalseFinds",
-    "RowFruit",
-    "best_views",
-    "combined_length",
-    "count_fruit",
-    "estimate_count",
-    "found_share",
-    "row_fruit",
-    "times_shown",
-]
-
 SHARED = 0.5  # of a view's variance: errors that all views of a fruit have in common
 
 

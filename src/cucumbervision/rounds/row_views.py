@@ -20,19 +20,6 @@ Floats: TypeAlias = "NDArray[np.float64]"
 Ints: TypeAlias = "NDArray[np.integer]"
 Bools: TypeAlias = "NDArray[np.bool_]"
 
-__all__ = [
-    "ALONG",
-    "DEPTH",
-    "UP",
-    "Crowd",
-    "RowStops",
-    "RowViews",
-    "log_density",
-    "pairs_within",
-    "position_ratio",
-    "shape_ratio",
-]
-
 ALONG, UP, DEPTH = 0, 1, 2
 
 

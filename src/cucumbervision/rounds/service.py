@@ -33,18 +33,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView, StopView
 
-__all__ = [
-    "RoundFruit",
-    "RowReport",
-    "find_fruit",
-    "find_round",
-    "find_stop",
-    "fruit_table",
-    "link_rounds",
-    "merge_round",
-    "row_reports",
-]
-
 DAY_S = 86400.0
 
 

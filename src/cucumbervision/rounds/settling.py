@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import RoundView, StopView
     from cucumbervision.store.waiting import WaitingCaptures
 
-__all__ = ["delete_round", "earlier_round", "later_rounds", "move_stop", "settle", "undo"]
-
 SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
 FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
 

@@ -18,8 +18,6 @@ from cucumbervision.rounds.row_views import ALONG, log_density, position_ratio, 
 if TYPE_CHECKING:
     from cucumbervision.rounds.row_views import Bools, Crowd, Floats, Ints, RowStops, RowViews
 
-__all__ = ["FittedStops", "fit_stops", "prior_stops", "vote_pairs"]
-
 FREEDOM = 4.0  # degrees of freedom of Student's t
 ROUNDS = 6  # of reweighting
 STEP_M = 0.01  # of the shifts that are tried

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-__all__ = ["Age", "RowPicks", "Today", "age_of", "age_words", "midnight_s", "read_today"]
-
 FRESH_DAYS, USEFUL_DAYS = 2, 7
 
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Stop
 
-__all__ = ["NextPlace", "last_step", "next_place", "sides_of", "taken_by", "unless_taken"]
-
 _STEP_M = 0.4
 _WIDEST_M = 5.0
 _SAME_M = 0.005  # positions are typed to the centimetre

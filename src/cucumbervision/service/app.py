@@ -35,8 +35,6 @@ from cucumbervision.service.replies import DetectReply, Health, MeasureReply, Pr
 from cucumbervision.service.settings import ServiceSettings
 from cucumbervision.service.work import BusyError, Work
 
-__all__ = ["create_app"]
-
 OPEN = frozenset({"/health"})
 BODY_SLACK = 1_000_000  # heads of the parts of a body of many files
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["Client", "ServiceError", "packed"]
-
 
 class ServiceError(CucumberVisionError):
     """The service cannot be reached, or refuses a request.

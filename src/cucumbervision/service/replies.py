@@ -11,19 +11,6 @@ from cucumbervision.pipeline.fields import FIELDS
 if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult, Failure
 
-__all__ = [
-    "DetectReply",
-    "FruitRow",
-    "Health",
-    "MeasureReply",
-    "MeasuredCapture",
-    "NotRead",
-    "Problem",
-    "SeenPicture",
-    "measured_capture",
-    "not_read",
-]
-
 _TYPES = {"text": str, "whole": int, "number": float, "yes/no": bool}
 
 _COLUMNS: dict[str, Any] = {

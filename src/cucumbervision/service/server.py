@@ -15,8 +15,6 @@ from cucumbervision.service.settings import (
 if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
 
-__all__ = ["serve"]
-
 
 def serve(
     options: MeasureOptions,

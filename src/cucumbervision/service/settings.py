@@ -11,15 +11,6 @@ from importlib.util import find_spec
 from cucumbervision.errors import AccessError, MissingExtraError
 from cucumbervision.intake.limits import Limits
 
-__all__ = [
-    "TOKEN_VARIABLE",
-    "ServiceSettings",
-    "check_access",
-    "is_loopback",
-    "request_limits",
-    "require_extra",
-]
-
 TOKEN_VARIABLE = "CUCUMBERVISION_TOKEN"
 SHORTEST_TOKEN = 16
 _MB = 1_000_000

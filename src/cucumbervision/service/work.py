@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.service.settings import ServiceSettings
 
-__all__ = ["BusyError", "Work"]
-
 
 class BusyError(CucumberVisionError):
     """More requests wait than the service takes."""

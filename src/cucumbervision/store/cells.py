@@ -29,21 +29,6 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection
 
-__all__ = [
-    "cells_of",
-    "columns_of",
-    "decoding",
-    "detection_from_json",
-    "id_of",
-    "image_ref",
-    "insert_new",
-    "pack_um",
-    "points",
-    "record_of",
-    "row_id_of",
-    "unpack_um",
-]
-
 T = TypeVar("T")
 
 # Tables whose lines are in every row of a query that has their columns: no outer join.

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection
 
-__all__ = ["Corrections", "find_detections", "lock_rounds", "mark_added"]
-
 _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
 
 

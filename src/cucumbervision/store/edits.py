@@ -21,8 +21,6 @@ from cucumbervision.store.schema import Action, Round, StopLine
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-__all__ = ["STOP_EDITS", "Edits", "StopPlace", "change_line", "original_name"]
-
 STOP_EDITS = ("place-stop", "delete-stop")
 """Kinds of action after which a round's views have to be merged anew."""
 

@@ -21,20 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import Self
 
-__all__ = [
-    "BUSY_TIMEOUT_S",
-    "HEAD",
-    "MIGRATIONS",
-    "REVISIONS",
-    "VERSION_TABLE",
-    "Database",
-    "begin",
-    "database_url",
-    "make_engine",
-    "migrate",
-    "named",
-]
-
 BUSY_TIMEOUT_S = 30.0
 _WRITES = "cucumbervision_writes"
 _HINTS = (

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.engine import Database
 
-__all__ = ["DEPTH_UNIT_M", "THUMBNAIL_PX", "ImageStore", "check_store"]
-
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
 _THUMBNAIL_QUALITY = 80

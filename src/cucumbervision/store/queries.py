@@ -71,8 +71,6 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection
 
-__all__ = ["Queries", "links_of", "round_id_of"]
-
 _PLACE = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m")
 _IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, DetectionLine.number)
 

@@ -13,22 +13,6 @@ from typing import Any, TypeAlias
 from cucumbervision.errors import StoreError
 from cucumbervision.measurement.result import LOWER_BOUND
 
-__all__ = [
-    "ArtifactRecord",
-    "CaptureRecord",
-    "DetectionRecord",
-    "ImageRef",
-    "MethodRecord",
-    "Point",
-    "RoundRecord",
-    "StopRecord",
-    "checked_key",
-    "content_sha256",
-    "key_of",
-    "new_key",
-    "record_json",
-]
-
 Point: TypeAlias = tuple[float, ...]
 
 # What the flags call a fruit of which part is out of sight, and the hidden share that says so too.

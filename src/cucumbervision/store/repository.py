@@ -56,8 +56,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import ArtifactRecord, CaptureRecord, DetectionRecord
     from cucumbervision.store.views import LinkRecord, Position, ShiftRecord
 
-__all__ = ["Store", "open_store"]
-
 _STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
 
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
     from cucumbervision.store.images import ImageStore
 
-__all__ = ["AS_READ", "fruit_record", "records_from_result", "view_score"]
-
 PATH_POINTS = 48  # enough to draw a fruit by
 
 # A view with one of these shows its fruit less well than one without.

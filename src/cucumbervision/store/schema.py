@@ -36,32 +36,6 @@ from cucumbervision.store.records import CaptureRecord, DetectionRecord, MethodR
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = [
-    "ADDED",
-    "CAPTURE_CELLS",
-    "DETECTION_CELLS",
-    "IMAGE_COLUMNS",
-    "METHOD_CELLS",
-    "ROUND_CELLS",
-    "STANDS",
-    "Action",
-    "Artifact",
-    "Base",
-    "CaptureLine",
-    "DetectionLine",
-    "Image",
-    "Link",
-    "Mark",
-    "MaskLine",
-    "MethodLine",
-    "Round",
-    "Row",
-    "Shift",
-    "StopArtifact",
-    "StopLine",
-    "stands",
-]
-
 _ACTIVE = text("ended_by_id IS NULL")
 
 

@@ -47,8 +47,6 @@ from cucumbervision.store.schema import (
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-__all__ = ["artifacts_of", "corrected_of", "read_stop"]
-
 
 def corrected_of(connection: Connection, which: Any) -> dict[str, DetectionRecord]:
     """Return corrected records with masks and methods by the detections' keys."""

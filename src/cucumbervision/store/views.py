@@ -18,26 +18,6 @@ from cucumbervision.store.records import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = [
-    "ActionView",
-    "CameraAt",
-    "Candidate",
-    "DetectionDetail",
-    "DetectionFilter",
-    "DetectionView",
-    "LinkKind",
-    "LinkRecord",
-    "Position",
-    "RoundView",
-    "Saved",
-    "ShiftRecord",
-    "Standing",
-    "StopView",
-    "Verdict",
-    "group_detections",
-    "standings",
-]
-
 
 @dataclass(frozen=True)
 class CameraAt:

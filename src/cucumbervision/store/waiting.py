@@ -24,8 +24,6 @@ from cucumbervision.pipeline.output import sync_folder
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["MOST_TRIES", "Waiting", "WaitingCaptures", "waiting_folder"]
-
 MOST_TRIES = 3  # a capture that ends the program each time must not do so for ever
 
 _WHERE = "waiting.json"

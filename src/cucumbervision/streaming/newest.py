@@ -12,8 +12,6 @@ from cucumbervision.capture.frames import Capture
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-__all__ = ["Arrival", "in_order", "newest_first", "paced"]
-
 T = TypeVar("T")
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera import RgbdCamera
 
-__all__ = ["CAMERA", "open_stream", "stream_camera"]
-
 CAMERA = "camera"
 
 

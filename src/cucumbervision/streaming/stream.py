@@ -28,15 +28,6 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.streaming.newest import Arrival
 
-__all__ = [
-    "FRAME_FIELDS",
-    "TRACK_FIELDS",
-    "FruitStream",
-    "StreamedFrame",
-    "TrackedFruit",
-    "fast_options",
-]
-
 FAST_SIZE_PX = 640
 FAST_FITS = 1
 LONGEST_GAP_S = 1.0

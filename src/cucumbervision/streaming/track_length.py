@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import LengthKind
 
-__all__ = ["FIXED", "SAME_PLACE", "TrackLength", "same_place"]
-
 FIXED = 0.95  # of a length's variance: what stays in all frames from one place
 SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
 MOST_PLACES = 64

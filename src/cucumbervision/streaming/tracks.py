@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.perception.instances import Instance
 
-__all__ = ["FrameView", "Tracker", "frame_view"]
-
 STEP = 4  # every which pixel of masks is looked at
 WALK_M_S = 1.0  # how fast a camera moves, at most, before anything is known of it
 TURN_M_S = 0.5  # by how much that changes from one second to the next

@@ -25,8 +25,6 @@ from cucumbervision.perception.masks import mask_window
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["available_baselines"]
-
 Baseline = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
 
 HALF_WINDOW_PX = 2  # depth of a path's pixel: median of a 5x5 window, as M4 reads its keypoints

@@ -23,19 +23,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "CAMERA",
-    "Case",
-    "Simulated",
-    "Suite",
-    "build_scene",
-    "paint_scene",
-    "paper_cases",
-    "simulate",
-    "stress_cases",
-    "validation_cases",
-]
-
 
 class Suite(StrEnum):
     """Which part of the benchmark a capture belongs to."""

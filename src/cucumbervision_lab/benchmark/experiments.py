@@ -27,15 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
 
-__all__ = [
-    "burst_sizes",
-    "carrot_intrinsics",
-    "length_conventions",
-    "sam_prompts",
-    "selectors",
-    "wrong_intrinsics",
-]
-
 # Focal lengths in pixels at 1280x720 that are mistaken for the colour stream's in practice.
 WRONG_FOCALS_PX = {
     "depth stream of a D435 (640)": 640.0,

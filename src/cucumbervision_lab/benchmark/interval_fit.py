@@ -23,15 +23,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "RAW_FEATURES",
-    "TUBE_EDGES",
-    "TUBE_FEATURES",
-    "conformal_quantile",
-    "fit_interval_model",
-    "write_interval_models",
-]
-
 SMALLEST_GROUP = 100  # readings in either half: fewer go with all the others
 
 TUBE_FEATURES = (

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     Find = Callable[[Capture], Sequence[Instance]]
 
-__all__ = ["CaseOptions", "found_at", "fruit_lengths", "measure_case"]
-
 CORRELATION_PX = 12.0
 
 

@@ -28,8 +28,6 @@ from cucumbervision.accuracy.statistics import estimate, score
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import Suite
 
-__all__ = ["NOTES", "paper_section"]
-
 _PUBLISHED: dict[str, tuple[Cell, ...]] = {
     "M1": (1.63, 2.26, 9.68, None, 1.31, 0.89),
     "M2": (0.83, 1.12, 5.31, "3.97 to 6.60", 0.59, 0.95),

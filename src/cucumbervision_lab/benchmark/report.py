@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-__all__ = ["parts_of", "write_benchmark_report"]
-
 SUITE_WORDS = {
     Suite.PAPER: "The paper's protocol",
     Suite.VALIDATION: "The five validation fruit",

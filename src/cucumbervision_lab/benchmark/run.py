@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.records import Record
     from cucumbervision_lab.benchmark.cases import Case
 
-__all__ = ["BenchmarkPlan", "learn_intervals", "provenance", "run_benchmark"]
-
 TRUTH_OF = {
     **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),
     "M6 thread": "thread_m",

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.page import Table
 
-__all__ = ["benchmark"]
-
 
 def benchmark(
     out: Annotated[

@@ -12,8 +12,6 @@ from cucumbervision.cli.choices import PromptChoice, RuntimeChoice
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
 
-__all__ = ["app"]
-
 app = typer.Typer(
     name="data",
     help="Check, convert, split, label, cut, merge and describe sets of labelled pictures.",
@@ -48,7 +46,8 @@ def check(
     from rich.table import Table
     from rich.text import Text
 
-    from cucumbervision_lab.cli.screen import screen, ticking
+    from cucumbervision.cli.console import screen
+    from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.checks import check_folder
 
     with ticking("looking") as tick:
@@ -143,7 +142,8 @@ def split(
     """
     from rich.table import Table
 
-    from cucumbervision_lab.cli.screen import screen, ticking
+    from cucumbervision.cli.console import screen
+    from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.datasets.coco import write_coco
     from cucumbervision_lab.datasets.labels import SPLITS
     from cucumbervision_lab.datasets.splits import (
@@ -259,8 +259,9 @@ def from_store(
     """
     from rich.table import Table
 
+    from cucumbervision.cli.console import screen
     from cucumbervision.store.repository import open_store
-    from cucumbervision_lab.cli.screen import screen, show
+    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.datasets.from_store import dataset_from_store
     from cucumbervision_lab.datasets.splits import parse_shares
 

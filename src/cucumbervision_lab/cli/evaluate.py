@@ -9,8 +9,6 @@ import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime, SegmenterChoice
 
-__all__ = ["evaluate_models", "evaluate_photos"]
-
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
 ]

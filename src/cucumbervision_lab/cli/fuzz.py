@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.page import Table
     from cucumbervision_lab.robustness.fuzz import FuzzResult
 
-__all__ = ["fuzz"]
-
 
 def fuzz(
     targets: Annotated[

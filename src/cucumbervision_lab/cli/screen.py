@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.page import Table
     from cucumbervision_lab.training.train import EpochReport
 
-__all__ = [
-    "DownloadBar",
-    "TrainConsole",
-    "part_bars",
-    "screen",
-    "show",
-    "show_tables",
-    "ticking",
-]
-
 _SHOWN = (
     ("metrics/mAP50-95(B)", "box mAP"),
     ("metrics/mAP50-95(M)", "mask mAP"),

@@ -11,8 +11,6 @@ import typer
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
 
-__all__ = ["synth"]
-
 
 def _folder(about: str) -> Any:
     return typer.Option(help=about, exists=True, file_okay=False)

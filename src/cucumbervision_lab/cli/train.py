@@ -10,8 +10,6 @@ import typer
 
 from cucumbervision.cli.choices import InputSize
 
-__all__ = ["app"]
-
 app = typer.Typer(
     name="train",
     help="Train the networks on labelled pictures (extra 'train'), and export them.",
@@ -95,7 +93,8 @@ def _train(
     **options: object,
 ) -> None:
     from cucumbervision_lab.cli.screen import TrainConsole
-    from cucumbervision_lab.training.train import TrainOptions, train
+    from cucumbervision_lab.training.settings import TrainOptions
+    from cucumbervision_lab.training.train import train
 
     with TrainConsole() as console:
         trained = train(
@@ -140,7 +139,7 @@ def recipe(
     from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.recipe import read_recipe
     from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe
-    from cucumbervision_lab.training.train import TrainOptions
+    from cucumbervision_lab.training.settings import TrainOptions
 
     read = read_recipe(recipe_file or PACKAGED)
     options = TrainOptions(
@@ -204,7 +203,7 @@ def house(
     """
     from cucumbervision_lab.cli.screen import TrainConsole, show
     from cucumbervision_lab.training.house import HousePlan, train_house
-    from cucumbervision_lab.training.train import TrainOptions
+    from cucumbervision_lab.training.settings import TrainOptions
 
     with TrainConsole() as console:
         judged = train_house(

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-__all__ = ["write_bop"]
-
 
 def write_bop(
     dataset: DataSet,

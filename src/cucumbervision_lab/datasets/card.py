@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-__all__ = ["dataset_card"]
-
 _HIDDEN = ((0.0, 0.01), (0.01, 0.1), (0.1, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 1.0))
 
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-__all__ = ["check_folder", "open_dataset", "require_clean"]
-
 _SURE_CORNERS = 25  # two photos of different scenes shared at most 31, then of the same place
 _SURE_COLOR = 0.2
 _SLACK_PX = 0.51

@@ -34,17 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-
-__all__ = [
-    "ANNOTATIONS",
-    "ROBOFLOW",
-    "coco_files",
-    "collect_fragments",
-    "read_coco",
-    "write_coco",
-    "write_fragment",
-]
-
 ANNOTATIONS = "annotations.json"
 
 ROBOFLOW = "_annotations.coco.json"

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-__all__ = ["add_pseudo_masks", "convert_dataset", "merge_datasets", "parse_keep"]
-
 
 def merge_datasets(
     datasets: Sequence[DataSet],

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = ["HOUSE_SHARES", "JudgedFruit", "StoreSet", "dataset_from_store", "split_of_place"]
-
 HOUSE_SHARES = (0.6, 0.2, 0.2)
 """Of a house's places in train, val and test: they are few, and what is kept back must tell."""
 

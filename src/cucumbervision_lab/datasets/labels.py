@@ -24,21 +24,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.errors import CucumberVisionError
 
-__all__ = [
-    "KEYPOINT_ORDER",
-    "SPLITS",
-    "DataSet",
-    "Label",
-    "LabelledPicture",
-    "flat_names",
-    "keep_classes",
-    "list_pictures",
-    "picture_size",
-    "place_file",
-    "ticked",
-    "write_text",
-]
-
 KEYPOINT_ORDER = "keypoint_order"
 """In a label's extras: 'place' where its points run by where they lie, not from blossom to stem."""
 

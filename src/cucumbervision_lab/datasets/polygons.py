@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["DIRECTIONS", "crosses_itself", "keypoints_of_mask", "one_polygon"]
-
 
 def _traced(mask: NDArray[np.bool_]) -> list[Array]:
     """Return each part's outer outline, the largest first, with a point every half pixel.

@@ -23,17 +23,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
-__all__ = [
-    "Fingerprint",
-    "copies",
-    "find_scenes",
-    "parse_shares",
-    "scenes_by_name",
-    "split_by_scene",
-    "take_fingerprints",
-    "views_of_one_scene",
-]
-
 _COPY_BITS = 6  # of 63: two photos of one heap differ by 16 and more
 
 COPY_COLOR = 0.3

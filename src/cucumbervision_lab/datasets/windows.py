@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet
 
-__all__ = ["write_sheets", "write_windows"]
-
 MARGIN = 1.25  # a window's side over the longer side of the fruit that it is cut around
 WHOLE = 0.9  # of a fruit's pixels in a window: another one of its own is not needed
 SLIVER = 0.15  # with less of its pixels a fruit in a window is to be ignored

@@ -30,16 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-
-__all__ = [
-    "PICTURES",
-    "find_yolo",
-    "label_file",
-    "load_data_yaml",
-    "read_label_line",
-    "read_yolo",
-]
-
 PICTURES = "pictures.json"
 """Beside `data.yaml`: scene, source and licence of each picture, which the format has not."""
 

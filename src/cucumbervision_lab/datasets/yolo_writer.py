@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["WrittenYolo", "write_yolo"]
-
 TASKS = ("segment", "pose", "detect")
 
 _JPEG_QUALITY = 95

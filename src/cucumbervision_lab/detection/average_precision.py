@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
 
-__all__ = ["OKS_SIGMA", "AveragePrecision", "Judged", "average_precision"]
-
 OKS_SIGMA = 0.05
 """For all five keypoints; the default for five points, 0.2, would forgive almost anything."""
 

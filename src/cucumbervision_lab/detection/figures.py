@@ -42,23 +42,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.picture_result import OverlapRow
     from cucumbervision_lab.detection.run import DetectionResult
 
-__all__ = [
-    "EndScore",
-    "Summary",
-    "end_table",
-    "false_table",
-    "group_table",
-    "length_table",
-    "overall_table",
-    "overlap_table",
-    "part_table",
-    "photo_end_table",
-    "photo_table",
-    "precision_table",
-    "score_ends",
-    "summarise",
-]
-
 
 @dataclass(frozen=True)
 class EndScore:

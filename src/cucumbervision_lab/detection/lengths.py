@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
-__all__ = ["LengthScore", "length_records", "length_scores"]
-
 GROUPS = ("whole, in sight", "whole, partly hidden", "cut by the picture's edge")
 _IN_SIGHT = 0.10
 _READ = (*Method, "M6 thread", "M6 chord", "selector best", "selector paper")

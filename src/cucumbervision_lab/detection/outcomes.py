@@ -20,20 +20,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.pictures import Frame, SeenFruit
 
-__all__ = [
-    "HIDDEN_SHARE",
-    "EndRow",
-    "FoundRow",
-    "FruitRow",
-    "GroupScore",
-    "end_rows",
-    "found_rows",
-    "fruit_rows",
-    "group_scores",
-    "matches_of",
-    "overall",
-]
-
 MIN_IOU = 0.5
 
 IN_IGNORED = 0.5

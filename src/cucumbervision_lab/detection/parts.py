@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.pictures import Code, Frame
 
-__all__ = ["PartScore", "parts_of", "score_parts"]
-
 _LEAST_PX, _LEAST_SHARE = 80, 0.05  # of a fruit's mask, what counts as a part of it
 _HOLDS = 0.5  # share of a part in a find's mask
 _OF_FIND, _OF_FRUIT = 0.2, 0.3  # of a find and of a fruit: from here on a find is of that fruit too

@@ -26,8 +26,6 @@ from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["audited", "load_audit"]
-
 _FILES = ("photos_audit.json", "photos2_audit.json")
 _HASH_DIGITS = 12
 _EDGE_PX = 2.0

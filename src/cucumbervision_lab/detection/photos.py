@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.picture_result import Networks
 
-__all__ = ["Photo", "PhotoResult", "audited_photos", "evaluate_photos"]
-
 _GREY = 114  # what a letterbox pads with
 
 Scores = tuple[tuple[str, GroupScore], ...]

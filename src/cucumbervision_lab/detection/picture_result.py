@@ -27,18 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
 
-__all__ = [
-    "Networks",
-    "OverlapRow",
-    "PictureResult",
-    "capture_overlaps",
-    "detect_picture",
-    "draw_by_prompt",
-    "found_by_fruit",
-    "open_networks",
-    "overlap_row",
-]
-
 PROMPTS_COMPARED = ("box", "box+point")
 
 FLOOR = 0.001

@@ -22,23 +22,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
-__all__ = [
-    "DRAWN",
-    "Code",
-    "Frame",
-    "HeldOut",
-    "SeenFruit",
-    "Stage",
-    "TrueFruit",
-    "capture_of",
-    "code_overlap",
-    "frame_of",
-    "import_pycocotools",
-    "read_held_out",
-    "seen_fruit",
-    "spread",
-]
-
 Code = dict[str, Any]
 """A mask as pycocotools keeps it: `size` (H, W) and compressed run lengths."""
 

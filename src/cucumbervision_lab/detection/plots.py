@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.pictures import Code, Frame
     from cucumbervision_lab.detection.run import DetectionResult
 
-__all__ = ["KINDS", "draw_sheet", "end_error_plot", "overlap_plot", "recall_plot", "worst_cases"]
-
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 
 _LEAST_PERCENT = 0.05

@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
 
-__all__ = ["main_tables", "photo_tables", "write_detection_report", "write_photo_report"]
-
 JSON_NAME = "results.json"
 CARD_NAME = "card.json"
 # What fits a model's card: what was judged on what, and the figures over all fruit.

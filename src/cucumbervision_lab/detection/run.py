@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
 
-__all__ = ["DetectionPlan", "DetectionResult", "evaluate_detection", "evaluate_real_photos"]
-
 
 @dataclass(frozen=True)
 class DetectionPlan:

@@ -25,8 +25,6 @@ from cucumbervision_lab.robustness.trial import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["FAULTS", "try_faults"]
-
 
 def _truncated(folder: Path) -> Outcome:
     return _damaged_picture(folder, "a depth picture is cut in half", lambda d: d[: len(d) // 2])

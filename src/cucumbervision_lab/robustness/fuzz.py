@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from multiprocessing.connection import Connection
 
-__all__ = ["Find", "FuzzResult", "Limits", "find_targets", "fuzz", "replay"]
-
 _CRASH = "crash.txt"  # where the process was when a signal ended it
 _KEPT = 3  # inputs kept of each place
 _BATCH = 500  # inputs between two reports of a worker

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.robustness.fuzz import FuzzResult
 
-__all__ = ["LogSum", "add_to_log", "as_json"]
-
 
 def as_json(result: FuzzResult, indent: int | None = 1) -> str:
     """Return a result as JSON, for figures in documents."""

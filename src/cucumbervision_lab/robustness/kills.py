@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["kill_measure", "kill_rounds", "kill_worker"]
-
 
 def kill_worker(folder: Path) -> Outcome:
     """Kill one of two workers of `measure` in the middle of its work."""

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
 
-__all__ = ["damaged"]
-
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TEXTS = frozenset({"json", "jsonl", "csv", "txt", "toml", "yaml"})
 _HUGE_CELL = 200_000  # beyond what Python's csv reads in one cell

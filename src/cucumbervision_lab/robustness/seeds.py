@@ -14,8 +14,9 @@ import numpy as np
 
 import cucumbervision
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
+from cucumbervision.geometry.camera import Distortion
 from cucumbervision.perception.masks import encode_rle
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -29,35 +30,6 @@ from cucumbervision.store.records import (
 
 if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
-
-__all__ = [
-    "bop",
-    "calibration",
-    "camera_file",
-    "coco",
-    "coco_set",
-    "copied",
-    "judgement",
-    "model_card",
-    "native",
-    "network",
-    "own_networks",
-    "pairs",
-    "poses",
-    "published",
-    "recording",
-    "records",
-    "run",
-    "settings",
-    "stop_of",
-    "store",
-    "training",
-    "truth",
-    "uploads",
-    "viewer",
-    "yolo",
-    "yolo_set",
-]
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Intrinsics(
@@ -315,7 +287,7 @@ def stop_of(opened: Store) -> tuple[RoundRecord, StopRecord]:
 
 def recording(folder: Path, frames: int = 22) -> None:
     """Record frames of the SDK's own software camera, as a D435 at a quarter of its size."""
-    from cucumbervision.capture.realsense import import_realsense
+    from cucumbervision.capture.realsense_device import import_realsense
 
     rs = import_realsense()
     device = rs.software_device()

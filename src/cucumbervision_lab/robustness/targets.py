@@ -15,8 +15,6 @@ from cucumbervision_lab.robustness import seeds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-__all__ = ["TARGETS", "Target"]
-
 
 @dataclass(frozen=True)
 class Target:

@@ -22,8 +22,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-__all__ = ["Cluster", "missing_reason", "throwaway_cluster"]
-
 TOOLS = ("initdb", "pg_ctl", "postgres")
 
 

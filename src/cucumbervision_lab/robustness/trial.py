@@ -15,19 +15,6 @@ from cucumbervision.capture.source import bundled_captures
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = [
-    "MASKS",
-    "Outcome",
-    "Ran",
-    "begin",
-    "captures",
-    "command",
-    "ended",
-    "rows_in",
-    "rows_of",
-    "stops_in",
-]
-
 MASKS = ("--instances", "dataset", "--segmenter", "none", "--methods", "M1,M2")
 # Root may write anywhere: without these two it may as little as any owner.
 _BOUND = ("setpriv", "--bounding-set=-dac_override,-dac_read_search")

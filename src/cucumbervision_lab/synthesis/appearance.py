@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.scene import Scene
     from cucumbervision_lab.synthesis.skin import Color
 
-__all__ = ["FAR", "Assets", "Style", "load_assets", "random_style"]
-
 SHOWS_FRUIT = ("fruit", "rot_")
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}

@@ -13,8 +13,6 @@ from cucumbervision.geometry.curve import polyline_length
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Tube", "Variety", "arc_tube", "random_fruit", "rotation", "variety_of"]
-
 BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
 
 CAP_POINTS = 400

@@ -13,8 +13,6 @@ from cucumbervision_lab.synthesis.textures import to_srgb
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Exposure", "expose", "random_exposure"]
-
 _KEY = 0.20  # what an automatic exposure makes of the picture's mean
 
 

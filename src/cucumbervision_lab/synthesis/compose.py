@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.synthesis.bodies import Tube
 
-__all__ = ["HARD", "PLAIN", "Composition", "Setting", "compose"]
-
 MOST_FRUIT = 12
 TRIES = 30
 LENGTHS_M = {

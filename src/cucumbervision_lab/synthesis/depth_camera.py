@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.synthesis.scene import Scene, View
 
-__all__ = ["D4xx", "sense"]
-
 GAP_LOST = 0.95  # of the pixels in a gap
 
 _COARSE_SIGMA = 1.5  # px of a coarse grid: the blur that cubic enlarging still draws smoothly

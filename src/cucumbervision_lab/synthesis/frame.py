@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.scene import FruitTruth
     from cucumbervision_lab.synthesis.skin import Skin
 
-__all__ = ["Frame", "FrameOptions", "draw_frame", "extras_of"]
-
 BURST = 3
 AXIS_POINTS = 41
 # A D435's colour camera has a focal length of 0.71 of its width.

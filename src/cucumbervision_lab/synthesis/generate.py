@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.appearance import Assets
     from cucumbervision_lab.synthesis.paste import Cutout
 
-__all__ = ["generate", "label_frame", "parse_options"]
-
 SMALLEST_PX, LARGEST_PX = 32, 4096
 
 

@@ -18,15 +18,6 @@ if TYPE_CHECKING:
     Vector = tuple[float, float, float]
     from cucumbervision.capture.intrinsics import Intrinsics
 
-__all__ = [
-    "Light",
-    "ambient_occlusion",
-    "dappled_shade",
-    "light_maps",
-    "random_light",
-    "sun_shadow",
-]
-
 _SKY = (32, 64)
 
 _MAP = 96

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import Label, LabelledPicture
     from cucumbervision_lab.synthesis.paste import Cutout
 
-__all__ = ["fruitless", "montage"]
-
 LEAST_GROUND_PX = 340
 LENGTH_SHARE = (0.07, 0.75)  # of the picture's longer side
 MOST_FRUIT = 10

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet
 
-__all__ = ["Cutout", "Placed", "cutouts_of", "label_of", "less", "paste", "place_cutout"]
-
 MARGIN_PX = 4
 LEAST_SIDE_PX = 40
 LEAST_PX = 60

@@ -27,18 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.raycast import Hit
 
-__all__ = [
-    "NEAREST_M",
-    "Ground",
-    "crate_rods",
-    "foliage",
-    "occlude",
-    "place_hanging",
-    "place_lying",
-    "string",
-    "trellis",
-]
-
 COARSE = 0.5  # the search for a leaf's size looks at every second pixel
 
 SEARCH_STEPS = 14

@@ -19,19 +19,6 @@ if TYPE_CHECKING:
 
     Window = tuple[slice, slice]
 
-__all__ = [
-    "Hit",
-    "Leaf",
-    "Plane",
-    "Stem",
-    "cast_leaf",
-    "cast_plane",
-    "cast_stem",
-    "cast_tube",
-    "ray_grid",
-    "scaled_camera",
-]
-
 COARSE_BALLS = 100
 
 

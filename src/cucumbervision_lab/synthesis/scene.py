@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.raycast import Hit
 
-__all__ = ["FruitTruth", "Kind", "Scene", "View", "reaches_border", "render", "truth_of"]
-
 KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 

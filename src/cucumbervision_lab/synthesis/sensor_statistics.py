@@ -17,17 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "WINDOW_PX",
-    "EdgeProfile",
-    "edge_profile",
-    "fill_inside",
-    "noise_split",
-    "plane_residuals",
-    "residual_at",
-    "surface_residual",
-]
-
 WINDOW_PX = 26
 OFFSETS_PX = np.arange(-14, 21)
 

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float32]
 
-__all__ = ["shade"]
-
 _FAR_M = 8.0
 _PHOTOS = 3
 _SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # a leaf against the light is yellower

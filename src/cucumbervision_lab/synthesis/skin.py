@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     Color = tuple[float, float, float]
 
-__all__ = ["LOOKS", "Skin", "random_skin", "skin_maps"]
-
 _ROWS, _COLUMNS = (24, 1100), (24, 560)
 _TILE_M = 0.05  # what a close-up of skin shows from side to side
 

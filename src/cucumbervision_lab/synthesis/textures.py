@@ -16,26 +16,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.synthesis.appearance import Assets
 
-__all__ = [
-    "LEAF_TEXTURES",
-    "TILE_M",
-    "far_view",
-    "jitter",
-    "leaf_level",
-    "leaf_photo_texture",
-    "leaf_texel",
-    "leaf_texture",
-    "material_color",
-    "material_tile",
-    "mix",
-    "sample",
-    "scale_colors",
-    "smooth_noise",
-    "smoothstep",
-    "to_linear",
-    "to_srgb",
-]
-
 _SRGB_LEVELS = 4096
 
 _ROW = 1024  # OpenCV's remap takes no row of 32767 pixels or more

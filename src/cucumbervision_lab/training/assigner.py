@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["assign_coarsely", "losses_of"]
-
 
 def losses_of(model: Any) -> list[Any]:
     """Give the losses of the one-to-many and the one-to-one head, or the only one.

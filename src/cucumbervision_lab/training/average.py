@@ -15,8 +15,6 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.checkpoint import load_checkpoint
 from cucumbervision_lab.training.extras import import_ultralytics
 
-__all__ = ["average_networks"]
-
 
 def average_networks(first: Path, second: Path, out: Path, share: float = 0.5) -> Path:
     """Write the weighted mean of two checkpoints.

@@ -7,8 +7,6 @@ from typing import Any
 
 from cucumbervision.errors import TrainingError
 
-__all__ = ["load_checkpoint", "place_in", "strip"]
-
 
 def load_checkpoint(path: Path) -> Any:
     """Return what a checkpoint holds.

@@ -22,8 +22,6 @@ from cucumbervision_lab.training.tables import read_rows, write_rows
 if TYPE_CHECKING:
     pass
 
-__all__ = ["Curve", "draw_curve"]
-
 CONFIDENCE = 0.30
 DRAWN = ("photos all", "half all: recall", "drawn")  # of the columns, as lines
 FRAMES = 40

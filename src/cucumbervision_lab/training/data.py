@@ -16,8 +16,6 @@ from cucumbervision_lab.datasets.checks import check_folder, require_clean
 from cucumbervision_lab.datasets.yolo import load_data_yaml
 from cucumbervision_lab.datasets.yolo_writer import write_yolo
 
-__all__ = ["DATA_CARD", "KEYPOINT_SIGMA", "TASKS", "prepare_data", "write_data_file"]
-
 TASKS = {"seg": "segment", "pose": "pose"}
 """Our tasks, and what Ultralytics calls them."""
 

@@ -19,15 +19,6 @@ from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
 from cucumbervision_lab.training.publish import ModelCard, write_card
 
-__all__ = [
-    "EndsResult",
-    "Strips",
-    "collect_strips",
-    "make_network",
-    "train_ends",
-    "write_ends_card",
-]
-
 COPIES = 3  # of each fruit, each with other points
 ALONG_SD, ASIDE_SD = 0.04, 0.02  # what a pose network's points err by, as shares of the length
 HELD_OUT = 8  # every eighth scene is not learnt from, nor the split val

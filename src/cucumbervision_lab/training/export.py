@@ -34,15 +34,6 @@ from cucumbervision_lab.training.train import NETWORK
 if TYPE_CHECKING:
     import onnx
 
-__all__ = [
-    "HEADS",
-    "export_model",
-    "export_trained",
-    "export_yolo",
-    "halve_storage",
-    "last_metrics",
-]
-
 _SMALLEST = 1024  # fewer numbers than this stay as they are: they cost nothing
 
 

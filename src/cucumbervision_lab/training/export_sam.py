@@ -25,8 +25,6 @@ from cucumbervision_lab.training.extras import import_ultralytics
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["checkpoint_from_archive", "export_sam", "load_sam"]
-
 _ARCHITECTURES = ("mobile_sam", "sam_vit_b")
 """Names of the networks that can be exported."""
 

@@ -22,8 +22,6 @@ from cucumbervision.perception.runtime import import_onnxruntime
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["ensure_torchvision", "import_ultralytics", "nms"]
-
 # Torch drops an operator's definition together with the library object that made it.
 _libraries: list[Any] = []
 

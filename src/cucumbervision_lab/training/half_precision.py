@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-__all__ = ["channels_last", "choose_precision", "cpu_has_bfloat16", "narrow", "widen"]
-
 _FLAGS = ("avx512_bf16", "amx_bf16")
 
 

@@ -29,13 +29,12 @@ from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.publish import write_card
 from cucumbervision_lab.training.recipe import Recipe, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, write_mixture
+from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources
-from cucumbervision_lab.training.train import TrainOptions, TrainWatcher, train
+from cucumbervision_lab.training.train import TrainWatcher, train
 
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-
-__all__ = ["HousePlan", "Judged", "house_recipe", "judge_on", "kept_back", "train_house", "verdict"]
 
 CONFIDENCE = 0.30
 GAIN, LOSS = 0.01, 0.02

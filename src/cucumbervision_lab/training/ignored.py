@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["add_ignored", "ignore_regions", "take_out_ignored"]
-
 _IGNORED = 1  # the class that regions have while they are augmented; fruit are 0
 _CELL_PX = 4  # of the map of regions: Ultralytics' masks have this resolution, too
 _NO_FRUIT = -20.0  # a logit that costs nothing where no fruit is

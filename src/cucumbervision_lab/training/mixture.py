@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MixtureSampler", "pictures_of_epoch", "sources_of"]
-
 
 def sources_of(files: Sequence[str], folders: Sequence[str]) -> list[NDArray[np.int64]]:
     """Tell which pictures lie in which source's folder.

@@ -17,8 +17,6 @@ from typing import Any
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import TrainingError
 
-__all__ = ["Part", "Plan", "RunState", "extend", "parse_plan"]
-
 _STATE_FILE = "state.json"
 _STRIDE_PX = 32
 _FORM = re.compile(r"(\d+)\s*[x×]\s*(\d+)")

@@ -13,16 +13,6 @@ from cucumbervision.perception.instances import KEYPOINT_NAMES
 from cucumbervision_lab.training.assigner import losses_of
 from cucumbervision_lab.training.data import KEYPOINT_SIGMA
 
-__all__ = [
-    "knows_points",
-    "learn_to_assign",
-    "learn_to_see",
-    "order_by_place",
-    "set_tolerance",
-    "tolerance_at",
-]
-
-
 _HIDDEN = 1.5  # COCO: 1 is hidden, 2 seen
 _KINDEST = 4.0
 _STRICT_FROM = 0.7

@@ -16,18 +16,6 @@ from cucumbervision.errors import ModelHashError, TrainingError
 from cucumbervision.perception import registry
 from cucumbervision.perception.registry import file_sha256, load_registry
 
-__all__ = [
-    "MAKERS",
-    "MOST_BYTES",
-    "ModelCard",
-    "card_markdown",
-    "publish",
-    "read_card",
-    "registry_entry",
-    "with_entry",
-    "write_card",
-]
-
 _LICENCE = "AGPL-3.0-only"
 
 _WHAT = {

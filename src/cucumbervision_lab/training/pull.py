@@ -20,8 +20,6 @@ from cucumbervision.perception.registry import (
 )
 from cucumbervision_lab.training.export_sam import checkpoint_from_archive, export_sam
 
-__all__ = ["export_source", "pull_model"]
-
 _ARCHIVES = (".whl", ".zip", ".tar.gz", ".tgz")
 
 

@@ -10,8 +10,6 @@ from typing import Any
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.plan import parse_plan
 
-__all__ = ["KINDS", "ORIGINAL", "Recipe", "Schedule", "Source", "read_recipe"]
-
 KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets")
 """What a source can be made of; see `Source`."""
 

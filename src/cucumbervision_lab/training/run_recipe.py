@@ -16,16 +16,9 @@ from cucumbervision_lab.training.curve import Curve
 from cucumbervision_lab.training.data import DATA_CARD, TASKS, write_data_file
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.recipe import ORIGINAL, Recipe, Source
+from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources
-from cucumbervision_lab.training.train import (
-    NETWORK,
-    EpochReport,
-    TrainOptions,
-    TrainWatcher,
-    train,
-)
-
-__all__ = ["PACKAGED", "Kitchen", "run_recipe", "write_mixture"]
+from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainWatcher, train
 
 PACKAGED = Path(__file__).with_name("recipe.toml")
 """The recipe that the package's networks are trained by."""

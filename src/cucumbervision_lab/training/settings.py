@@ -12,15 +12,6 @@ from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.data import TASKS
 from cucumbervision_lab.training.plan import RunState
 
-__all__ = [
-    "LEARNING",
-    "TrainOptions",
-    "choose_device",
-    "one_to_many_at",
-    "rate_at",
-    "trainer_settings",
-]
-
 LEARNING = ("learning_rate", "one_to_many", "by_place", "overrides")
 """Options that a run keeps from its beginning; the others are the machine's, and may change."""
 

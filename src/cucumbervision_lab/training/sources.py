@@ -27,8 +27,6 @@ from cucumbervision_lab.synthesis.generate import generate, parse_options
 if TYPE_CHECKING:
     from cucumbervision_lab.training.recipe import Recipe, Source
 
-__all__ = ["build_sources", "with_axis_points"]
-
 _ASSETS = ("backgrounds", "textures", "hdri*")
 _MOST_HIDDEN = 0.05
 

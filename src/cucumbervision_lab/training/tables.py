@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["read_rows", "write_rows"]
-
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Return the rows of a table; none where there is no file."""

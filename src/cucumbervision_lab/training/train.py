@@ -25,8 +25,6 @@ from cucumbervision_lab.training.settings import (
 from cucumbervision_lab.training.tables import read_rows, write_rows
 from cucumbervision_lab.training.trainer import Course, make_trainer
 
-__all__ = ["DEFAULT_PLAN", "NETWORK", "EpochReport", "TrainOptions", "TrainWatcher", "train"]
-
 _SOUND_BATCH = 4
 
 DEFAULT_PLAN = "448x16000,640x4000"

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.training.plan import Plan
 
-__all__ = ["Course", "Watcher", "make_trainer"]
-
 _OUTSIDE = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
 _WARM_STEPS = 100  # without the optimiser's memory
 _AVERAGED_STEPS = 500  # by the weights' moving average; Ultralytics' is 10,000

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.files import read_color, read_depth, read_mask
-from cucumbervision.capture.intrinsics import Distortion
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import DataSetError
+from cucumbervision.geometry.camera import Distortion
 from cucumbervision_lab.datasets.bop import write_bop
 from cucumbervision_lab.datasets.labels import DataSet, Label
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
-from cucumbervision.geometry.camera import align_depth_to_color
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, color_sources, sense
 from cucumbervision_lab.synthesis.raycast import Leaf, Plane

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.capture.intrinsics import Distortion, Intrinsics
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.geometry.camera import Distortion
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, random_fruit, rotation
 from cucumbervision_lab.synthesis.placing import occlude, place_hanging, trellis
 from cucumbervision_lab.synthesis.raycast import (

@@ -15,9 +15,10 @@ from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.recipe import Recipe, Schedule, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe, write_mixture
+from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources, with_axis_points
 from cucumbervision_lab.training.tables import read_rows
-from cucumbervision_lab.training.train import NETWORK, TrainOptions
+from cucumbervision_lab.training.train import NETWORK
 
 SIDE = 360
 

@@ -24,9 +24,9 @@ from cucumbervision_lab.training.data import prepare_data
 from cucumbervision_lab.training.export import export_trained, last_metrics
 from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.plan import RunState, parse_plan
-from cucumbervision_lab.training.settings import rate_at, trainer_settings
+from cucumbervision_lab.training.settings import TrainOptions, rate_at, trainer_settings
 from cucumbervision_lab.training.tables import read_rows
-from cucumbervision_lab.training.train import NETWORK, EpochReport, TrainOptions, train
+from cucumbervision_lab.training.train import NETWORK, EpochReport, train
 from cucumbervision_lab.training.trainer import Course, make_trainer
 
 pytestmark = pytest.mark.train

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import Listed
 
-__all__ = ["SCENE_CAMERAS", "open_bop"]
-
 SCENE_CAMERAS = "scene_camera.json"
 
 

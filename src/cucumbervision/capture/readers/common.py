@@ -21,14 +21,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
     from cucumbervision.capture.source import ReadOptions
 
-__all__ = [
-    "choose_intrinsics",
-    "frame_capture",
-    "given_calibration",
-    "no_intrinsics",
-    "require_same_size",
-]
-
 
 def given_calibration(options: ReadOptions) -> CameraFile | None:
     """Read the user's intrinsics file, if one is named."""

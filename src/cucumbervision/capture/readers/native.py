@@ -39,15 +39,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import Listed
 
-__all__ = [
-    "FORMAT",
-    "MANIFEST",
-    "MASKS",
-    "Manifest",
-    "open_native",
-    "write_native",
-]
-
 FORMAT = "cucumbervision-capture"
 
 MANIFEST = "capture.json"

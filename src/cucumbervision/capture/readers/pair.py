@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
 
-__all__ = ["Pair", "find_pairs", "is_8_bit_png", "open_pair_file", "open_pairs", "pair_up"]
-
 Part = TypeVar("Part")
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)

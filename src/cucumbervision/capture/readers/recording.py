@@ -6,13 +6,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration
-from cucumbervision.capture.realsense import (
-    AlignedFrame,
-    AlignedStream,
-    burst_capture,
-    import_realsense,
-    play_file,
-)
+from cucumbervision.capture.realsense import AlignedFrame, AlignedStream, burst_capture, play_file
+from cucumbervision.capture.realsense_device import import_realsense
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
 
@@ -21,8 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.capture.intrinsics import Intrinsics
-
-__all__ = ["open_recording"]
 
 _TIMEOUT_S = 5.0
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import Listed
 
-__all__ = ["find_snapshots", "open_viewer"]
-
 _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
 _YEAR_2001_MS = 1e12
 _COLOR, _COLOR_TABLE = "_Color.png", "_Color_metadata.csv"

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = ["hand_file", "hand_lengths", "measured_round", "page", "write_hand_lengths"]
-
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
 
 

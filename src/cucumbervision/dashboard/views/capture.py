@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.camera_feed import Preview
     from cucumbervision.store.views import RoundView, StopView
 
-__all__ = ["page"]
-
 PREVIEW_PX = 800
 PANEL_S = 1.0  # how often what waits is looked at
 

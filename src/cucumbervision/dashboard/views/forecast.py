@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.forecast import Forecast
     from cucumbervision.store.views import RoundView
 
-__all__ = ["page"]
-
 
 @page_elements.of_round
 def page(one: RoundView) -> None:

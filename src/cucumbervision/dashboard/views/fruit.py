@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord, MethodRecord, StopRecord
     from cucumbervision.store.views import RoundView
 
-__all__ = ["add_fruit", "show", "show_correction"]
-
 
 def show(one: RoundView, lists: RoundLists, key: str) -> None:
     """Draw a fruit in place of the list."""

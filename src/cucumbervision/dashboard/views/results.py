@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = ["page"]
-
 FORMATS = {
     ExportFormat.XLSX: "Excel",
     ExportFormat.CSV: "CSV",

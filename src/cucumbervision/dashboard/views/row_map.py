@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.around import Around, OtherDay
     from cucumbervision.store.views import DetectionView, RoundView
 
-__all__ = ["page"]
-
 ROWS_AT_ONCE = 4
 ABREAST = 4
 

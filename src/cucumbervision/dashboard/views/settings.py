@@ -13,8 +13,6 @@ from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 
-__all__ = ["page"]
-
 FINDERS = {
     "auto": "The masks that come with a capture, else the networks",
     "models": "The networks",

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import RoundView, StopView
 
-__all__ = ["change_stop", "list_stops"]
-
 
 def list_stops(one: RoundView) -> None:
     """Draw the choice of a stop, and what can be put right about it."""

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.today import RowPicks, Today
     from cucumbervision.store.views import RoundView
 
-__all__ = ["page"]
-
 
 @page_elements.of_round
 def page(one: RoundView) -> None:

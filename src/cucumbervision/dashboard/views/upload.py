@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import RoundView
 
-__all__ = ["page"]
-
 ENDINGS = [
     *("zip", "bag", "db3", "json", "csv", "raw"),
     *("png", "jpg", "jpeg", "tif", "tiff", "npy", "npz"),

@@ -13,7 +13,8 @@ import pydeck
 import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.dashboard.round_tables import class_color, length_words
+from cucumbervision.dashboard.charts import class_color
+from cucumbervision.dashboard.round_tables import length_words
 from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.perception.masks import decode_rle, mask_window
 

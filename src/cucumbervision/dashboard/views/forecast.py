@@ -9,15 +9,8 @@ import streamlit as st
 
 from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.round_tables import (
-    class_name,
-    day_name,
-    expected_classes,
-    forecast_chart,
-    hours_words,
-    round_day,
-    span_words,
-)
+from cucumbervision.dashboard.charts import class_name, day_name, expected_classes, forecast_chart
+from cucumbervision.dashboard.round_tables import hours_words, round_day, span_words
 from cucumbervision.rounds.today import Age, age_of, age_words
 
 if TYPE_CHECKING:

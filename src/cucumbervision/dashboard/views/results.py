@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.capture.source import safe_name
-from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
@@ -187,7 +187,7 @@ def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
     if lines := tables.length_lines(fruit, lists.grades, units):
         st.markdown("**Lengths**: line at the mean, band of one standard deviation")
-        st.altair_chart(tables.histogram(lines, units))
+        st.altair_chart(charts.histogram(lines, units))
 
 
 def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
@@ -197,7 +197,7 @@ def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
     keys = {view.key for view in fruit}
     if lines := tables.method_lines(resources.methods_of(one), keys, units):
         st.caption("Box from quartile to quartile, lines to the ends.")
-        st.altair_chart(tables.method_chart(lines, units))
+        st.altair_chart(charts.method_chart(lines, units))
 
 
 def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:

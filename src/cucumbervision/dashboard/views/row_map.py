@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.charts import map_chart
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import (
@@ -15,7 +16,6 @@ from cucumbervision.dashboard.round_tables import (
     counted,
     grade_name,
     length_words,
-    map_chart,
     map_lines,
     round_day,
     row_name,

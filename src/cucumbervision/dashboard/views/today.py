@@ -11,10 +11,11 @@ import streamlit as st
 
 from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.charts import name_of_class
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import counted, doubtful, name_of_class, round_day
+from cucumbervision.dashboard.round_tables import counted, doubtful, round_day
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.demonstration import is_demonstration
 from cucumbervision.rounds.today import Age, age_words

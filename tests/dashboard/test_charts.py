@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from cucumbervision.dashboard import round_tables as charts
+from cucumbervision.dashboard import charts
 from cucumbervision.dashboard.settings import Units
 
 COLORS = {

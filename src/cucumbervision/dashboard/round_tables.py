@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.forecasting import grade_of
-from cucumbervision.rounds.remarks import remarks as said_of
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     'an end is hidden: at least 24.0 cm'
     """
     is_bound = record.partial and record.length_m is not None
-    return said_of(record.flags, length_words(record, units) if is_bound else "")
+    return flag_remarks(record.flags, length_words(record, units) if is_bound else "")
 
 
 def stop_name(stop: Stop | StopView) -> str:

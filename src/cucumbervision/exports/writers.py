@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.tables import Table
+from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import Column
 from cucumbervision.pipeline.tables import (
     HEAD_COLOR,
@@ -19,11 +20,9 @@ from cucumbervision.pipeline.tables import (
     import_arrow,
     write_json,
 )
-from cucumbervision.rounds.remarks import remarks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
-    from pathlib import Path
 
     from jinja2 import Template
 
@@ -231,7 +230,7 @@ def fruit_remarks(fruit: dict[str, Cell]) -> str:
     parts = (
         "picked" if fruit["picked_utc"] else "",
         "drawn, not grown" if fruit["simulated"] else "",
-        remarks(str(fruit["flags"] or "")),
+        flag_remarks(str(fruit["flags"] or "")),
     )
     return "; ".join(filter(None, parts))
 

@@ -91,7 +91,7 @@ def draw_fruit(
     >>> fruit = DetectionRecord(1, box_x1_px=100, box_y1_px=10, box_x2_px=140, box_y2_px=110)
     >>> capture = CaptureRecord("a", width_px=640, height_px=480)
     >>> draw_fruit(np.zeros((480, 640, 3), np.uint8), fruit, capture).shape
-    (480, 333, 3)
+    (480, 330, 3)
     """
     height, width = capture.height_px or color.shape[0], capture.width_px or color.shape[1]
     left, top, right, bottom = _window(record, width, height)

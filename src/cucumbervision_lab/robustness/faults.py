@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import signal
 import subprocess
+import sys
 import tempfile
-from contextlib import contextmanager
+import time
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from random import Random
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.robustness.kills import kill_measure, kill_rounds, kill_worker
-from cucumbervision_lab.robustness.store_gone import s3_gone
 from cucumbervision_lab.robustness.trial import (
     MASKS,
     Outcome,
+    begin,
     captures,
     command,
+    ended,
     rows_in,
     rows_of,
     stops_in,
@@ -181,6 +186,206 @@ def _clock_back(folder: Path) -> Outcome:
     ran = command(*add, before=back)
     lost = stops_in(store) != ["c0", "c1", "c2"]
     return Outcome("the clock is set back by a day", ran.line("stops added"), "three stops", lost)
+
+
+def kill_worker(folder: Path) -> Outcome:
+    """Kill one of two workers of `measure` in the middle of its work."""
+    source = captures(folder / "in", 6)
+    command("measure", source, "--out", folder / "whole", *MASKS)
+    once = (
+        "import os, signal\nfrom cucumbervision.pipeline import engines\n"
+        "submit, count = engines._Pool.submit, [0]\n"
+        "def killing(self, task):\n    future = submit(self, task)\n    count[0] += 1\n"
+        "    if count[0] == 4:\n"
+        "        os.kill(next(iter(self._pool._processes)), signal.SIGKILL)\n"
+        "        os.write(2, b'killed a worker\\n')\n    return future\n"
+        "engines._Pool.submit = killing"
+    )
+    ran = command("measure", source, "--out", folder / "out", "--workers", 2, *MASKS, before=once)
+    rows = rows_in(folder / "out")
+    lost = ran.code != 0 or "killed a worker" not in ran.said or rows != rows_in(folder / "whole")
+    kept = f"{len(rows)} of {len(rows_in(folder / 'whole'))} rows, those of one worker"
+    return Outcome("a worker is killed (kill -9)", ran.line("fruit measured"), kept, lost)
+
+
+def kill_measure(folder: Path) -> Outcome:
+    """Kill `measure` after two captures of six, while two workers measure; then begin it again."""
+    source, out = captures(folder / "in", 6), folder / "out"
+    command("measure", source, "--out", folder / "whole", *MASKS)
+    once = (
+        "import os, signal\nfrom cucumbervision.pipeline.journal import Journal\n"
+        "append, count = Journal.append, [0]\n"
+        "def killing(self, record):\n    append(self, record)\n    count[0] += 1\n"
+        "    if count[0] == 2:\n        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "Journal.append = killing"
+    )
+    words = ("measure", source, "--out", out, "--workers", 2, *MASKS)
+    ran = command(*words, before=once)  # returns when its workers have ended, too
+    half = list(out.glob("measurements.*"))
+    again = command(*words)
+    rows = rows_in(out)
+    lost = ran.code != -signal.SIGKILL or bool(half) or rows != rows_in(folder / "whole")
+    kept = f"the same command again: {again.line('fruit measured')}"
+    lost = lost or again.code != 0 or "2 of them by an earlier run" not in kept
+    return Outcome("`measure` itself is killed (kill -9)", "no tables yet", kept, lost)
+
+
+def kill_rounds(
+    folder: Path, kills: int, seed: int = 1, tick: Callable[[int], None] | None = None
+) -> Outcome:
+    """Kill `round add` with signal 9 at random moments and begin it again, until it is through.
+
+    Parameters
+    ----------
+    folder : Path
+        Empty.
+    kills : int
+        How many; a new round is begun whenever one is through before.
+    seed : int
+        Of the moments.
+    tick : callable, optional
+        Called with 1 after each kill.
+    """
+    from cucumbervision.store.images import check_store
+    from cucumbervision.store.repository import open_store
+
+    random, source = Random(seed), captures(folder / "in", 8)
+    killed, rounds = 0, 0
+    lost: list[str] = []
+    while killed < kills and not lost:
+        rounds += 1
+        store = folder / f"house{rounds}.db"
+        command("round", "new", "walk", "--store", store)
+        there: list[str] = []
+        while len(there) < 8 and killed < kills:
+            killed += _killed_add(source, store, random)
+            if tick is not None:
+                tick(1)
+            now = stops_in(store)
+            if set(there) - set(now) or len(set(now)) != len(now):
+                lost.append(f"after {there} there was {now}")
+            there = now
+        command("round", "add", source, "--store", store, "--instances", "dataset")
+        if stops_in(store) != [f"c{k}" for k in range(8)]:
+            lost.append(f"at the end there was {stops_in(store)}")
+        with open_store(store, create=False) as opened:
+            report = check_store(opened, grace_s=0, remove=True)
+            if not check_store(opened, grace_s=0).sound:
+                lost.append(f"pictures: {report}")
+    kept = f"{rounds} rounds of 8 stops, each stop whole and once" if not lost else lost[0]
+    seen = "nothing; the same command again goes on"
+    return Outcome(f"`round add` killed {killed} times (kill -9)", seen, kept, bool(lost))
+
+
+def _killed_add(source: Path, store: Path, random: Random) -> int:
+    """Run `round add`, kill it within some stops after its first write, tell if it was killed."""
+    code = (
+        "from cucumbervision.store.repository import Store\nimport os, sys\n"
+        "save = Store.save_stop\n"
+        "def said(self, stop):\n    os.write(3, b'.')\n    return save(self, stop)\n"
+        "Store.save_stop = said\nfrom cucumbervision.cli.app import main\nmain()"
+    )
+    heard, said = os.pipe()
+    words = ("round", "add", source, "--store", store, "--instances", "dataset")
+    process = subprocess.Popen(
+        ["/bin/sh", "-c", f'exec "$@" 3>&{said}', "sh", sys.executable, "-c", code]
+        + [str(word) for word in words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        pass_fds=(said,),
+    )
+    os.close(said)
+    for _ in range(random.choice((1, 1, 2, 3))):
+        os.read(heard, 1)  # a stop is being written, or the program is through
+    # Most writes take some milliseconds: most kills fall into one.
+    time.sleep(random.choice((0.0, random.uniform(0, 0.02), random.uniform(0, 0.5))))
+    with suppress(ProcessLookupError):
+        process.send_signal(signal.SIGKILL)
+    os.close(heard)
+    return int(process.wait() == -signal.SIGKILL)
+
+
+_KEYS = {"AWS_ACCESS_KEY_ID": "house", "AWS_SECRET_ACCESS_KEY": "cucumber"}
+
+
+def s3_gone(folder: Path, gone_s: float = 60.0) -> Outcome:
+    """Stop an S3 server on loopback in the middle of `measure`, and start it again.
+
+    Parameters
+    ----------
+    folder : Path
+        Empty.
+    gone_s : float
+        Seconds without a server.
+    """
+    with _s3_server() as server:
+        url = "http://{}:{}".format(*server.get_host_and_port())
+        env = {"AWS_ENDPOINT_URL": url, "AWS_DEFAULT_REGION": "us-east-1", **_KEYS}
+        store = _s3(url)
+        store.mkdir("house")
+        store.put(str(captures(folder / "in", 6)), "house/captures", recursive=True)
+        words = ("measure", "s3://house/captures", *MASKS)
+        command(*words, "--out", folder / "whole", env=env)
+        process = begin(*words, "--out", "s3://house/out", env=env)
+        while process.poll() is None and not store.glob("house/out/overlays/*.png"):
+            time.sleep(0.05)
+        server.stop()
+        time.sleep(gone_s)
+        met = process.poll() is None
+        server.start()
+        ran = ended(process)
+        store = _s3(url)
+        (folder / "out").mkdir()
+        store.get("house/out/measurements.csv", str(folder / "out" / "measurements.csv"))
+    whole, rows = rows_in(folder / "whole"), rows_in(folder / "out")
+    kept = f"{len(rows)} of {len(whole)} rows; the run waited and went on"
+    seen = ran.line("does not answer").replace(url, "the server")
+    lost = not met or ran.code != 0 or rows != whole
+    return Outcome(f"S3 is gone for {gone_s:.0f} s", seen, kept, lost)
+
+
+@contextmanager
+def _s3_server() -> Iterator[Any]:
+    """Run an S3 server; what it holds outlives its stops."""
+    try:
+        from moto.server import ThreadedMotoServer
+    except ImportError:
+        raise CucumberVisionError(
+            "moto is not installed", remedy="pip install moto[s3,server]"
+        ) from None
+    from urllib.request import Request, urlopen
+
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)  # else it prints each request
+    server = ThreadedMotoServer("127.0.0.1", _free_port(), verbose=False)
+    server.start()
+    # What an earlier server of this process held is still there.
+    reset = "http://{}:{}/moto-api/reset".format(*server.get_host_and_port())
+    urlopen(Request(reset, method="POST")).close()
+    try:
+        yield server
+    finally:
+        server.stop()
+
+
+def _free_port() -> int:
+    """Return a port that the server gets again when it is started anew."""
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+def _s3(url: str) -> Any:
+    from importlib import import_module
+
+    # It has no types.
+    return import_module("s3fs").S3FileSystem(
+        endpoint_url=url,
+        key=_KEYS["AWS_ACCESS_KEY_ID"],
+        secret=_KEYS["AWS_SECRET_ACCESS_KEY"],
+        use_listings_cache=False,
+        skip_instance_cache=True,
+    )
 
 
 FAULTS: dict[str, Callable[[Path], Outcome]] = {

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.robustness.faults import FAULTS, _without, try_faults
-from cucumbervision_lab.robustness.store_gone import s3_gone
+from cucumbervision_lab.robustness.faults import FAULTS, _without, s3_gone, try_faults
 from cucumbervision_lab.robustness.trial import Outcome
 
 

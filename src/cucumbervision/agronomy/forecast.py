@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,6 @@ from cucumbervision.errors import ForecastError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from types import EllipsisType
 
     from numpy.typing import NDArray
 
@@ -335,7 +335,9 @@ class _Tally:
         self._ready = np.array([name in profile.pick for name in profile.outcomes])
         row = np.array([at[f.row] for f in fruit], np.int64)
         shape = lengths.unslowed_m.shape[1:]
-        self._cell = (np.arange(shape[0])[:, None] * len(self.rows) + row) * len(profile.outcomes)
+        # Each row's fruit are next to each other.
+        ends = np.searchsorted(row, np.arange(len(self.rows) + 1)).tolist()
+        self._spans = [slice(*span) for span in pairwise(ends)]
         self._before = np.zeros(shape, bool)
 
     def day(self, day: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -344,23 +346,25 @@ class _Tally:
         bins = np.zeros(lengths.shape, np.int8)
         for edge in self._edges:
             bins += lengths >= edge
-        found = self._of_bin[bins]
+        found = self._of_bin.take(bins)
         classes = len(self._profile.classes)
         if self._best.any():
             found = np.where(found < classes, np.maximum(found, self._best), found)
-        share = np.stack([(found == k).mean(axis=0) for k in range(classes + 2)], axis=1)
-        now = self._ready[found] & ~self._before
+        now = self._ready.take(found) & ~self._before
         self._before |= now
-        cells = self._cell + found
-        return share, self._count(cells, ...), self._count(cells, now)
+        each = [found == k for k in range(classes + 2)]
+        share = [np.add.reduce(one, axis=0, dtype=np.int32) / len(found) for one in each]
+        standing = [self._count(one) for one in each]
+        ready = [self._count(one & now) for one in each]
+        return np.stack(share, axis=-1), np.stack(standing, axis=-1), np.stack(ready, axis=-1)
 
-    def _count(
-        self, cells: NDArray[np.int64], where: NDArray[np.bool_] | EllipsisType
-    ) -> NDArray[np.float64]:
-        shape = (len(cells), len(self.rows), len(self._profile.outcomes))
-        weights = None if self._weights is None else self._weights[where].ravel()
-        counted = np.bincount(cells[where].ravel(), weights, minlength=int(np.prod(shape)))
-        return counted.reshape(shape).astype(np.float64)
+    def _count(self, which: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return how many fruit the chosen ones stand for, (draws, R)."""
+        weighed = which if self._weights is None else which * self._weights
+        counts = np.zeros((len(which), len(self._spans)))
+        for row, span in enumerate(self._spans):
+            counts[:, row] = weighed[:, span].sum(axis=1)
+        return counts
 
 
 def _weights(
@@ -392,7 +396,8 @@ def _counts(
     for counts in (drawn.sum(axis=1), drawn):
         # Half a fruit to and fro: whole numbers between these ends then hold `level` on average,
         # where plain quantiles of small counts would hold far more.
-        spread = counts + rng.uniform(-0.5, 0.5, counts.shape)
+        jitter = rng.uniform(-0.5, 0.5, (counts.shape[-2], *counts.shape[:-2], counts.shape[-1]))
+        spread = counts + np.moveaxis(jitter, 0, -2)  # today's first, however many days follow
         low, high = np.quantile(spread, ends, axis=0)
         mean = counts.mean(axis=0)
         # Whole numbers, that have the mean between them.

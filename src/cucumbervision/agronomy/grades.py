@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,15 +70,13 @@ class LengthBelief:
         ForecastError
             If the interval is none.
         """
-        from scipy.special import ndtri
-
         if not (0 < low_m <= high_m < np.inf and 0 < level < 1 and length_m > 0):
             raise ForecastError(
                 f"length {length_m} m with interval {low_m} to {high_m} m at level {level}",
                 remedy="give positive metres, the lower end first, and a level between 0 and 1",
             )
         median = length_m if low_m <= length_m <= high_m else float(np.sqrt(low_m * high_m))
-        z = float(ndtri(0.5 + level / 2))
+        z = _z_of(level)
         return cls(median, float(np.log(median / low_m)) / z, float(np.log(high_m / median)) / z)
 
     @property
@@ -95,6 +94,13 @@ class LengthBelief:
         # A side without spread ends at the median: a limit on it has nothing below.
         z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
         return np.asarray(ndtr(z), np.float64)
+
+
+@lru_cache
+def _z_of(level: float) -> float:
+    from scipy.special import ndtri
+
+    return float(ndtri(0.5 + level / 2))
 
 
 OUT_OF_GRADE = "out of grade"
@@ -322,10 +328,23 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     missing = tuple(c.missing for c in checks if c.missing)
     if not chances:
         missing += (f"interval of the {profile.length} length: no probabilities",)
-    best = next((c.name for c in profile.classes if c.name not in shape.forbidden), "")
+    best = _best_of(shape, profile)
     return Grade(
         verdict, name, rules, chances, missing, best, shape.name, weight.name, width.name, mass
     )
+
+
+def best_class(fruit: GradingTraits, profile: CropProfile) -> str:
+    """Return the best class that a fruit's shape allows, as `Grade.best_class` says it."""
+    length = fruit.length_m(profile.length)
+    limits = profile.acceptance
+    if length is None or not limits.min_cm <= round(100 * length, 6) <= limits.max_cm:
+        return ""
+    return _best_of(_shape(fruit.inner_arc_mm_per_10cm, profile), profile)
+
+
+def _best_of(shape: _Check, profile: CropProfile) -> str:
+    return next((c.name for c in profile.classes if c.name not in shape.forbidden), "")
 
 
 def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cucumbervision.store.views import RoundView
+
+_BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
 def choose_round() -> RoundView | None:
@@ -38,9 +40,11 @@ def choose_round() -> RoundView | None:
         placeholder="No round yet",
     )
     one = rounds.get(key) if key else None
-    with new.popover("New round", icon=":material/add:", width="stretch"):
+    # They know whether they are open, so that what is done in them closes them.
+    tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
+    with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
         _begin()
-    with change.popover("", icon=":material/edit:", width="stretch", help="Rename or delete"):
+    with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
         _change(one)
     return one
 
@@ -62,6 +66,7 @@ def _begin() -> None:
         record = RoundRecord(name=name, house=house, profile=resources.settings().profile)
         resources.store().save_round(record)
         st.session_state["round"] = record.key
+        st.session_state[_BEGINNING] = False
 
     st.button("Begin this round", type="primary", width="stretch", on_click=begin)
 
@@ -101,6 +106,8 @@ def _do(act: Callable[[str], None], key: str) -> None:
         act(key)
     except CucumberVisionError as error:
         st.session_state["round_fault"] = str(error)
+    else:
+        st.session_state[_CHANGING] = False
 
 
 def _rename(key: str) -> None:

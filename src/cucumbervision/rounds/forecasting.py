@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecast
-from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, grade
+from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, best_class, grade
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.rounds.day_linking import SURE
@@ -41,7 +41,12 @@ def grade_of(record: DetectionRecord, profile: CropProfile) -> Grade:
     >>> grade_of(fruit, load_profile("long-cucumber")).name
     'I'
     """
-    return grade(GradingTraits.from_si(vars(record)), profile)
+    return grade(_traits_of(record), profile)
+
+
+def _traits_of(record: DetectionRecord) -> GradingTraits:
+    """Return what grading asks of a stored measurement."""
+    return GradingTraits.from_si(vars(record))
 
 
 def forecast_for(
@@ -166,7 +171,7 @@ def fruit_states(
                 sd_m,
                 day,
                 view.side or "",
-                grade_of(view.record, profile).best_class,
+                best_class(_traits_of(view.record), profile),
                 view.picked_s is not None and view.picked_s < picked_before_s,
             )
         )

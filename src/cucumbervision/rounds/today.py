@@ -62,7 +62,7 @@ class Today:
     age : Age
         What it is worth by that.
     forecast : Forecast, optional
-        Whose day 0 is today; None where the round is too old, or holds nothing to forecast.
+        Of today alone; None where the round is too old, or holds nothing to forecast.
     rows : tuple of RowPicks
         What is to be picked, in the order of the walk; fruit picked today are still in it.
     best : mapping of str to str
@@ -170,6 +170,7 @@ def read_today(
             store,
             one.key,
             profile,
+            days=0,
             content=content,
             today_s=today_s,
             picked_before_s=midnight_s(now_s),

@@ -3,6 +3,12 @@ const state = new WeakMap();
 const KEPT = 20;
 let sound = null;
 
+// Streamlit gives a page up where parts that draw themselves meet one that is drawn anew (its issue 15084): what was
+// pressed is kept by then, and the walk goes on in a fresh page.
+window.addEventListener("error", (event) => {
+  if (/delta path|setIn/.test(event.message)) location.reload();
+});
+
 function click() {
   try {
     sound = sound || new AudioContext();

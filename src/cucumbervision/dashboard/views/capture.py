@@ -25,7 +25,7 @@ from cucumbervision.dashboard.round_tables import counted, grade_name, length_wo
 from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
-from cucumbervision.dashboard.views.stops import change_stop
+from cucumbervision.dashboard.views.stops import PUTTING_RIGHT, change_stop
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
@@ -47,31 +47,39 @@ INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name
 def page(one: RoundView) -> None:
     """Draw the page."""
     left, right = page_elements.halves()
+    # Each part has its place whatever is drawn in it: a part that draws itself anew by the second
+    # must never find that the page has moved, or the browser gives the page up.
     with right:
+        source, notice, panel, camera, how = (st.container() for _ in range(5))
+    with left:
+        preview = st.container()
+    with source:
         kind = _source()
     drawn = _preview_is_drawn(kind)
     home = DEMONSTRATION if drawn else one.key
-    with right:
-        if drawn and not is_demonstration(one.key):
-            st.info(
-                "These pictures are drawn, not taken. What you capture of them goes into the round "
-                "'Demonstration', never into yours.",
-                icon=":material/draw:",
-            )
+    if drawn and not is_demonstration(one.key):
+        notice.info(
+            "These pictures are drawn, not taken. What you capture of them goes into the round "
+            "'Demonstration', never into yours.",
+            icon=":material/draw:",
+        )
+    with panel:
         _panel(one, home, kind)
-        if kind == "camera":
+    if kind == "camera":
+        with camera:
             _camera()
+    with how:
         _how()
-    with left:
+    with preview:
         _preview(kind)
     _last_stop(one, home)
 
 
 def _source() -> str:
-    state = st.session_state
+    state, notice = st.session_state, st.container()
     if state.pop("no_camera", False):
         state["source"] = "replay"
-        st.info("No camera was found, so the replay is shown.", icon=":material/videocam_off:")
+        notice.info("No camera was found, so the replay is shown.", icon=":material/videocam_off:")
     state.setdefault("source", "replay" if resources.replay_named() else "camera")
     chosen = st.segmented_control(
         "Pictures from",
@@ -101,7 +109,7 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
     @st.fragment(run_every=PANEL_S)
     def _draw() -> None:
         _begin_place(one.key, home)
-        shutter, waits, place = st.container(), st.container(), st.container()
+        shutter, waits, place, record = (st.container() for _ in range(4))
         with shutter:
             for press in _presses():
                 _take(one, kind, press)
@@ -109,7 +117,8 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
             _place()
         with waits:
             _waits(one, home)
-        _record(kind)
+        with record:
+            _record(kind)
 
     _draw()
 
@@ -245,14 +254,19 @@ def _waits(one: RoundView, home: str) -> None:
 
 def _record(kind: str) -> None:
     """Draw the button that records what the camera shows, without measuring it."""
-    recorder, place = resources.recorder(), st.session_state["place"]
+    recorder = resources.recorder()
+
+    def begin() -> None:
+        _read_typed()
+        place = st.session_state["place"]
+        walk = Walk(place.row or None, place.side)
+        recorder.begin(resources.feed(kind), resources.settings().burst, walk)
+
     now = recorder.newest
     if now is not None and now.running:
         button(st, "Stop recording", "stop", recorder.end, key="record_stop")
     else:
-        walk = Walk(place.row or None, place.side)
-        parts = resources.feed(kind), resources.settings().burst, walk
-        button(st, "Record", "fiber_manual_record", recorder.begin, *parts, key="record")
+        button(st, "Record", "fiber_manual_record", begin, key="record")
     if now is not None:
         st.caption(
             f"{counted(now.taken, 'capture', 'captures')} recorded, one a second, in "
@@ -321,27 +335,30 @@ def _how() -> None:
 
 
 def _preview(kind: str) -> None:
+    live, absent = st.container(), st.container()
     seen = resources.feed(kind).preview()
     if seen.state == "absent":
         if kind == "camera" and not st.session_state.get("source_chosen"):
             st.session_state["no_camera"] = True
             st.rerun()
-        _absent(kind, seen)
+        with absent:
+            _absent(kind, seen)
         return
 
     @st.fragment(run_every=0.5)
     def _live() -> None:
+        opening, pictures = st.container(), st.container(key="live")
         preview = resources.feed(kind).preview()
         if preview.state == "absent":
             st.rerun()
         if preview.capture is None:
-            st.info("Opening …", icon=":material/hourglass:")
+            opening.info("Opening …", icon=":material/hourglass:")
             return
         shown = preview.capture
         near = preview.quality.distance_m if preview.quality else None
         small = shown.depth_m[::2, ::2]  # it is only looked at
         depth, words = depth_picture(small)
-        with st.container(key="live"):
+        with pictures:
             color_at, depth_at = st.columns(2)
         with color_at:
             picture(
@@ -358,7 +375,8 @@ def _preview(kind: str) -> None:
         st.caption(f"Depth: {words}.")
         _quality(preview)
 
-    _live()
+    with live:
+        _live()
 
 
 def _absent(kind: str, preview: Preview) -> None:
@@ -398,7 +416,13 @@ def _last_stop(one: RoundView, home: str) -> None:
     last = stops[-1]
     says, change = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(stop_name(last))}: saved**")
-    with change.popover("Put right", icon=":material/edit_location:", width="stretch"):
+    with change.popover(
+        "Put right",
+        icon=":material/edit_location:",
+        width="stretch",
+        key=PUTTING_RIGHT,
+        on_change="rerun",
+    ):
         change_stop(last, sides_of(stops))
     if last.failures:
         found = resources.store().stop(last.key).failures[0]

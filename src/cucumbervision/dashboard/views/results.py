@@ -48,10 +48,10 @@ def _files(one: RoundView) -> None:
         format_func=FORMATS.__getitem__,
         selection_mode="multi",
         default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
+        key="formats",
     )
     make, load = st.columns(2)
-    formats = tuple(chosen)
-    button(make, "Make the files", "archive", _make, one, formats, disabled=not formats)
+    button(make, "Make the files", "archive", _make, one, disabled=not chosen)
     job = page_elements.finished_job(f"export_{one.key}")
     if job is not None and job.error:
         st.error(plain(job.error), icon=":material/error:")
@@ -73,7 +73,9 @@ def _folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="cucumbervision-exports-"))
 
 
-def _make(one: RoundView, formats: tuple[ExportFormat, ...]) -> None:
+def _make(one: RoundView) -> None:
+    # What is chosen now: the page may not have been drawn since.
+    formats = tuple(st.session_state["formats"])
     store, rates, folder = resources.store(), resources.settings().rates, _folder()
     name, profile = resources.profile_of(one)
 

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import RoundView, StopView
 
+PUTTING_RIGHT = "putting_right"
+"""Key of what opens over a page to change a stop; what is done in it closes it."""
+
 
 def list_stops(one: RoundView) -> None:
     """Draw the choice of a stop, and what can be put right about it."""
@@ -90,6 +93,7 @@ def _do(round_key: str, act: Callable[[], int]) -> None:
         st.session_state["stop_fault"] = str(error)
     else:
         resources.merge(round_key)
+        st.session_state[PUTTING_RIGHT] = False
 
 
 def _undo_button(round_key: str) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import streamlit as st
 
@@ -41,9 +40,15 @@ def page(one: RoundView) -> None:
         "Send an intrinsics file along where you have one.",
     )
     given = [(file.name, file.getvalue()) for file in files]
-    how: dict[str, Any] = {"type": "primary", "disabled": not files}
-    work = partial(_measure, one.key, given, place, camera)
-    page_elements.button(st, "Measure these files", "play_arrow", work, **how)
+    # No callback: it would know the fields as they were when the page was drawn before.
+    if st.button(
+        "Measure these files",
+        type="primary",
+        icon=":material/play_arrow:",
+        width="stretch",
+        disabled=not files,
+    ):
+        _measure(one.key, given, place, camera)
     job = page_elements.finished_job("upload_job")
     if job is None:
         return

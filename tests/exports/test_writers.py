@@ -265,12 +265,16 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
                 else:
                     assert got == (defused(cell) if isinstance(cell, str) else cell)
         assert sheet.freeze_panes == f"{'ABCDEF'[frozen]}2"
+        # Printed on A4, as wide as the paper, with its head on every page.
+        assert (sheet.page_setup.paperSize, sheet.page_setup.fitToHeight) == (9, 0)
+        assert sheet.print_title_rows == "$1:$1"
         # What each column of a sheet says is told on the sheet 'Columns'.
         told = [row[1:] for row in book["Columns"].values if row[0] == name]
         assert told == [(one.name, one.unit or None, one.says) for one in table.columns]
     assert "length [cm]" in [cell.value for cell in book["Fruit"][1]]
     lengths = next(cell for cell in book["Fruit"][1] if cell.value == "length [cm]")
-    assert book["Fruit"].cell(2, lengths.column).number_format == "0.00"
+    assert book["Fruit"].cell(2, lengths.column).number_format == "0.0"
+    assert book["Fruit"].print_area.endswith(f"$A$1:$J${1 + len(tables['fruit'].rows)}")
     picture = next(cell for cell in book["Fruit"][1] if cell.value == "picture")
     target = book["Fruit"].cell(2, picture.column).hyperlink.target
     assert target.replace("\\", "/") == "pictures/morning_row-3_fruit-0001.jpg"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import streamlit as st
+from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.agronomy.forecast import Forecast
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
@@ -59,9 +60,22 @@ def where() -> str:
     return os.environ.get(STORE_VARIABLE) or default_store()
 
 
-@st.cache_resource(show_spinner="Opening the store …")
 def store() -> Store:
-    """Return the store that all viewers work on."""
+    """Return the store that all viewers work on, signed by the one who looks at this page."""
+    return _store().signed(_who())
+
+
+def _who() -> str:
+    """Return the account that is logged in here; 'dashboard' where nobody has to log in."""
+    if get_script_run_ctx(suppress_warning=True) is None:  # a job of the worker
+        return "dashboard"
+    if (session := st.session_state.get("session")) is not None:
+        return str(session.account)
+    return str(st.user.get("email") or st.user.get("sub") or "dashboard")
+
+
+@st.cache_resource(show_spinner="Opening the store …")
+def _store() -> Store:
     place, images = where(), os.environ.get(IMAGES_VARIABLE)
     if "://" not in place:
         Path(place).parent.mkdir(parents=True, exist_ok=True)

@@ -138,22 +138,11 @@ SHEETS = {
     "provenance": ("Provenance", 0),
 }
 
-_FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.000", "g": "0", "ml": "0", "deg": "0.0", "h": "0.00"}
+_FORMATS = {"cm": "0.0", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "0.0", "h": "0.0"}
 
-_WIDE = frozenset(
-    {
-        "remarks",
-        "round",
-        "key",
-        "stop_key",
-        "grade_rule",
-        "reason",
-        "flags",
-        "name",
-        "sha256",
-        "note",
-    }
-)
+_WIDEST_PX = 480  # of a column
+_A4 = 9
+_NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
 
 # Texts are written as texts, whatever they start with: never as formulas or links.
 _SAFE = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
@@ -248,20 +237,22 @@ class _Writer:
         self._numbers: dict[str, Any] = {}
 
     def number(self, column: Column) -> Any:
-        """Return the format of a column's numbers; None for texts."""
-        if column.type in {"text", "yes/no"}:
-            return None
-        shape = "0" if column.type == "whole" else _FORMATS.get(column.unit, "0.00")
+        """Return the format of a column's cells; texts stand off the number before them."""
+        shape = {"text": "@", "yes/no": '"yes";;"no"', "whole": "0"}.get(column.type)
+        shape = shape or _FORMATS.get(column.unit, "0.00")
         if shape not in self._numbers:
-            self._numbers[shape] = self.book.add_format({"num_format": shape})
+            look = {"indent": 1} if shape == "@" else {"num_format": shape}
+            self._numbers[shape] = self.book.add_format(look)
         return self._numbers[shape]
 
     def summary(self, sheet: Any, tables: RoundTables) -> None:
         """Write the one row of the summary as lines, and what it rests on."""
-        sheet.set_column(0, 0, 28)
-        sheet.set_column(1, 1, 24)
-        sheet.set_column(2, 2, 8)
-        sheet.set_column(3, 3, 52)
+        sheet.set_column(0, 0, 20)
+        sheet.set_column(1, 1, 26)
+        sheet.set_column(2, 2, 6)
+        sheet.set_column(3, 3, 66)
+        _set_page(sheet, high=1)
+        sheet.set_portrait()
         sheet.write_string(0, 0, str(cell_value(tables.title)), self.bold)
         sheet.write_row(1, 0, ("what", "value", "unit", "what it says"), self.head)
         sheet.freeze_panes(2, 0)
@@ -281,15 +272,16 @@ class _Writer:
         """Write a table with its head, formats, filter and links."""
         for at, column in enumerate(table.columns):
             sheet.write_string(0, at, column.title, self.head)
-            wide = 26 if column.name in _WIDE or "sha256" in column.name else 12
-            sheet.set_column(at, at, wide, self.number(column))
-        sheet.set_row(0, 32)
+            sheet.set_column(at, at, None, self.number(column))
         sheet.freeze_panes(1, frozen)
         if table.rows:
             sheet.autofilter(0, 0, len(table.rows), len(table.columns) - 1)
         for line, row in enumerate(table.rows, start=1):
             for at, (column, cell) in enumerate(zip(table.columns, row, strict=True)):
                 self.write(sheet, line, at, cell, column)
+        sheet.autofit(_WIDEST_PX)
+        _set_page(sheet)
+        sheet.print_area(0, 0, len(table.rows), _printed(table) - 1)
 
     def write(self, sheet: Any, line: int, at: int, cell: Cell, column: Column) -> None:
         """Write one cell as what it is."""
@@ -315,11 +307,14 @@ class _Writer:
         for line, (name, one) in enumerate(columns, 1):
             sheet.write_row(line, 0, (name, one.name, one.unit, one.says))
         sheet.freeze_panes(1, 0)
+        _set_page(sheet)
 
     def charts(self, summary: Any, sheet: Any, tables: RoundTables) -> None:
         """Draw the lengths and the forecast onto the summary; their figures stand on `sheet`."""
         bins, days = tables.charts.bins, tables.charts.days
+        below = summary.dim_rowmax + 2
         sheet.set_column(0, 12, 12)
+        _set_page(sheet)
         sheet.write_row(0, 0, ["length [cm]", "fruit"], self.head)
         for line, (low, high, count) in enumerate(bins, start=1):
             sheet.write_string(line, 0, f"{low}–{high}")
@@ -337,7 +332,7 @@ class _Writer:
             )
             _axes(chart, "Lengths on the plant", "length [cm]")
             chart.set_legend({"none": True})
-            summary.insert_chart("F2", chart)
+            summary.insert_chart(below, 0, chart)
         sheet.write_row(0, 4, ["day", *map(cell_value, tables.charts.classes)], self.head)
         for line, (day, counts) in enumerate(days, start=1):
             sheet.write_row(line, 4, [day, *counts])
@@ -352,7 +347,27 @@ class _Writer:
                     }
                 )
             _axes(chart, "Forecast: fruit by class if nothing is picked", "days from the round")
-            summary.insert_chart("F18", chart)
+            summary.insert_chart(below, 3, chart)
+
+
+def _printed(table: Table) -> int:
+    """Return how many of a table's columns are for people on paper."""
+    if table.columns[: len(_READ)] == _READ:
+        return len(_READ)
+    names = [column.name for column in table.columns]
+    most = len(names)
+    # A key at the beginning is what a sheet goes by.
+    return next((n for n, name in enumerate(names) if n > 1 and name in _NOT_PRINTED), most)
+
+
+def _set_page(sheet: Any, high: int = 0) -> None:
+    """Let a sheet be printed on A4, as wide as the paper, its head on every page."""
+    sheet.set_paper(_A4)
+    sheet.set_landscape()
+    sheet.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
+    sheet.fit_to_pages(1, high)
+    sheet.repeat_rows(0)
+    sheet.set_footer("&L&F: &A&Rpage &P of &N")
 
 
 def _axes(chart: Any, title: str, x: str) -> None:

@@ -10,6 +10,7 @@ from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.edits import Edits, change_line
+from cucumbervision.store.insertion import log_action
 from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
@@ -146,17 +147,16 @@ class Corrections(Edits):
                 )
                 if connection.execute(ended.limit(1)).first() is not None:
                     raise _stands_on(action.id)
-            line = insert(Action).values(
-                at_s=time.time(),
-                by=by,
-                kind="undo",
-                round_id=action.round_id,
-                fruit=action.fruit,
-                details={"kind": action.kind},
-                undoes_id=action.id,
-            )
             try:
-                made = connection.execute(line.returning(Action.id)).scalar_one()
+                made = log_action(
+                    connection,
+                    "undo",
+                    by,
+                    action.round_id,
+                    action.fruit,
+                    {"kind": action.kind},
+                    undoes_id=action.id,
+                )
                 for table in (Mark, Link):
                     _end(connection, table, made, table.action_id == action.id)
                     begun_again = update(table).where(table.ended_by_id == action.id)
@@ -307,15 +307,7 @@ def _log(
     fruit: Sequence[DetectionId],
     details: dict[str, Any] | None = None,
 ) -> int:
-    line = insert(Action).values(
-        at_s=time.time(),
-        by=by,
-        kind=kind,
-        round_id=fruit[-1].round_id,
-        fruit=[one.key for one in fruit],
-        details=details or {},
-    )
-    return connection.execute(line.returning(Action.id)).scalar_one()
+    return log_action(connection, kind, by, fruit[-1].round_id, [one.key for one in fruit], details)
 
 
 def _mark(

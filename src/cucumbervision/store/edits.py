@@ -6,15 +6,15 @@ deleted stays in the tables, and is in no list.
 
 from __future__ import annotations
 
-import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import insert, select, update
+from sqlalchemy import select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import row_id_of
 from cucumbervision.store.engine import Database
+from cucumbervision.store.insertion import log_action, row_id_of
 from cucumbervision.store.records import checked_key
 from cucumbervision.store.schema import Action, Round, StopLine
 
@@ -101,15 +101,8 @@ def _edit(
 ) -> int:
     before = {name: getattr(line, name) for name in after}
     details = {"table": table.__tablename__, "key": line.key, "before": before, "after": after}
-    logged = insert(Action).values(
-        at_s=time.time(),
-        by=by,
-        kind=kind,
-        round_id=line.id if table is Round else line.round_id,
-        fruit=[],
-        details=details,
-    )
-    number = connection.execute(logged.returning(Action.id)).scalar_one()
+    round_id = line.id if table is Round else line.round_id
+    number = log_action(connection, kind, by, round_id, details=details)
     change_line(connection, details)
     return number
 

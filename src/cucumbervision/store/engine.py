@@ -6,6 +6,7 @@ A database is brought to the software's own version when it is opened, or refuse
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, contextmanager
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from typing import Self
 
 BUSY_TIMEOUT_S = 30.0
+SIGNED_BY = "cucumbervision_signed_by"
+"""Name of the connections' option that says who writes."""
+
 _WRITES = "cucumbervision_writes"
 _HINTS = (
     ("is locked", "another program is writing to it for a long time; try again"),
@@ -185,6 +189,13 @@ class Database:
     def __init__(self, engine: Engine, images: Path | None) -> None:
         self.engine = engine
         self._images = images
+        self._signed_by = ""
+
+    def signed(self, by: str) -> Self:
+        """Return the same database, where what is done by hand is logged as this person's."""
+        one = copy(self)
+        one._signed_by = by
+        return one
 
     @property
     def name(self) -> str:
@@ -206,9 +217,11 @@ class Database:
         """Open a transaction that only reads."""
         return begin(self.engine)
 
-    def writing(self) -> AbstractContextManager[Connection]:
+    @contextmanager
+    def writing(self) -> Iterator[Connection]:
         """Open a transaction that writes."""
-        return begin(self.engine, write=True)
+        with begin(self.engine, write=True) as connection:
+            yield connection.execution_options(**{SIGNED_BY: self._signed_by})
 
     def close(self) -> None:
         """Close all connections."""

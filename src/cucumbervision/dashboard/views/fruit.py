@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -314,7 +315,9 @@ def _methods(detail: DetectionDetail) -> None:
     if detail.log:
         with st.expander("Changes by hand", icon=":material/history:"):
             for action in detail.log:
-                st.write(f"{action.kind}{' (undone)' if action.undone else ''}")
+                when = time.strftime("%Y-%m-%d %H:%M", time.localtime(action.at_s))
+                undone = " (undone)" if action.undone else ""
+                st.write(plain(f"{when}, {action.by or 'unnamed'}: {action.kind}{undone}"))
 
 
 def _remark(method: MethodRecord, record: DetectionRecord) -> str:

@@ -9,8 +9,7 @@ from sqlalchemy import and_, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.edits import Edits, change_line
-from cucumbervision.store.insertion import log_action
+from cucumbervision.store.edits import Edits, change_line, log_action
 from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (

@@ -6,19 +6,21 @@ deleted stays in the tables, and is in no list.
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import select, update
+from sqlalchemy import insert, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import row_id_of
-from cucumbervision.store.engine import Database
-from cucumbervision.store.insertion import log_action, row_id_of
+from cucumbervision.store.engine import SIGNED_BY, Database
 from cucumbervision.store.records import checked_key
 from cucumbervision.store.schema import Action, Round, StopLine
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from sqlalchemy import Connection
 
 STOP_EDITS = ("place-stop", "delete-stop")
@@ -105,6 +107,31 @@ def _edit(
     number = log_action(connection, kind, by, round_id, details=details)
     change_line(connection, details)
     return number
+
+
+def log_action(
+    connection: Connection,
+    kind: str,
+    by: str,
+    round_id: int | None,
+    fruit: Sequence[str] = (),
+    details: dict[str, Any] | None = None,
+    **cells: Any,
+) -> int:
+    """Add a line to the log and return its number.
+
+    `by` names who did it; without it, who the store is signed by (`Database.signed`).
+    """
+    line = insert(Action).values(
+        at_s=time.time(),
+        by=by or connection.get_execution_options().get(SIGNED_BY, ""),
+        kind=kind,
+        round_id=round_id,
+        fruit=list(fruit),
+        details=details or {},
+        **cells,
+    )
+    return connection.execute(line.returning(Action.id)).scalar_one()
 
 
 def change_line(connection: Connection, details: dict[str, Any], *, back: bool = False) -> None:

@@ -84,13 +84,14 @@ def draw_lengths(
     total = each * len(growth.spreads)
     unslowed = np.empty((days + 1, total, len(fruit)), np.float32)
     newcomers = np.zeros((days + 1, total))
+    [later] = rng.spawn(1)  # today is the same however many days follow it
     for h, spreads in enumerate(growth.spreads):
         z = rng.standard_normal((each, growth.basis.size))
         beta = growth.mean[h] + z @ growth.root[h].T
         unseen = len(histories.basis.rows) - len(growth.basis.rows)
         luck = spreads.row * rng.standard_normal((each, unseen))
         beta = np.insert(beta, [1 + len(growth.basis.rows)] * unseen, luck, axis=1)
-        weather = spreads.day * rng.standard_normal((days, each))
+        weather = spreads.day * later.standard_normal((days, each))
         shared = _Shared(beta, weather, len(histories.basis.rows))
         where = slice(h * each, (h + 1) * each)
         _fill(
@@ -99,9 +100,9 @@ def draw_lengths(
             shared,
             histories.row,
             spreads,
-            rng,
+            (rng, later),
         )
-        newcomers[1:, where] = _newcomers(shared, spreads, rng)
+        newcomers[1:, where] = _newcomers(shared, spreads, later)
     if scale_sd > 0:
         unslowed *= np.exp(scale_sd * rng.standard_normal((total, 1))).astype(np.float32)
     return LengthDraws(unslowed, newcomers)
@@ -151,9 +152,10 @@ def _fill(
     shared: _Shared,
     rows: NDArray[np.intp],
     spreads: Spreads,
-    rng: np.random.Generator,
+    rngs: tuple[np.random.Generator, np.random.Generator],
 ) -> None:
-    """Fill lengths, shape (D, s, N), of some draws."""
+    """Fill lengths, shape (D, s, N), of some draws: today's by one generator, later by another."""
+    rng, later = rngs
     shape = lengths.shape[1:]
     var_x, cov, var_b = filtered.covariance.T
     sd_x = np.sqrt(var_x)
@@ -166,7 +168,7 @@ def _fill(
     rate += shared.rates.astype(np.float32)[:, rows]
     lengths[0] = length
     for day in range(1, len(lengths)):
-        step = rng.standard_normal(shape, np.float32)
+        step = later.standard_normal(shape, np.float32)
         step *= np.float32(spreads.fruit_day)
         step += rate
         step += shared.days[day - 1].astype(np.float32)[:, None]

@@ -294,10 +294,10 @@ def simulate_row(settings: SimulatedRow, seed: int) -> Walk:
     (26, 100)
     """
     rng = np.random.default_rng([11, seed])
-    return walk(simulate_plants(settings, rng), settings, rng)
+    return walk(_simulate_plants(settings, rng), settings, rng)
 
 
-def simulate_plants(settings: SimulatedRow, rng: np.random.Generator) -> Plants:
+def _simulate_plants(settings: SimulatedRow, rng: np.random.Generator) -> Plants:
     """Simulate the fruit of a row; none reaches into another."""
     bodies = np.sort(rng.uniform(0.06, 0.38, SIZES))
     thickness = [2 * float(random_fruit(rng, size, balls=24).radii_m.max()) for size in bodies]

@@ -58,7 +58,7 @@ class FruitState:
     picked: bool = False
 
 
-def check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
+def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
     """Refuse fruit that nothing can be forecast from.
 
     Raises
@@ -262,7 +262,7 @@ def forecast(
     True
     """
     _check(days, draws, scale_sd, level)
-    check_fruit(fruit, [c.name for c in profile.classes])
+    _check_fruit(fruit, [c.name for c in profile.classes])
     left = sorted(
         (f for f in fruit if not f.picked),
         key=lambda f: (natural_key(f.row), f.side, f.position_m, f.fruit_id),

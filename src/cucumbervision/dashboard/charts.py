@@ -38,12 +38,12 @@ OTHERS = {
 }
 
 
-def class_colors(names: Iterable[str]) -> alt.Scale:
+def _class_colors(names: Iterable[str]) -> alt.Scale:
     """Return a scale with a colour for each class: classes in greens, the best darkest and first.
 
     Examples
     --------
-    >>> class_colors(["out of grade", "class I", "class I"]).to_dict()
+    >>> _class_colors(["out of grade", "class I", "class I"]).to_dict()
     {'domain': ['class I', 'out of grade'], 'range': ['#1B7837', '#E69F00']}
     """
     present = set(names)
@@ -100,7 +100,7 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
             ),
             x2="to:Q",
             y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
-            color=alt.Color("class:N", scale=class_colors(x["class"] for x in lines), title=None),
+            color=alt.Color("class:N", scale=_class_colors(x["class"] for x in lines), title=None),
             tooltip=[alt.Tooltip("fruit:Q", title="Fruit"), alt.Tooltip("class:N", title="Class")],
         )
     )
@@ -149,7 +149,7 @@ def map_chart(
             scale=alt.Scale(scheme="viridis", domain=_ends(shown, "length")),
         )
         if by_length
-        else alt.Color("class:N", scale=class_colors(x["class"] for x in shown), title=None)
+        else alt.Color("class:N", scale=_class_colors(x["class"] for x in shown), title=None)
     )
     tooltip = [
         alt.Tooltip("length:Q", title=f"Length [{units.name}]", format=f".{units.digits}f"),
@@ -226,7 +226,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
         x2="to:Q",
         y=alt.Y("expected:Q", title="Fruit"),
         y2="floor:Q",
-        color=alt.Color("class:N", scale=class_colors(names), title=None),
+        color=alt.Color("class:N", scale=_class_colors(names), title=None),
         tooltip=[
             alt.Tooltip("day:N", title="Day"),
             alt.Tooltip("class:N", title="Class"),

@@ -163,8 +163,8 @@ class SharedMeasurer:
         """
         capture = stored_capture(store.images, detail.capture, detail.stop)
         record = detail.view.record
-        refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
-        keypoints = kept_keypoints(record.keypoints, mask)
+        _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
+        keypoints = _kept_keypoints(record.keypoints, mask)
         instance = Instance(
             box_of_mask(mask), record.score, record.label, mask, MaskSource.SAM, None, keypoints
         )
@@ -200,7 +200,7 @@ class SharedMeasurer:
             If the mask is another fruit's.
         """
         taken = next(one for one in stop.captures if one.name == capture.name)
-        refuse_copy(store, stop, taken, mask)
+        _refuse_copy(store, stop, taken, mask)
         instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
         fruit = self._placed(capture, stop, instance, 1, options)
         return store.add_fruit(stop.key, capture.name, fruit)
@@ -299,7 +299,7 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
 COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit
 
 
-def refuse_copy(
+def _refuse_copy(
     store: Store,
     stop: StopRecord,
     capture: CaptureRecord,
@@ -332,7 +332,7 @@ def refuse_copy(
             )
 
 
-def kept_keypoints(
+def _kept_keypoints(
     keypoints: Sequence[Point], mask: NDArray[np.bool_]
 ) -> NDArray[np.float64] | None:
     """Return a fruit's keypoints where its new mask still holds them; else None: they are stale."""

@@ -34,14 +34,14 @@ def note_viewer(session: str, holds: Callable[[], bool] | None) -> None:
         del _inside[next(iter(_inside))]
 
 
-def may_upload(path: str) -> bool:
+def _may_upload(path: str) -> bool:
     """Return whether a request may go on: it uploads nothing, or its viewer is inside.
 
     Examples
     --------
     >>> note_viewer("a", lambda: True)
     >>> paths = ("/_stcore/health", "/_stcore/upload_file/a/1", "/_stcore/upload_file/b/1")
-    >>> [may_upload(path) for path in paths]
+    >>> [_may_upload(path) for path in paths]
     [True, True, False]
     """
     found = _UPLOAD.search(path)
@@ -61,7 +61,7 @@ class UploadGuard:
         self, scope: MutableMapping[str, Any], receive: Callable[..., Any], send: Callable[..., Any]
     ) -> None:
         """Let a request through, or refuse it."""
-        if scope["type"] != "http" or may_upload(scope["path"]):
+        if scope["type"] != "http" or _may_upload(scope["path"]):
             await self._app(scope, receive, send)
             return
         head = [(b"content-type", b"text/plain"), (b"connection", b"close")]

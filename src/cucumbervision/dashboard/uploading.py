@@ -53,12 +53,12 @@ class Outcome:
     words: str
 
 
-def usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
+def _usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
     """Return a camera's usual intrinsics at a picture's size; each single one differs by 1 to 2 %.
 
     Examples
     --------
-    >>> round(usual_intrinsics("RealSense D435 / D435i", 1280, 720).fx_px)
+    >>> round(_usual_intrinsics("RealSense D435 / D435i", 1280, 720).fx_px)
     924
     """
     focal_px = CAMERAS[camera] * height
@@ -143,7 +143,7 @@ def _with_camera(source: AcceptedSource, camera: str) -> AcceptedSource:
         if p.suffix.lower() in COLOR_SUFFIXES and p.name.startswith("rgb")
     )
     height, width = read_color(first).shape[:2]
-    model = CameraModel.of(usual_intrinsics(camera, width, height)).model_dump(mode="json")
+    model = CameraModel.of(_usual_intrinsics(camera, width, height)).model_dump(mode="json")
     path = folder.with_name(f"{folder.name}-camera.json")
     path.write_text(json.dumps(model), encoding="utf-8")
     return replace(source, intrinsics=path)

@@ -324,19 +324,19 @@ def _date(started_s: float, day: int) -> str:
 
 
 def _charts(table: Sequence[RoundFruit], forecast: Forecast | None) -> Charts:
-    bins = length_bins([100 * length for length in _hanging_m(table)])
+    bins = _length_bins([100 * length for length in _hanging_m(table)])
     if forecast is None:
         return Charts(bins)
     days = zip(forecast.days.tolist(), forecast.house.expected.round(2).tolist(), strict=True)
     return Charts(bins, forecast.classes, tuple((day, tuple(counts)) for day, counts in days))
 
 
-def length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...]:
+def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...]:
     """Count lengths in bins of 2 cm, from inclusive to exclusive, without gaps.
 
     Examples
     --------
-    >>> length_bins([21.0, 22.0, 27.9])
+    >>> _length_bins([21.0, 22.0, 27.9])
     ((20, 22, 1), (22, 24, 1), (24, 26, 0), (26, 28, 1))
     """
     # To 0.01 mm, as in the tables: 0.22 m are 22 cm and not a hair less.

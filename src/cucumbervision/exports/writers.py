@@ -61,7 +61,7 @@ def write_exports(
         ExportFormat.XLSX: _write_round_workbook,
         ExportFormat.PARQUET: _write_parquet,
         ExportFormat.JSON: _write_json_round,
-        ExportFormat.HTML: write_sheet,
+        ExportFormat.HTML: _write_sheet,
     }
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -434,7 +434,7 @@ def stacks(charts: Charts) -> tuple[tuple[int, tuple[Bar, ...]], ...]:
     return tuple(found)
 
 
-def write_sheet(tables: RoundTables, out: Path) -> list[Path]:
+def _write_sheet(tables: RoundTables, out: Path) -> list[Path]:
     """Write `round.html`.
 
     Raises

@@ -147,7 +147,7 @@ class _Pool:
                 try:
                     return alone.submit(_do, task).result()
                 except BrokenProcessPool:
-                    return outcome_of_killed(task)
+                    return _outcome_of_killed(task)
 
     def close(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -181,7 +181,7 @@ def choose_engine(name: str, workers: int = 0, address: str = "") -> Engine:
     return Processes(workers) if workers > 1 else in_process
 
 
-def outcome_of_killed(task: Task) -> Outcome:
+def _outcome_of_killed(task: Task) -> Outcome:
     """Return the outcome of a task whose process was killed twice."""
     one = task.listed
     error = CaptureError(

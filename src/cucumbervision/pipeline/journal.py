@@ -100,14 +100,14 @@ class Record:
 
     @classmethod
     def from_line(cls, line: bytes) -> Record:
-        """Return the record of a line that `is_whole` has let pass."""
+        """Return the record of a line that `_is_whole` has let pass."""
         values = json.loads(line[_START:])
         values["failures"] = tuple(Failure(**failure) for failure in values["failures"])
         values["stages"] = tuple(values["stages"])
         return cls(place=line[_CHECK + 1 : _START - 1].decode(), **values)
 
 
-def is_whole(line: bytes) -> bool:
+def _is_whole(line: bytes) -> bool:
     """Return whether a line is a record, written to its end and not changed since."""
     if len(line) <= _START or not line.endswith(b"\n") or line[_CHECK : _CHECK + 1] != b" ":
         return False
@@ -156,7 +156,7 @@ class Journal:
         at = 0
         with self._segments[number].open("rb") as file:
             for line in file:
-                if is_whole(line):
+                if _is_whole(line):
                     self._index[_key(line)] = number, at, len(line)
                 elif line.strip() and not line.startswith(b"{"):
                     self.damaged += 1

@@ -267,7 +267,7 @@ def merge_row(
     True
     """
     settings, by_hand = settings or MergeSettings(), by_hand or ByHand()
-    crowd = Crowd.of(views, views_per_m(stops, views))
+    crowd = Crowd.of(views, _views_per_m(stops, views))
     start = prior_stops(stops)
     i, j = _candidates(start, views)
     one_side = stops.side[views.stop[i]] == stops.side[views.stop[j]]
@@ -304,14 +304,14 @@ def merge_row(
     )
 
 
-def views_per_m(stops: RowStops, views: RowViews) -> float:
+def _views_per_m(stops: RowStops, views: RowViews) -> float:
     """Return how many views a capture has per metre of row that it shows.
 
     Examples
     --------
     >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(per_m=10, fruit=200), seed=1)
-    >>> 8 < views_per_m(row.stops, row.views) < 12
+    >>> 8 < _views_per_m(row.stops, row.views) < 12
     True
     """
     if not len(views):

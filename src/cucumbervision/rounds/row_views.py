@@ -196,7 +196,7 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> Floats:
     return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
 
 
-def size_ratio(
+def _size_ratio(
     first: Floats, second: Floats, sd: Floats, partial: tuple[Bools, Bools], width: float
 ) -> Floats:
     """Return the log likelihood ratio of two sizes: of one fruit, against those of any other two.
@@ -216,9 +216,9 @@ def size_ratio(
     Examples
     --------
     >>> a, b, no = np.array([0.30, 0.30]), np.array([0.30, 0.20]), np.zeros(2, bool)
-    >>> size_ratio(a, b, np.full(2, 0.02), (no, no), 1.0).round(1).tolist()
+    >>> _size_ratio(a, b, np.full(2, 0.02), (no, no), 1.0).round(1).tolist()
     [2.9, -2.6]
-    >>> size_ratio(b, a, np.full(2, 0.02), (~no, no), 1.0).round(1).tolist()
+    >>> _size_ratio(b, a, np.full(2, 0.02), (~no, no), 1.0).round(1).tolist()
     [-0.8, -0.2]
     """
     from scipy.special import ndtr
@@ -244,8 +244,10 @@ def shape_ratio(views: RowViews, i: Ints, j: Ints, crowd: Crowd) -> Floats:
     length_sd = np.hypot(views.length_sd[i], views.length_sd[j])
     diameter_sd = np.hypot(views.diameter_sd[i], views.diameter_sd[j])
     hidden = views.partial[i], views.partial[j]
-    length = size_ratio(views.length_m[i], views.length_m[j], length_sd, hidden, crowd.length_width)
-    diameter = size_ratio(
+    length = _size_ratio(
+        views.length_m[i], views.length_m[j], length_sd, hidden, crowd.length_width
+    )
+    diameter = _size_ratio(
         views.diameter_m[i], views.diameter_m[j], diameter_sd, (whole, whole), crowd.diameter_width
     )
     return length + diameter

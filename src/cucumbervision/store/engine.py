@@ -148,7 +148,7 @@ def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
     StoreError
         If the database reports an error.
     """
-    with store_errors(engine.url), engine.connect() as connection:
+    with _store_errors(engine.url), engine.connect() as connection:
         options: dict[str, Any] = {_WRITES: write}
         if not write and connection.dialect.name == "postgresql":
             options["isolation_level"] = "REPEATABLE READ"
@@ -158,7 +158,7 @@ def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
 
 
 @contextmanager
-def store_errors(url: URL) -> Iterator[None]:
+def _store_errors(url: URL) -> Iterator[None]:
     """Turn the database's errors into one line with a remedy.
 
     Raises

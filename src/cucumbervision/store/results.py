@@ -76,7 +76,7 @@ def records_from_result(
     position_sd_m : float, optional
         How sure the position is; place and time are the first capture's.
     images : ImageStore, optional
-        As in `capture_record`.
+        None keeps no pictures.
     """
     first = results[0].capture if results else None
     when = first.timestamp_s if first else None
@@ -86,13 +86,13 @@ def records_from_result(
         **asdict(first.stop if first else Stop()),
         position_sd_m=position_sd_m,
         taken_s=time.time() if when is None else when,
-        captures=tuple(capture_record(one, images) for one in results),
-        artifacts=() if measurer is None else artifact_records(measurer),
+        captures=tuple(_capture_record(one, images) for one in results),
+        artifacts=() if measurer is None else _artifact_records(measurer),
         failures=tuple(vars(failure) for one in results for failure in one.failures),
     )
 
 
-def capture_record(result: CaptureResult, images: ImageStore | None = None) -> CaptureRecord:
+def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> CaptureRecord:
     """Return a record of one capture; its pictures are put into `images`.
 
     Parameters
@@ -170,7 +170,7 @@ def view_score(fruit: FruitMeasurement) -> float:
     return round(score * 0.5**halved, 6)
 
 
-def artifact_records(measurer: Measurer) -> tuple[ArtifactRecord, ...]:
+def _artifact_records(measurer: Measurer) -> tuple[ArtifactRecord, ...]:
     """Return software, configuration, networks and calibration that a measurer measures with."""
     options, site = measurer.options, measurer.site
     records = [

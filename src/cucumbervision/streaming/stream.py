@@ -34,14 +34,14 @@ LONGEST_GAP_S = 1.0
 AGAIN_AFTER = 10  # frames: until then a fruit seen from the same place is not measured again
 
 
-def fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
+def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
     """Return options for speed: the detector's masks at 640 pixels, no SAM, no keypoints.
 
     What the options say of runtime, confidence, calibration and reading stays.
 
     Examples
     --------
-    >>> fast = fast_options()
+    >>> fast = _fast_options()
     >>> fast.segmenter, fast.keypoints, fast.input_sizes, fast.full_precision
     ('none', False, (640,), False)
 
@@ -196,8 +196,8 @@ class FruitStream:
 
     @classmethod
     def fast(cls, options: MeasureOptions | None = None) -> FruitStream:
-        """Return a stream for speed, as `fast_options` says; one fruit is measured a frame."""
-        return cls(Measurer(fast_options(options)), fits=FAST_FITS)
+        """Return a stream for speed: half precision, no SAM, one fruit measured a frame."""
+        return cls(Measurer(_fast_options(options)), fits=FAST_FITS)
 
     def follow(
         self, arrivals: Iterable[Arrival[Capture | Failure]]

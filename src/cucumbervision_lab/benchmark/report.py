@@ -125,13 +125,13 @@ def write_benchmark_report(
     parts = parts_of(readings)
     beside = paper_section(readings)
     sections = [beside] if beside else []
-    sections += [suite_section(part, suite, masks, level) for suite, masks, part in parts]
+    sections += [_suite_section(part, suite, masks, level) for suite, masks, part in parts]
     if experiments:
         sections.append(Section("Experiments", (), tuple(experiments.values())))
     return page.write_report(
         out,
         "CucumberVision benchmark",
-        glance_table(parts),
+        _glance_table(parts),
         sections,
         notes=[("", NOTES["summary"])],
         provenance=provenance,
@@ -144,7 +144,7 @@ def write_benchmark_report(
     )
 
 
-def glance_table(parts: Iterable[tuple[Suite, Masks, pd.DataFrame]]) -> Table:
+def _glance_table(parts: Iterable[tuple[Suite, Masks, pd.DataFrame]]) -> Table:
     """Sum parts up: M6 beside the oracle and the paper's M5.
 
     Parameters
@@ -194,7 +194,7 @@ def parts_of(readings: pd.DataFrame) -> list[tuple[Suite, Masks, pd.DataFrame]]:
     return [part for part in parts if len(part[2])]
 
 
-def suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks, level: float) -> Section:
+def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks, level: float) -> Section:
     """Return the section over one suite and kind of masks.
 
     Parameters

@@ -53,7 +53,7 @@ TRUTH_OF = {
 KEYS = tuple(TRUTH_OF)
 
 
-def reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
+def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
     """Return what was known of one reading at run time; None where nothing was read.
 
     Parameters
@@ -88,7 +88,7 @@ def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> Interval
     for key, truth in TRUTH_OF.items():
         names = TUBE_FEATURES if key.startswith("M6") else RAW_FEATURES
         rows = readings[(readings["method"] == key) & readings[truth].notna()]
-        known = [one for one in rows.apply(reading_features, axis=1).items() if one[1] is not None]
+        known = [one for one in rows.apply(_reading_features, axis=1).items() if one[1] is not None]
         rows = rows.loc[[label for label, _ in known]]
         errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
         features = {name: np.array([said[name] for _, said in known]) for name in names}
@@ -117,7 +117,7 @@ def with_intervals(
     """
     ends = {}
     for label, reading in readings[readings["method"].isin(KEYS)].iterrows():
-        features = reading_features(reading)
+        features = _reading_features(reading)
         if features is not None:
             scale = 1.0 if scale_known else reading["depth_scale"]
             length_m = reading["length_m"] * scale

@@ -114,12 +114,12 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
     return tables
 
 
-def card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
+def _card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
     """Return the figures of `results.json` that a model's card holds.
 
     Examples
     --------
-    >>> card_numbers({"pictures": 3, "groups": [1, 2], "photos": {"photos": 2, "false": [1]}})
+    >>> _card_numbers({"pictures": 3, "groups": [1, 2], "photos": {"photos": 2, "false": [1]}})
     {'pictures': 3, 'photos': {'photos': 2}}
     """
     card = {key: numbers[key] for key in _CARD_KEYS if numbers.get(key)}
@@ -158,7 +158,7 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
     with _made(out):
         numbers = _numbers(result, summary)
         write_json(out / JSON_NAME, numbers)
-        write_json(out / CARD_NAME, card_numbers(numbers))
+        write_json(out / CARD_NAME, _card_numbers(numbers))
         _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
         _write_rows(out / "detections.csv", summary.found, FoundRow)
         _write_rows(out / "ends.csv", summary.end_rows, EndRow)

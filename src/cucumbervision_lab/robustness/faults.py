@@ -188,7 +188,7 @@ def _clock_back(folder: Path) -> Outcome:
     return Outcome("the clock is set back by a day", ran.line("stops added"), "three stops", lost)
 
 
-def kill_worker(folder: Path) -> Outcome:
+def _kill_worker(folder: Path) -> Outcome:
     """Kill one of two workers of `measure` in the middle of its work."""
     source = captures(folder / "in", 6)
     command("measure", source, "--out", folder / "whole", *MASKS)
@@ -208,7 +208,7 @@ def kill_worker(folder: Path) -> Outcome:
     return Outcome("a worker is killed (kill -9)", ran.line("fruit measured"), kept, lost)
 
 
-def kill_measure(folder: Path) -> Outcome:
+def _kill_measure(folder: Path) -> Outcome:
     """Kill `measure` after two captures of six, while two workers measure; then begin it again."""
     source, out = captures(folder / "in", 6), folder / "out"
     command("measure", source, "--out", folder / "whole", *MASKS)
@@ -230,7 +230,7 @@ def kill_measure(folder: Path) -> Outcome:
     return Outcome("`measure` itself is killed (kill -9)", "no tables yet", kept, lost)
 
 
-def kill_rounds(
+def _kill_rounds(
     folder: Path, kills: int, seed: int = 1, tick: Callable[[int], None] | None = None
 ) -> Outcome:
     """Kill `round add` with signal 9 at random moments and begin it again, until it is through.
@@ -395,8 +395,8 @@ FAULTS: dict[str, Callable[[Path], Outcome]] = {
     "disk": _disk_full,
     "permission": _no_permission,
     "unreadable": _unreadable_folder,
-    "worker": kill_worker,
-    "measure": kill_measure,
+    "worker": _kill_worker,
+    "measure": _kill_measure,
     "s3": s3_gone,
     "postgres": _postgres_gone,
     "camera": _camera_gone,
@@ -446,7 +446,7 @@ def try_faults(
             tick(1)
     if kills:
         with tempfile.TemporaryDirectory(prefix="fault-") as tmp:
-            found.append(kill_rounds(Path(tmp), kills, seed, tick))
+            found.append(_kill_rounds(Path(tmp), kills, seed, tick))
     return found
 
 

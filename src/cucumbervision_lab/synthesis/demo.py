@@ -197,7 +197,7 @@ def _vine(rng: np.random.Generator, tube: Tube) -> tuple[Stem, Stem, Stem]:
     return Stem(line, 0.0045), Stem(stalk, 0.0022), Stem(twine, 0.001)
 
 
-def draw_scene(
+def _draw_scene(
     demo: DemoScene, frames: int = FRAMES
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], tuple[FruitTruth, ...]]:
     """Render a burst of a scene.
@@ -275,7 +275,7 @@ def write_demo(folder: Path, scenes: Sequence[DemoScene] = SCENES) -> list[Path]
 
 
 def _write_scene(folder: Path, scene: DemoScene, step: int) -> Path:
-    colors, depths, truth = draw_scene(scene)
+    colors, depths, truth = _draw_scene(scene)
     capture = Capture(
         colors[0],
         depths[0],

@@ -91,7 +91,7 @@ class Matched:
     unsure: NDArray[np.bool_]
 
 
-def smooth_field(
+def _smooth_field(
     shape: tuple[int, ...], sigma_px: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     """Generate normal noise, smooth over some pixels, of mean 0 and standard deviation 1.
@@ -111,7 +111,7 @@ def smooth_field(
 
     Examples
     --------
-    >>> field = smooth_field((300, 400), 6.0, np.random.default_rng(1))
+    >>> field = _smooth_field((300, 400), 6.0, np.random.default_rng(1))
     >>> round(float(field.std()), 1), round(float(np.corrcoef(field[:-6].ravel(),
     ...     field[6:].ravel())[0, 1]), 1)  # by hand: exp(-6² / (4 · 6²)) = 0.78
     (1.0, 0.8)
@@ -130,7 +130,7 @@ def smooth_field(
     return np.asarray(field * strength, np.float32)
 
 
-def hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which pixels of the left imager the right one cannot see.
 
     The point at column x is seen at x - d by the right imager; it is hidden when something
@@ -145,7 +145,7 @@ def hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     Examples
     --------
     >>> row = np.array([[2, 2, 2, 2, 2, 5, 5, 2, 2]], np.float32)
-    >>> hidden_from_right(row)[0].astype(int).tolist()
+    >>> _hidden_from_right(row)[0].astype(int).tolist()
     [0, 0, 1, 1, 1, 0, 0, 0, 0]
     """
     at = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
@@ -181,7 +181,7 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     sharp = _fattened(disparity_px, matcher, rng)
     read = np.asarray(soft + apart * (sharp - soft), np.float32)
 
-    clump = smooth_field(read.shape, matcher.clump_px / 2, rng)
+    clump = _smooth_field(read.shape, matcher.clump_px / 2, rng)
     # Small steps leave holes where the ramp is steep, great ones a gap on the farther side.
     slope = (1 - apart) * _steps(soft, 3) / np.float32(2)
     lost = slope > np.float32(matcher.steep) * (np.float32(1) + np.float32(0.25) * clump)
@@ -191,7 +191,7 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     lost |= border & (clump < _quantile(matcher.border_lost))
     flying = lost & (rng.random(read.shape, dtype=np.float32) < matcher.flying_share)
     read[flying] = soft[flying]
-    hidden = hidden_from_right(read)
+    hidden = _hidden_from_right(read)
     lost = (lost & ~flying) | (hidden & (clump < _quantile(1 - matcher.hidden_filled)))
     lost |= _thin(disparity_px, matcher) & (clump < _quantile(matcher.thin_lost))
     lost |= rng.random(read.shape, dtype=np.float32) < matcher.speckle
@@ -215,7 +215,7 @@ def _fattened(
 ) -> NDArray[np.float32]:
     # The matching window sees the nearer side's edge before its middle is there; how much before
     # depends on the texture, so the border is ragged.
-    texture = smooth_field(disparity_px.shape, 3.0, rng)
+    texture = _smooth_field(disparity_px.shape, 3.0, rng)
     fat = disparity_px.copy()
     for k in range(1, matcher.fatten_px + 1):
         grown = cv2.dilate(disparity_px, _disc(k))
@@ -372,7 +372,7 @@ def sense(
     exact = np.divide(focal_baseline, depth, out=np.zeros_like(depth), where=depth > 0)
     matched = match(exact, camera.matcher, rng)
     valid = matched.valid & ~_lost_on_surfaces(view, seen_by, camera, rng)
-    waves = smooth_field(exact.shape, camera.correlation_px, rng)
+    waves = _smooth_field(exact.shape, camera.correlation_px, rng)
     waves *= np.float32(camera.disparity_rms_px * np.sqrt(camera.fixed_share))
     settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
     base = np.where(valid, focal_baseline / settled, 0).astype(np.float32)
@@ -393,7 +393,7 @@ def _frame(
     camera: D4xx,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    fresh = smooth_field(settled_px.shape, camera.correlation_px, rng)
+    fresh = _smooth_field(settled_px.shape, camera.correlation_px, rng)
     fresh *= np.float32(camera.disparity_rms_px * np.sqrt(1 - camera.fixed_share))
     fresh += settled_px
     step = np.float32(camera.subpixel_step_px)
@@ -413,7 +413,7 @@ def _lost_on_surfaces(
 ) -> NDArray[np.bool_]:
     lost = np.zeros(view.depth_m.shape, np.bool_)
     if camera.foliage_holes > 0 and (view.kind == Kind.LEAF).any():
-        clump = smooth_field(lost.shape, 2 * camera.matcher.clump_px, rng)
+        clump = _smooth_field(lost.shape, 2 * camera.matcher.clump_px, rng)
         lost |= (view.kind == Kind.LEAF) & (clump < np.quantile(clump, camera.foliage_holes))
     if camera.glare_holes > 0 and (view.kind == Kind.FRUIT).any():
         grid = ray_grid(seen_by)
@@ -422,7 +422,7 @@ def _lost_on_surfaces(
         towards = -np.stack([grid.x[v, u], grid.y[v, u], np.ones(len(v))], axis=1)
         half = towards / np.linalg.norm(towards, axis=1)[:, None] + light / np.linalg.norm(light)
         shine = (view.normal[v, u] * half).sum(axis=1) / np.linalg.norm(half, axis=1)
-        wobble = 0.03 * smooth_field(lost.shape, camera.matcher.clump_px, rng)[v, u]
+        wobble = 0.03 * _smooth_field(lost.shape, camera.matcher.clump_px, rng)[v, u]
         shining = shine + wobble
         gone = shining > np.quantile(shining, 1 - camera.glare_holes)
         lost[v[gone], u[gone]] = True

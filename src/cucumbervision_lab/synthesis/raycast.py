@@ -129,7 +129,7 @@ def scaled_camera(camera: Intrinsics, factor: float) -> Intrinsics:
     )
 
 
-def ball_bounds(
+def _ball_bounds(
     centre_m: NDArray[np.float64], radius_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the corners, in rays, of the rectangle that a ball's outline just fits in.
@@ -155,7 +155,7 @@ def ball_bounds(
     --------
     A ball straight ahead is seen within tan(asin(r / z)):
 
-    >>> low, high = ball_bounds(np.array([0.0, 0.0, 0.5]), 0.3)
+    >>> low, high = _ball_bounds(np.array([0.0, 0.0, 0.5]), 0.3)
     >>> high.round(6).tolist()
     [0.75, 0.75]
     """
@@ -209,7 +209,7 @@ def cast_tube(tube: Tube, camera: Intrinsics) -> Hit | None:
     gap = np.linalg.norm(np.diff(tube.centres_m[coarse], axis=0), axis=1).max()
     swell = 1.0 if step == 1 else 1.0 + 2 * (gap / tube.radii_m.min()) ** 2 / 8
     windows = [
-        grid.window(*ball_bounds(tube.centres_m[k], swell * tube.radii_m[k])) for k in coarse
+        grid.window(*_ball_bounds(tube.centres_m[k], swell * tube.radii_m[k])) for k in coarse
     ]
     hit = _empty_hit(windows)
     if hit is None:
@@ -308,7 +308,7 @@ def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
     """
     vertices_m, radius_m = stem.vertices_m, stem.radius_m
     grid = ray_grid(camera)
-    bounds = [ball_bounds(vertex, radius_m) for vertex in vertices_m]
+    bounds = [_ball_bounds(vertex, radius_m) for vertex in vertices_m]
     windows = [
         grid.window(np.minimum(a[0], b[0]), np.maximum(a[1], b[1])) for a, b in pairwise(bounds)
     ]

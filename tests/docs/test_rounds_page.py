@@ -9,7 +9,7 @@ from pathlib import Path
 
 import typer
 
-from cucumbervision.cli.round import app
+from cucumbervision.cli.app import app
 from cucumbervision.rounds.poses import PoseLine
 
 PAGE = Path(__file__).parents[2] / "docs" / "rounds.md"
@@ -29,7 +29,7 @@ def test_every_pose_column_is_named() -> None:
 
 def test_commands_and_options_exist() -> None:
     command = typer.main.get_command(app)
-    known = getattr(command, "commands", {})
+    known = getattr(getattr(command, "commands", {})["round"], "commands", {})
     lines = re.findall(
         r"^cucumbervision round (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
     )

@@ -25,10 +25,15 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.frames import Capture, median_depth
-from cucumbervision.measurement.intervals import shipped_interval_models, tube_features
-from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.result import Flag
+from cucumbervision.measurement.intervals import (
+    mask_features,
+    shipped_interval_models,
+    tube_features,
+)
+from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
+from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
@@ -42,7 +47,6 @@ from cucumbervision_lab.synthesis.scene import render
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision.perception.instances import Instance
     from cucumbervision_lab.benchmark.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]
@@ -68,7 +72,7 @@ def drawn_case(number: int) -> Case:
     )
 
 
-def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
+def drawn_views(case: Case, find: Find | None) -> tuple[float, list[tuple[FruitView, Instance]]]:
     """Return the true centreline, and the fruit from the middle stop and those beside it."""
     scene = build_scene(case)
     views = []
@@ -85,26 +89,36 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
         pose[:3, 3] = np.array([k * SPACING_M, 0.0, 0.0]) + rng.normal(0, PLACE_SD_M, 3)
         if find is None:
             mask = disturb_mask(mask, draw_disturbance(mask.shape, 1.5, rng))
+            fruit = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
         else:
             color = paint_scene(seen, drawn, np.random.default_rng(case.capture_seed + 2))
-            fruit = found_at(box_of_mask(mask), find(Capture(color, depth, CAMERA, "drawn")))
-            if fruit is None or fruit.mask is None:
+            found = found_at(box_of_mask(mask), find(Capture(color, depth, CAMERA, "drawn")))
+            if found is None or found.mask is None:
                 continue
-            mask = fruit.mask
-        views.append(FruitView(depth, mask, CAMERA, pose))
+            fruit, mask = found, found.mask
+        views.append((FruitView(depth, mask, CAMERA, pose), fruit))
     return scene.fruit[0].centreline_m, views
+
+
+def measured_alone(view: FruitView, fruit: Instance) -> tuple[float, dict[str, float], bool] | None:
+    """Return the length of one view, what its interval rests on, and whether it shows all."""
+    dark = np.zeros((*view.mask.shape, 3), np.uint8)
+    capture = Capture(dark, view.depth_m, view.intrinsics, "drawn")
+    one = measure_fruit(capture, fruit, (Method.M6,))
+    if one.fit is None or one.selected is None or one.selected.length_m is None:
+        return None
+    features = mask_features(one.mask_source, one.flags)
+    return one.selected.length_m, tube_features(one.selected) | features, not one.at_least
 
 
 def measured(number: int, find: Find | None) -> dict[str, Any]:
     """Measure one fruit from each stop alone, and as one tube in the first two and all three."""
-    true_m, views = drawn_views(drawn_case(number), find)
-    alone = [measure_m6(view.depth_m, view.mask, view.intrinsics) for view in views]
-    good = [k for k, one in enumerate(alone) if one.fit is not None]
+    true_m, seen = drawn_views(drawn_case(number), find)
+    views = [view for view, _ in seen]
+    alone = [measured_alone(*one) for one in seen]
+    good = [k for k, one in enumerate(alone) if one is not None]
     found: dict[str, Any] = {"number": number, "true_m": true_m, "alone": [], "one": []}
-    for k in good:
-        fit = alone[k].fit
-        whole = fit is not None and Flag.END_HIDDEN not in fit.flags
-        found["alone"].append((alone[k].length_m, tube_features(alone[k]), whole))
+    found["alone"] = [alone[k] for k in good]
     for count in range(1, len(good) + 1):
         start = process_time()
         one = measure_views([views[k] for k in good[:count]])
@@ -121,7 +135,7 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
     book, true_m, found = shipped_interval_models(), row["true_m"], {}
     for count in (1, 2, 3):
         some = row["alone"][:count]
-        some = [one for one in some if one[2]] or some
+        some = [one for one in some if one[2]] or some  # as rounds do
         lengths = np.array([one[0] for one in some])
         ends = np.array([book.models["M6"].interval(*one[:2]) for one in some])
         sds = np.log(ends[:, 1] / ends[:, 0]) / (2 * LENGTH_Z)

@@ -13,6 +13,8 @@ from cucumbervision.measurement.intervals import (
     Band,
     IntervalModel,
     IntervalModels,
+    feature_groups,
+    mask_features,
     shipped_interval_models,
 )
 from cucumbervision.measurement.result import (
@@ -117,6 +119,59 @@ def test_an_interval_that_says_nothing_is_left_out_and_flagged(
         assert fruit.length is not None
         assert (fruit.length.low_m is None) is flagged
         assert (Flag.INTERVAL_TOO_WIDE in fruit.flags) is flagged
+
+
+def test_a_group_too_small_to_have_a_band_takes_that_of_the_next_larger_one() -> None:
+    edges = (("perceived", (0.5,)), ("tilt", (0.3, 0.6)))
+    bands = {"": Band(0.0, 1.0, 1.0, 900), "1": Band(0.0, 2.0, 2.0, 90)}
+    bands["1-2"] = Band(0.0, 4.0, 4.0, 60)
+    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands, edges)
+    assert feature_groups(edges, {"perceived": 1.0, "tilt": 0.5}) == ["1-1", "1", ""]
+    found = [
+        model.band({"perceived": perceived, "tilt": tilt}).low_quantile
+        for perceived, tilt in ((0.0, 0.9), (1.0, 0.5), (1.0, 0.9))
+    ]
+    assert found == [1.0, 2.0, 4.0]
+
+
+def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
+    def telling(source: MaskSource | None, *flags: Flag) -> set[str]:
+        return {name for name, value in mask_features(source, flags).items() if value}
+
+    assert telling(MaskSource.SAM, Flag.END_HIDDEN) == {"perceived", "goes_on"}
+    assert telling(MaskSource.SAM, Flag.ENDS_DISAGREE) == {"perceived", "ends_disagree"}
+    both = Flag.ENDS_DISAGREE, Flag.CUT_BY_FRAME
+    assert telling(MaskSource.DETECTOR, *both) == {"perceived", "own_mask", "cut", "goes_on"}
+    assert telling(None) == {"perceived"}
+    assert telling(MaskSource.DATASET, Flag.END_HIDDEN, Flag.ENDS_DISAGREE) == set()
+    assert telling(MaskSource.DATASET, Flag.CUT_BY_FRAME) == {"cut"}
+
+
+def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
+    seen: tuple[Capture, Instance],
+) -> None:
+    capture, given = seen
+    assert given.mask is not None
+    mask = given.mask.copy()
+    mask[:, : int(given.box[[0, 2]].mean())] = False
+    mask[int(given.box[[1, 3]].mean()), int(given.box[2]) :] = True  # on to the edge
+    fruit = measure_fruit(capture, replace(given, mask=mask), models=MODELS)
+    assert Flag.CUT_BY_FRAME in fruit.flags
+    assert fruit.length is not None
+    assert fruit.length.value_m > 0
+    assert (fruit.length.low_m, fruit.length.high_m) == (None, None)
+    assert Flag.INTERVAL_TOO_WIDE not in fruit.flags
+
+
+def test_a_perceived_masks_interval_is_its_own_groups(seen: tuple[Capture, Instance]) -> None:
+    capture, given = seen
+    bands = {"": Band(0.0, 1.0, 1.0, 100), "1": Band(0.0, 3.0, 3.0, 100)}
+    model = IntervalModel("M6", 0.9, (), (np.log(0.01),), bands, (("perceived", (0.5,)),))
+    models = IntervalModels(0.9, {"M6": model}, 100)
+    for source, spread in ((MaskSource.DATASET, 0.01), (MaskSource.SAM, 0.03)):
+        fruit = (capture, replace(given, mask_source=source))
+        length = length_of(fruit, LengthDefinition.CENTRELINE, models=models)
+        assert length.high_m == pytest.approx(length.value_m * np.exp(spread))
 
 
 def test_the_shipped_models_know_every_method() -> None:

@@ -14,12 +14,14 @@ from scipy.special import ndtri
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, refusing
 from cucumbervision.measurement.result import (
+    LOWER_BOUND,
     Flag,
     IntervalBasis,
     Length,
     LengthDefinition,
     calibration_key,
 )
+from cucumbervision.perception.instances import MaskSource
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -65,7 +67,8 @@ class IntervalModel:
     weights : tuple of float
         c0 and one weight a feature, of log(relative sigma).
     bands : dict of str to Band
-        By group: '' for all, and '0-1' and so on for groups by `edges`.
+        By group (`feature_groups`): '' for all, '1' and '1-0' for those alike in the first of
+        the `edges`, and so on.
     edges : tuple of (str, tuple of float)
         Features by which fruit are grouped, and where one group ends (Mondrian conformal
         prediction; Vovk et al. 2005): within each group the interval covers by itself.
@@ -84,8 +87,8 @@ class IntervalModel:
         return float(np.exp(np.clip(row @ np.array(self.weights), np.log(FLOOR), 0.0)))
 
     def band(self, values: Mapping[str, float]) -> Band:
-        """Return the group's band, or that of all where the group was too small to have one."""
-        return self.bands.get(feature_group(self.edges, values), self.bands[""])
+        """Return the band of the smallest group that had enough readings to have one."""
+        return next(self.bands[g] for g in feature_groups(self.edges, values) if g in self.bands)
 
     def interval(
         self, length_m: float, values: Mapping[str, float], scale_sd: float = 0.0
@@ -124,11 +127,18 @@ class IntervalModel:
         )
 
 
-def feature_group(edges: Sequence[tuple[str, Sequence[float]]], values: Mapping[str, float]) -> str:
-    """Return the name of the group that a measurement's features fall into."""
-    return "-".join(
-        str(int(np.searchsorted(limits, values.get(name, 0.0)))) for name, limits in edges
-    )
+def feature_groups(
+    edges: Sequence[tuple[str, Sequence[float]]], values: Mapping[str, float]
+) -> list[str]:
+    """Return the groups that a measurement's features fall into, from the smallest to all.
+
+    Examples
+    --------
+    >>> feature_groups((("tilt", (0.25, 0.5)), ("hidden", (0.1,))), {"tilt": 0.3})
+    ['1-0', '1', '']
+    """
+    places = [str(int(np.searchsorted(limits, values.get(name, 0.0)))) for name, limits in edges]
+    return ["-".join(places[:count]) for count in range(len(places), -1, -1)]
 
 
 def _normal_quantile(level: float) -> float:
@@ -194,6 +204,36 @@ def raw_features(length_m: float, distance_m: float, fill: float) -> dict[str, f
         "distance_m": distance_m,
         "holes": 1.0 - fill,
         "log_pixels": float(np.log(max(length_m, 1e-3) / distance_m)),
+    }
+
+
+def mask_features(source: MaskSource | None, flags: Sequence[Flag]) -> dict[str, float]:
+    """Return the features that tell who drew the mask that was measured, and what it lacks.
+
+    Parameters
+    ----------
+    source : MaskSource, optional
+        Who drew it; None without one.
+    flags : sequence of Flag
+        What else is known of the fruit.
+
+    Examples
+    --------
+    >>> set(mask_features(MaskSource.DATASET, [Flag.ENDS_DISAGREE]).values())
+    {0.0}
+    >>> [name for name, value in mask_features(MaskSource.SAM, [Flag.END_HIDDEN]).items() if value]
+    ['perceived', 'goes_on']
+    """
+    # Given keypoints are the truth's own, as no network's are: they shall tell nothing here.
+    given = source is MaskSource.DATASET
+    goes_on = not given and not LOWER_BOUND.isdisjoint(flags)
+    return {
+        "perceived": float(not given),
+        "own_mask": float(source is MaskSource.DETECTOR),
+        "cut": float(Flag.CUT_BY_FRAME in flags),
+        "goes_on": float(goes_on),
+        # Of a fruit that goes on out of sight the keypoints' ends are guesses.
+        "ends_disagree": float(not (given or goes_on) and Flag.ENDS_DISAGREE in flags),
     }
 
 
@@ -270,6 +310,7 @@ def with_interval(
     measurement: Measurement,
     distance_m: float,
     fill: float,
+    mask: Mapping[str, float],
     *,
     scale_known: bool,
     models: IntervalModels | None = None,
@@ -285,6 +326,8 @@ def with_interval(
         Where the length is from.
     distance_m, fill : float
         Median depth, and share of pixels with a reading, of the mask or box.
+    mask : mapping of str to float
+        What is known of the mask (`mask_features`).
     scale_known : bool
         Whether the camera's depth scale was measured with a bar of known length.
     models : IntervalModels, optional
@@ -293,10 +336,13 @@ def with_interval(
     Returns
     -------
     length : Length
-        With its interval, where there is a model of that length.
+        With its interval, where there is a model of that length; of a fruit that the picture's edge
+        cuts nothing is known but that it is longer.
     narrow : bool
         False where the interval would span more than a factor of four and is left out.
     """
+    if mask["cut"]:
+        return length, True
     if measurement.fit is not None:
         about, features = LengthDefinition(length.kind), tube_features(measurement)
     else:
@@ -304,7 +350,7 @@ def with_interval(
         features = raw_features(length.value_m, distance_m, fill)
     key = calibration_key(measurement.source, length.kind)
     found = (models or shipped_interval_models()).interval(
-        key, length.value_m, features, scale_known=scale_known
+        key, length.value_m, {**features, **mask}, scale_known=scale_known
     )
     if found is None:
         return length, True

@@ -8,7 +8,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.cloud import box_pixels
-from cucumbervision.measurement.intervals import with_interval
+from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY, endpoints_visible
 from cucumbervision.measurement.m5 import MIN_POINTS as SPLINE_POINTS
 from cucumbervision.measurement.methods import AVAILABLE, Region, run_methods
@@ -253,7 +253,13 @@ def measure_fruit(
     length = None if chosen is None else _length(chosen, definition)
     if chosen is not None and length is not None and distance_m is not None and fill is not None:
         length, narrow = with_interval(
-            length, chosen, distance_m, fill, scale_known=scale_known, models=models
+            length,
+            chosen,
+            distance_m,
+            fill,
+            mask_features(source, flags),
+            scale_known=scale_known,
+            models=models,
         )
         flags += [] if narrow else [Flag.INTERVAL_TOO_WIDE]
     return FruitMeasurement(

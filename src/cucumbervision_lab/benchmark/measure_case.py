@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.measurement.cloud import masked_points
-from cucumbervision.measurement.intervals import tube_features
+from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import Method, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.measurement.result import FruitMeasurement, Measurement
+    from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.benchmark.cases import Case
     from cucumbervision_lab.synthesis.scene import FruitTruth
 
@@ -273,7 +273,7 @@ def _record(
         fill = 0.0 if instance.mask is None else measured.fill or 0.0
         lengths, chosen = fruit_lengths(measured, capture)
         details = {f"selected_{selector}": method for selector, method in chosen.items()}
-        details |= _noted(measured.measurements[Method.M6], instance)
+        details |= noted(measured)
         details["mask_iou"] = round(mask_iou(instance.mask, truth.visible), 4)
     if instance is not None and instance.mask is not None:
         rng = np.random.default_rng(case.capture_seed + 5)
@@ -337,12 +337,18 @@ def fruit_lengths(
     return lengths, chosen
 
 
-def _noted(m6: Measurement, instance: Instance) -> dict[str, Any]:
-    noted: dict[str, Any] = {"m6_reason": str(m6.reason), "mask_failure": instance.mask_failure}
+def noted(fruit: FruitMeasurement) -> dict[str, Any]:
+    """Return what a record notes of a fruit beside its lengths: what its intervals rest on."""
+    m6 = fruit.measurements[Method.M6]
+    found: dict[str, Any] = {
+        "m6_reason": str(m6.reason),
+        "mask_failure": fruit.instance.mask_failure,
+        "mask_features": mask_features(fruit.mask_source, fruit.flags),
+    }
     if m6.fit is not None:
-        noted["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
-        noted["m6_flags"] = list(m6.fit.flags)
-    return noted
+        found["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
+        found["m6_flags"] = list(m6.fit.flags)
+    return found
 
 
 def _ends_seen(taken: Simulated) -> bool:

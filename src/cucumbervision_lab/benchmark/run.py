@@ -25,11 +25,11 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark import experiments
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.benchmark.interval_fit import (
+    RAW_EDGES,
     RAW_FEATURES,
     TUBE_EDGES,
     TUBE_FEATURES,
     fit_interval_model,
-    write_interval_models,
 )
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
 from cucumbervision_lab.datasets.labels import ticked
@@ -54,7 +54,7 @@ KEYS = tuple(TRUTH_OF)
 
 
 def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
-    """Return what was known of one reading at run time; None where nothing was read.
+    """Return what was known of one reading at run time; None where it has no interval.
 
     Parameters
     ----------
@@ -63,10 +63,13 @@ def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
     """
     if np.isnan(reading["length_m"]):
         return None
+    tube, mask = (reading.get(name) for name in ("m6_features", "mask_features"))
+    mask = mask if isinstance(mask, dict) else {}
+    if mask.get("cut"):
+        return None
     if reading["method"].startswith("M6"):
-        found = reading.get("m6_features")
-        return found if isinstance(found, dict) else None
-    return raw_features(reading["length_m"], reading["distance_m"], reading["fill"])
+        return tube | mask if isinstance(tube, dict) else None
+    return raw_features(reading["length_m"], reading["distance_m"], reading["fill"]) | mask
 
 
 def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> IntervalModels:
@@ -91,9 +94,10 @@ def fit_interval_models(readings: pd.DataFrame, level: float = 0.90) -> Interval
         known = [one for one in rows.apply(_reading_features, axis=1).items() if one[1] is not None]
         rows = rows.loc[[label for label, _ in known]]
         errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
-        features = {name: np.array([said[name] for _, said in known]) for name in names}
-        edges = TUBE_EDGES if key.startswith("M6") else ()
-        fruit = rows["fruit"].to_numpy()
+        features = {name: np.array([said.get(name, 0.0) for _, said in known]) for name in names}
+        edges = TUBE_EDGES if key.startswith("M6") else RAW_EDGES
+        # Fruit of one picture are no independent samples.
+        fruit = rows["case"].str.partition("#")[0].to_numpy()
         models[key] = fit_interval_model(key, errors, features, fruit, level, edges)
     return IntervalModels(level, models, readings["fruit"].nunique())
 
@@ -203,9 +207,6 @@ def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
     return {(r.suite, r.case, r.masks) for r in read_records([records])}
 
 
-# Interval models are learnt on case numbers that no benchmark reaches.
-LEARN_FIRST = 1_000_000
-
 CARROT = "rgbd/carrot_realsense_1280"
 
 
@@ -301,36 +302,6 @@ def run_benchmark(
     if plan.data is not None:
         tables["carrot intrinsics"] = experiments.carrot_intrinsics(plan.data / CARROT)
     return readings, tables
-
-
-def learn_intervals(
-    file: Path, out: Path, fruit: int, workers: int, report: Callable[[str, int, int], None] | None
-) -> IntervalModels:
-    """Learn the book of intervals anew, on fruit that no benchmark measures.
-
-    Half of the records come from exact outlines and half from disturbed ones, so that the fit's
-    own view of the outline's roughness tells which is which.
-
-    Parameters
-    ----------
-    file : Path
-        Where the book goes.
-    out : Path
-        Keeps the records, so that a later run resumes.
-    fruit : int
-        How many fruit.
-    workers : int
-        Processes.
-    report : callable, optional
-        As in `run_benchmark`.
-    """
-    cases = stress_cases(fruit, first=LEARN_FIRST)
-    tell = None if report is None else (lambda count: report("learning", count, fruit))
-    options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
-    records = run_cases(cases, options, out / "learning.jsonl", workers, tell)
-    book = fit_interval_models(readings_frame(records))
-    write_interval_models(file, book)
-    return book
 
 
 def provenance(plan: BenchmarkPlan) -> dict[str, Any]:

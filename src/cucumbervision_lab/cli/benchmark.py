@@ -33,8 +33,12 @@ def benchmark(
         typer.Option(help="Learn the intervals anew into this file, and do nothing else."),
     ] = None,
     learn_fruit: Annotated[
-        int, typer.Option(min=50, help="Fruit to learn the intervals from.")
+        int, typer.Option(min=50, help="Fruit of the stress set's kind to learn intervals from.")
     ] = 1600,
+    learn_set: Annotated[
+        Path | None,
+        typer.Option(help="A set by 'synth' with depth: what the networks see of it teaches too."),
+    ] = None,
 ) -> None:
     """Measure simulated fruit of known length by every method and write a report.
 
@@ -45,8 +49,12 @@ def benchmark(
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
     if learn_intervals is not None:
+        from cucumbervision_lab.detection.learn_intervals import learn_intervals as learn
+
+        if learn_set is None:
+            raise typer.BadParameter("--learn-intervals needs --learn-set, a set by 'synth'")
         with part_bars() as report:
-            book = run.learn_intervals(learn_intervals, out, learn_fruit, workers, report)
+            book = learn(learn_intervals, out, learn_fruit, learn_set, workers, report)
         for key, model in book.models.items():
             band = model.bands[""]
             show(f"{key}: {band.count} readings, bias {100 * band.bias:+.2f} %")

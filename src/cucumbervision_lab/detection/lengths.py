@@ -14,7 +14,7 @@ from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, decode_rle
-from cucumbervision_lab.benchmark.measure_case import fruit_lengths
+from cucumbervision_lab.benchmark.measure_case import fruit_lengths, noted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,11 +112,14 @@ def _record(
     details: dict[str, Any] = {"scene": frame.scene, "missed": instance is None}
     details |= {"cut_off": bool(fruit.cut_off), "group": _group_of(fruit)}
     details["selected"] = None
+    fill = None
     if instance is not None:
         measured = measure_fruit(capture, instance)
         lengths.update(fruit_lengths(measured, capture)[0])
         details["selected"] = str(measured.selected.method) if measured.selected else None
         details["flags"] = list(measured.flags)
+        details |= noted(measured)
+        fill = measured.fill
     return Record(
         case=f"{frame.name}#{number}",
         suite="detection",
@@ -129,7 +132,7 @@ def _record(
         tilt_deg=float("nan"),
         bend_radius_m=None,
         hidden_share=fruit.hidden_share,
-        fill=float("nan"),
+        fill=float("nan") if fill is None else fill,
         lengths_m=lengths,
         details=details,
     )

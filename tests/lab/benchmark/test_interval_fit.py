@@ -62,12 +62,18 @@ def test_a_method_that_reads_short_gets_a_long_upper_end() -> None:
     assert np.mean(covered) == pytest.approx(0.90, abs=0.02)
 
 
-def test_captures_of_one_fruit_stay_in_one_half() -> None:
-    # Two fruit, one error each: were they mixed, the quantile would see both.
-    errors = np.repeat([0.01, 0.05], 40)
-    model = fit_interval_model("M6", errors, {}, np.repeat(["a", "b"], 40))
-    assert model.bands[""].count == 40
-    assert model.bands[""].bias in (pytest.approx(0.01), pytest.approx(0.05))
+def test_readings_of_one_fruit_stay_in_one_fifth() -> None:
+    # A feature that names the fruit, and an error that each fruit has of its own: sigma knows the
+    # errors of its own fruit only, so that the scores are larger than those of a fruit it knew.
+    rng = np.random.default_rng(5)
+    fruit = np.repeat(np.arange(40), 25)
+    errors = np.exp(rng.normal(-4, 1, 40))[fruit] * rng.choice([-1, 1], 1000)
+    features = {f"is {k}": (fruit == k).astype(float) for k in range(40)}
+    apart = fit_interval_model("M6", errors, features, fruit.astype(str))
+    mixed = fit_interval_model("M6", errors, features, np.arange(1000).astype(str))
+    assert apart.weights == pytest.approx(mixed.weights)
+    assert apart.bands[""].high_quantile > 1.5 * mixed.bands[""].high_quantile
+    assert apart.bands[""].count == mixed.bands[""].count == 1000
 
 
 def test_missing_features_count_as_zero() -> None:

@@ -24,6 +24,7 @@ from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name, remarks
+from cucumbervision.dashboard.views.fruit_stops import show_stops
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import decode_rle, painted_mask
@@ -50,6 +51,7 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
         _verdict(one, detail)
     with left:
         _pictures(detail)
+    show_stops(one, detail.view)
     _methods(detail)
 
 

@@ -1,0 +1,52 @@
+"""One fruit's views from all stops side by side, with their lengths and that of all together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.round_tables import length_words
+from cucumbervision.rounds.service import fruit_table
+
+if TYPE_CHECKING:
+    from cucumbervision.dashboard.settings import Units
+    from cucumbervision.store.records import DetectionRecord
+    from cucumbervision.store.views import DetectionView, RoundView
+
+ABREAST = 4
+
+
+def show_stops(one: RoundView, fruit: DetectionView) -> None:
+    """Draw the views of a fruit, the one that stands first; nothing where there is only one.
+
+    Parameters
+    ----------
+    one : RoundView
+        Its round.
+    fruit : DetectionView
+        Any of its views.
+    """
+    content, units = resources.content_of(one), resources.settings().units
+    views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
+    if len(views) < 2:
+        return
+    st.markdown(f"**Seen {len(views)} times**")
+    for first in range(0, len(views), ABREAST):
+        for column, view in zip(st.columns(ABREAST), views[first : first + ABREAST], strict=False):
+            if (cut := resources.cutout_of(view)) is not None:
+                column.image(cut, width="stretch")
+            stands = " · this one stands" if view.best else ""
+            column.caption(f"Stop {view.step or '?'}: {_length(view.record, units)}{stands}")
+    together = next((x.view for x in fruit_table(content) if x.view.group == fruit.group), None)
+    if together is not None:
+        st.caption(f"All that show it whole, together: {_length(together.record, units)}")
+
+
+def _length(record: DetectionRecord, units: Units) -> str:
+    words = length_words(record, units)
+    if record.partial or not (record.interval_low_m and record.interval_high_m):
+        return words
+    low, high = units.text(record.interval_low_m), units.text(record.interval_high_m)
+    return f"{words} ({low} to {high})"

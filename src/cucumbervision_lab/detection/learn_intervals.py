@@ -1,0 +1,134 @@
+"""Learn the intervals of lengths: on masks that are given, and on what the networks draw."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING
+
+from cucumbervision.accuracy.records import Masks, append_record, read_records, readings_frame
+from cucumbervision.capture.files import read_color
+from cucumbervision.pipeline.finders import Finder, make_finder
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_lab.benchmark.cases import stress_cases
+from cucumbervision_lab.benchmark.interval_fit import write_interval_models
+from cucumbervision_lab.benchmark.measure_case import CaseOptions
+from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
+from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.detection.lengths import length_records
+from cucumbervision_lab.detection.outcomes import match_boxes
+from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
+from cucumbervision_lab.processes import each_done
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from cucumbervision.accuracy.records import Record
+    from cucumbervision.measurement.intervals import IntervalModels
+    from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+
+    Report = Callable[[str, int, int], None]
+
+# On case numbers that no benchmark reaches.
+LEARN_FIRST = 1_000_000
+
+
+def learn_intervals(
+    file: Path,
+    out: Path,
+    fruit: int,
+    drawn: Path,
+    workers: int = 1,
+    report: Report | None = None,
+) -> IntervalModels:
+    """Learn the book of intervals anew, on fruit that no benchmark measures.
+
+    Parameters
+    ----------
+    file : Path
+        Where the book goes.
+    out : Path
+        Keeps the records, so that a later run resumes.
+    fruit : int
+        How many fruit of the stress set's kind, with exact and with disturbed outlines, so that
+        the fit's own view of the outline's roughness tells which is which.
+    drawn : Path
+        A set by `synth` with depth: its fruit on their true masks and as the networks see them.
+    workers : int
+        Processes.
+    report : callable, optional
+        As in `run_benchmark`.
+    """
+    cases = stress_cases(fruit, first=LEARN_FIRST)
+    tell = None if report is None else (lambda count: report("stress fruit", count, fruit))
+    options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
+    records = run_cases(cases, options, out / "learning.jsonl", workers, tell)
+    records += set_records(drawn, "all", out / "pictures.jsonl", workers, report)
+    book = fit_interval_models(readings_frame(records))
+    write_interval_models(file, book)
+    return book
+
+
+def set_records(
+    folder: Path, split: str, keep: Path, workers: int = 1, report: Report | None = None
+) -> list[Record]:
+    """Measure the fruit of a drawn set on true masks and as the shipped networks see them.
+
+    Parameters
+    ----------
+    folder : Path
+        The set, with depth.
+    split : str
+        Of the set, or 'all'.
+    keep : Path
+        JSON lines; what is in it already is not measured again. To be deleted when the networks
+        or the methods change.
+    workers : int
+        Processes.
+    report : callable, optional
+        As in `run_benchmark`.
+
+    Raises
+    ------
+    DataSetError
+        If the set cannot be read.
+    """
+    held = read_held_out(folder, split)
+    done = read_records([keep]) if keep.exists() else []
+    names = {_picture_of(record) for record in done}
+    missing = [picture for picture in held.pictures if picture.file not in names]
+    tell = None if report is None else (lambda n: report("pictures", n, len(held.pictures)))
+    if tell is not None and names:
+        tell(len(held.pictures) - len(missing))
+    keep.parent.mkdir(parents=True, exist_ok=True)
+    for found in ticked(each_done(partial(_measured, held.data), missing, workers), tell):
+        for record in found:
+            append_record(keep, record)
+        done += found
+    chosen = {picture.file for picture in held.pictures}
+    return [record for record in done if _picture_of(record) in chosen]
+
+
+def _picture_of(record: Record) -> str:
+    return record.case.partition("#")[0]
+
+
+@lru_cache
+def _finder() -> Finder:
+    return make_finder(MeasureOptions(instances="models"))
+
+
+def _measured(data: DataSet, picture: LabelledPicture) -> list[Record]:
+    capture = capture_of(picture, data, read_color(data.path(picture)))
+    if capture is None:
+        return []
+    frame, found = frame_of(picture, data, None), _finder().find(capture).instances
+    required = [k for k, fruit in enumerate(frame.true) if fruit.required]
+    matches = match_boxes(
+        [one.box for one in found],
+        [frame.true[k].box for k in required],
+        [fruit.box for fruit in frame.true if fruit.optional],
+        [fruit.box for fruit in frame.true if fruit.ignore],
+    )
+    perceived = {required[true]: found[seen] for true, seen in matches.pairs}
+    return length_records(frame, capture, perceived)

@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from streamlit.testing.v1 import AppTest
+
+from cucumbervision.dashboard.round_tables import length_words
+from cucumbervision.dashboard.settings import Units
+from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.service import fruit_table
+from cucumbervision.store.records import key_of
+from cucumbervision.store.repository import open_store
+
+WALK = key_of("walk")
+
+
+def lines_of(fruit_key: str) -> list[str]:
+    script = (
+        "from cucumbervision.dashboard.app import keep_inputs\n"
+        "from cucumbervision.dashboard.views import results\n"
+        "keep_inputs()\nresults.page()\n"
+    )
+    test = AppTest.from_string(script, default_timeout=600)
+    test.session_state["round"], test.session_state["fruit"] = WALK, fruit_key
+    test.run()
+    assert not test.exception
+    return [str(one.value).replace("\\", "") for one in (*test.caption, *test.markdown)]
+
+
+def test_a_fruit_shows_its_views_and_the_length_of_all_together(house: Path) -> None:
+    with open_store(house) as store:
+        first, second, alone, *_ = store.detections(WALK)
+        store.merge(first.key, second.key)
+        seen = [view for view in store.detections(WALK) if view.views == 2]
+        best = next(view for view in seen if view.best)
+        (line,) = (x for x in fruit_table(read_round(store, WALK)) if x.view.key == best.key)
+    lines = lines_of(best.key)
+    assert "**Seen 2 times**" in lines
+    for view in seen:
+        words = f"Stop {view.step or '?'}: {length_words(view.record, Units('cm'))}"
+        assert any(one.startswith(words) for one in lines), (words, lines)
+    together = length_words(line.view.record, Units("cm"))
+    assert any(one.startswith(f"All that show it whole, together: {together}") for one in lines)
+    assert not any(one.startswith("All that show it whole") for one in lines_of(alone.key))

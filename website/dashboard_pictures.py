@@ -75,7 +75,7 @@ def take(address: str) -> None:
 
 def shoot(page: Any, name: str) -> None:
     """Keep what a tablet shows."""
-    page.wait_for_timeout(2500)
+    page.wait_for_timeout(8000)  # tables draw their pictures last, and nothing says when
     page.screenshot(path=IMAGES / f"dashboard-{name}.png")
 
 

@@ -52,7 +52,9 @@ def dataset_card(dataset: DataSet, title: str = "Data set") -> str:
         for x in p.labels
         if not x.ignore
     ]
-    distances = [float(x.extras["distance_m"]) for x in fruit if "distance_m" in x.extras]
+    # Files of others may say anything there; a number is one.
+    said = (x.extras.get("distance_m") for x in fruit)
+    distances = [float(x) for x in said if isinstance(x, int | float) and abs(x) < 1e6]
     return "\n".join(
         [
             f"# {title}",

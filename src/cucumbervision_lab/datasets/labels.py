@@ -111,6 +111,11 @@ class Label:
         return cls(box_of_mask(mask), mask_code=code, amodal_code=whole, **rest)
 
     @property
+    def point_order(self) -> dict[str, Any]:
+        """What the extras say of the keypoints' order: true of the fruit wherever it is laid."""
+        return {key: self.extras[key] for key in (KEYPOINT_ORDER,) if key in self.extras}
+
+    @property
     def mask(self) -> NDArray[np.bool_] | None:
         """The visible pixels, bool, shape (H, W); decoded anew at each call."""
         return None if self.mask_code is None else self.mask_code.decode()

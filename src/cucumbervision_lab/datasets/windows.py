@@ -167,7 +167,7 @@ def label_in(label: Label, window: Window) -> Label | None:
         keypoints=_points_in(label.keypoints, window),
         cut_off=cut,
         ignore=label.ignore or share < SLIVER,
-        extras={} if cut else label.extras,
+        extras=label.point_order if cut else label.extras,
     )
 
 
@@ -290,7 +290,14 @@ def shrunk_label(
     if points is not None:
         places = (points[:, :2] + 0.5) * scale + shift - 0.5
         points = np.column_stack([places, points[:, 2]])
-    moved = replace(label, box=box, keypoints=points, mask_code=None, amodal_code=None, extras={})
+    moved = replace(
+        label,
+        box=box,
+        keypoints=points,
+        mask_code=None,
+        amodal_code=None,
+        extras=label.point_order,
+    )
     if label.mask is None:
         return moved
     mask = _placed(label.mask, scale, corner, side_px)

@@ -103,7 +103,7 @@ def montage(
             picture += (piece - picture) * cover[..., None]
         covered = seen if over is None else seen | (over[1] > 0.5)
         labels = [x for x in (less(label, covered) for label in labels) if x is not None]
-        labels.append(label_of(seen, amodal, fruit.keypoints))
+        labels.append(label_of(seen, amodal, fruit.keypoints, by_place=fruit.by_place))
     return np.clip(picture, 0, 255).astype(np.uint8), tuple(labels)
 
 

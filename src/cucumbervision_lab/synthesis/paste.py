@@ -14,7 +14,8 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.datasets.labels import Label
+from cucumbervision.perception.yolo import BY_PLACE
+from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, Label
 from cucumbervision_lab.synthesis.scene import reaches_border
 
 if TYPE_CHECKING:
@@ -44,11 +45,14 @@ class Cutout:
         The fruit.
     keypoints : ndarray of float64, shape (5, 3), optional
         In pixels of the cutout.
+    by_place : bool
+        Whether nobody said which of them is the stem's end.
     """
 
     color: NDArray[np.uint8]
     mask: NDArray[np.bool_]
     keypoints: NDArray[np.float64] | None
+    by_place: bool = False
 
 
 def cutouts_of(dataset: DataSet, split: str = "train") -> tuple[Cutout, ...]:
@@ -73,7 +77,7 @@ def cutouts_of(dataset: DataSet, split: str = "train") -> tuple[Cutout, ...]:
         if any(mask is not None for mask in masks):
             color = read_color(dataset.path(picture))
             pairs = zip(picture.labels, masks, strict=True)
-            found += [_cut(color, m, label.keypoints) for label, m in pairs if m is not None]
+            found += [_cut(color, m, label) for label, m in pairs if m is not None]
     return tuple(found)
 
 
@@ -92,17 +96,17 @@ def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | No
     return mask if share >= SOLID else None
 
 
-def _cut(
-    color: NDArray[np.uint8], mask: NDArray[np.bool_], points: NDArray[np.float64] | None
-) -> Cutout:
+def _cut(color: NDArray[np.uint8], mask: NDArray[np.bool_], label: Label) -> Cutout:
     x1, y1, x2, y2 = box_of_mask(mask)
     left, top = max(int(x1) - MARGIN_PX, 0), max(int(y1) - MARGIN_PX, 0)
     part = np.s_[top : int(y2) + MARGIN_PX, left : int(x2) + MARGIN_PX]
+    points = label.keypoints
     if points is not None:
         points = points - np.array([left, top, 0.0])
     # The outermost pixels show what lay behind the fruit too.
     body = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    return Cutout(color[part].copy(), body[part].copy(), points)
+    by_place = label.extras.get(KEYPOINT_ORDER) == BY_PLACE
+    return Cutout(color[part].copy(), body[part].copy(), points, by_place)
 
 
 def paste(
@@ -159,7 +163,7 @@ def paste(
         picture = (picture * (1 - blend) + fruit.color * blend).astype(np.uint8)
         depth = np.where(seen, stand, depth)
         kept = [x for x in (less(label, seen) for label in kept) if x is not None]
-        kept.append(label_of(seen, amodal, fruit.keypoints))
+        kept.append(label_of(seen, amodal, fruit.keypoints, by_place=fruit.by_place))
     return picture, tuple(kept)
 
 
@@ -175,11 +179,14 @@ class Placed:
         How much of it covers a pixel, 0 to 1.
     keypoints : ndarray of float64, shape (5, 3), optional
         In pixels of the picture.
+    by_place : bool
+        As of the cutout.
     """
 
     color: NDArray[np.float32]
     alpha: NDArray[np.float32]
     keypoints: NDArray[np.float64] | None
+    by_place: bool = False
 
     @property
     def amodal(self) -> NDArray[np.bool_]:
@@ -240,7 +247,9 @@ def place_cutout(
     points = cutout.keypoints
     if points is not None:
         points = np.column_stack([points[:, :2] @ linear.T + shift, points[:, 2]])
-    return Placed(fruit.astype(np.float32), alpha.astype(np.float32), points)
+    return Placed(
+        fruit.astype(np.float32), alpha.astype(np.float32), points, by_place=cutout.by_place
+    )
 
 
 def less(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
@@ -288,7 +297,11 @@ def _hidden_points(
 
 
 def label_of(
-    seen: NDArray[np.bool_], amodal: NDArray[np.bool_], points: NDArray[np.float64] | None
+    seen: NDArray[np.bool_],
+    amodal: NDArray[np.bool_],
+    points: NDArray[np.float64] | None,
+    *,
+    by_place: bool = False,
 ) -> Label:
     """Label a pasted fruit.
 
@@ -298,6 +311,8 @@ def label_of(
         What of it is seen, at least one pixel, and what would be if nothing hid it.
     points : ndarray of float64, shape (5, 3), optional
         Its keypoints.
+    by_place : bool
+        Whether nobody said which of them is the stem's end; the label says so too.
     """
     height, width = seen.shape
     if points is not None:
@@ -312,4 +327,5 @@ def label_of(
         hidden_share=round(1 - int(seen.sum()) / int(amodal.sum()), 4),
         cut_off=reaches_border(amodal),
         pseudo=True,
+        extras={KEYPOINT_ORDER: BY_PLACE} if by_place else {},
     )

@@ -9,7 +9,7 @@ import pytest
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.windows import (
     Window,
     choose_windows,
@@ -178,12 +178,12 @@ def test_points_and_boxes_shrink_with_the_picture() -> None:
     points = np.array(
         [[19.5, 14.5, 2], [29.5, 14.5, 2], [39.5, 14.5, 1], [49.5, 14.5, 2], [0, 0, 0]]
     )
-    label = Label.of_mask(mask, keypoints=points, extras={"chord_m": 0.2})
+    label = Label.of_mask(mask, keypoints=points, extras={"chord_m": 0.2, KEYPOINT_ORDER: "place"})
     small = shrunk_label(label, (0.5, 0.5), (100, 50), 200)
     assert small.keypoints is not None
     np.testing.assert_allclose(small.keypoints[0], [109.5, 57.0, 2])
     assert small.mask is not None
-    assert (int(small.mask.sum()), dict(small.extras)) == (5 * 20, {})
+    assert (int(small.mask.sum()), dict(small.extras)) == (5 * 20, {KEYPOINT_ORDER: "place"})
     assert not small.ignore
     assert shrunk_label(label, (0.1, 0.1), (0, 0), 200).ignore  # four pixels are left
 

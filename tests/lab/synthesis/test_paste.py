@@ -1,10 +1,12 @@
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.synthesis.paste import Cutout, cutouts_of, paste
 
 RED = (250, 10, 10)
@@ -36,6 +38,14 @@ def test_a_pasted_fruit_is_seen_where_its_mask_says() -> None:
         for u, v, seen in points:
             if seen == 2 and 2 < u < 317 and 2 < v < 237:
                 assert amodal[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3].any()
+
+
+def test_a_fruit_of_whose_ends_nobody_knows_keeps_saying_so() -> None:
+    grey, behind = np.full((240, 320, 3), 120, np.uint8), np.full((240, 320), 1.0)
+    for by_place, order in ((True, BY_PLACE), (False, None)):
+        bar = replace(red_bar(), by_place=by_place)
+        _, (label,) = paste(grey, behind, (), [bar], 1, np.random.default_rng(1))
+        assert label.extras.get(KEYPOINT_ORDER) == order
 
 
 def test_what_stands_nearer_hides_it_and_what_is_behind_is_hidden() -> None:

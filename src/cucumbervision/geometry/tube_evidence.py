@@ -67,19 +67,6 @@ class Evidence:
         """How many waves of depth noise are fitted along."""
         return 0 if self.waves_m is None else self.waves_m.shape[1]
 
-    def thinned(self, every: int) -> Evidence:
-        """Return every so manieth reading, each counting for as many more."""
-        waves = None if self.waves_m is None else self.waves_m[::every]
-        return replace(
-            self,
-            points_m=self.points_m[::every],
-            points_sd_m=self.points_sd_m[::every],
-            rays=self.rays[::every],
-            points_share=min(1.0, every * self.points_share),
-            rays_share=min(1.0, every * self.rays_share),
-            waves_m=waves,
-        )
-
     @cached_property
     def directions(self) -> NDArray[np.float64]:
         """Unit directions to the depth points, shape (N, 3)."""

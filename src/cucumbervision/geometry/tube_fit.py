@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
 MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
 STILL_M, STILL_SHARE = 1e-4, 3e-4
-THINNED, FEWEST_THINNED = 3, 50  # in the first steps a third of the readings says as much
 SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
 LEAST_WIDTH = 0.15  # of the middle radius
 LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
@@ -111,19 +110,16 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     scatter, hold = (1.0, 1.0), end_hold((True, True))
     anchors = guess.balls(2)[0]
     settled, length_m, still = False, 0.0, 0
-    few = min(len(evidence.points_m), len(evidence.rays)) < THINNED * FEWEST_THINNED
-    thin = evidence if few else evidence.thinned(THINNED)
     for step, scale in enumerate((*SCHEDULE, *[SCHEDULE[-1]] * MORE_STEPS)):
         if settled and step >= len(SCHEDULE):
             break
-        used = thin if step < SETTLED else evidence
-        points = point_readings(used, shape, beside)
-        rays = ray_readings(used, shape, beside[:SLIPS])
+        points = point_readings(evidence, shape, beside)
+        rays = ray_readings(evidence, shape, beside[:SLIPS])
         if step >= SETTLED:
             scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
             seen = ends_seen(shape, rays.found, evidence.rays)
             hold = end_hold(seen)
-        shares = used.points_share, used.rays_share
+        shares = evidence.points_share, evidence.rays_share
         normal, target = normal_equations((points, rays), shares, scatter, scale)
         add_shape_prior(normal, target, shape, anchors, hold)
         add_beside_prior(normal, target, beside, evidence)

@@ -26,7 +26,7 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
+from cucumbervision.perception.input_sizes import FLOOR_SHARE, merge_sizes, parse_input_sizes
 from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
 from cucumbervision_lab.detection.outcomes import (
     HIDDEN_SHARE,
@@ -99,8 +99,7 @@ def found_at(
     path: Path, asked: Sequence[Sizes], confidences: Sequence[float], shown: Iterator[Shown]
 ) -> Frames:
     """Give the frames by test, and by what was asked."""
-    # As far below as `YoloDetector` looks when it merges.
-    least = min(confidences) / 3
+    least = min(confidences) * FLOOR_SHARE
     single = {size: detector(path, "auto", (size,), least) for sizes in asked for size in sizes}
     frames: Frames = {}
     for one in shown:

@@ -42,7 +42,7 @@ from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.from_store import RoundContent, read_round
-from cucumbervision.rounds.service import DAY_S, RowReport, row_reports
+from cucumbervision.rounds.service import DAY_S, RoundFruit, RowReport, fruit_table, row_reports
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.settling import undo as undo_in
 from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
@@ -265,6 +265,12 @@ def methods_of(one: RoundView) -> dict[str, tuple[MethodRecord, ...]]:
 def rows_of(one: RoundView) -> list[RowReport]:
     """Return a round's rows with their counts; read again only when something changed."""
     return row_reports(content_of(one))
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
+def fruit_of(one: RoundView) -> list[RoundFruit]:
+    """Return a round's fruit with the lengths by all their views; read again when that changed."""
+    return fruit_table(content_of(one))
 
 
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)

@@ -97,6 +97,22 @@ def length_words(record: DetectionRecord, units: Units) -> str:
     return ("at least " if record.partial else "") + units.text(record.length_m)
 
 
+def interval_words(record: DetectionRecord, units: Units) -> str | None:
+    """Return a length's interval from end to end; None where it has none.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> record = DetectionRecord(1, interval_low_m=0.235, interval_high_m=0.247)
+    >>> interval_words(record, Units("cm"))
+    '23.5 cm to 24.7 cm'
+    """
+    if not (record.interval_low_m and record.interval_high_m):
+        return None
+    return f"{units.text(record.interval_low_m)} to {units.text(record.interval_high_m)}"
+
+
 def counted(number: int, one: str, many: str) -> str:
     """Return a number with its word.
 

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 JUDGEMENT = "judgement.json"
-_LONGEST_NAME = 200
 """What `train house` writes into its run's folder: old and new network on the same pictures."""
+
+_LONGEST_NAME = 200
 
 
 def use_network(given: Path, *, anyway: bool = False, registry: Registry | None = None) -> Model:

@@ -14,6 +14,9 @@ from cucumbervision.perception.instances import Instance
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+FLOOR_SHARE = 1 / 3
+"""Of the confidence asked: what one of several input sizes finds below it is not looked at."""
+
 _SIZE_STEP_PX, _LARGEST_PX = 32, 4096
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.boxes import suppress
-from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
+from cucumbervision.perception.input_sizes import FLOOR_SHARE, merge_sizes, parse_input_sizes
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
@@ -322,9 +322,6 @@ def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
-_FLOOR_SHARE = 1 / 3
-"""Of the confidence asked: what one of several input sizes finds below it is not looked at."""
-
 DEFAULT_CONFIDENCE = 0.30
 
 POSE_CONFIDENCE = 0.05
@@ -431,7 +428,7 @@ class YoloDetector:
             If the network fails, or its output has no known layout.
         """
         several = len(self._sizes_px) > 1
-        least = self._confidence * (_FLOOR_SHARE if several else 1)
+        least = self._confidence * (FLOOR_SHARE if several else 1)
         every = [self._detect_at(color_rgb, size_px, least) for size_px in self._sizes_px]
         merged = merge_sizes(every)
         found = tuple(one for one in merged if one.confidence > self._confidence)[: self._most]

@@ -15,7 +15,7 @@ from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.lengths import length_records
-from cucumbervision_lab.detection.outcomes import match_boxes
+from cucumbervision_lab.detection.outcomes import match_frame
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 from cucumbervision_lab.processes import each_done
 
@@ -123,12 +123,6 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[Record]:
     if capture is None:
         return []
     frame, found = frame_of(picture, data, None), _finder().find(capture).instances
-    required = [k for k, fruit in enumerate(frame.true) if fruit.required]
-    matches = match_boxes(
-        [one.box for one in found],
-        [frame.true[k].box for k in required],
-        [fruit.box for fruit in frame.true if fruit.optional],
-        [fruit.box for fruit in frame.true if fruit.ignore],
-    )
+    matches, required = match_frame(frame, [one.box for one in found])
     perceived = {required[true]: found[seen] for true, seen in matches.pairs}
     return length_records(frame, capture, perceived)

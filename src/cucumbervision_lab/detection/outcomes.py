@@ -227,6 +227,28 @@ class EndRow:
     stem_score: float
 
 
+def match_frame(
+    frame: Frame, boxes: Sequence[NDArray[np.float64]]
+) -> tuple[Matches, tuple[int, ...]]:
+    """Match boxes with a frame's fruit.
+
+    Returns
+    -------
+    matches : Matches
+        Its first numbers count the fruit that are to be found, its second the boxes.
+    required : tuple of int
+        The fruit that are to be found, as places in `frame.true`.
+    """
+    required = tuple(k for k, fruit in enumerate(frame.true) if fruit.required)
+    matches = match_boxes(
+        boxes,
+        [frame.true[k].box for k in required],
+        optional=[fruit.box for fruit in frame.true if fruit.optional],
+        ignored=[fruit.box for fruit in frame.true if fruit.ignore],
+    )
+    return matches, required
+
+
 def matches_of(
     frame: Frame, confidence: float, stage: Stage
 ) -> tuple[Matches, tuple[SeenFruit, ...], tuple[int, ...]]:
@@ -242,13 +264,7 @@ def matches_of(
         The fruit that are to be found, as places in `frame.true`.
     """
     seen = tuple(s for s in frame.seen(stage) if s.score > confidence)
-    required = tuple(k for k, fruit in enumerate(frame.true) if fruit.required)
-    matches = match_boxes(
-        [s.box for s in seen],
-        [frame.true[k].box for k in required],
-        optional=[fruit.box for fruit in frame.true if fruit.optional],
-        ignored=[fruit.box for fruit in frame.true if fruit.ignore],
-    )
+    matches, required = match_frame(frame, [s.box for s in seen])
     return matches, seen, required
 
 

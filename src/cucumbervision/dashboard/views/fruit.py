@@ -23,7 +23,13 @@ from cucumbervision.dashboard.fruit_view import (
 from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import RoundLists, figure_lines, grade_name, remarks
+from cucumbervision.dashboard.round_tables import (
+    RoundLists,
+    figure_lines,
+    grade_name,
+    interval_words,
+    remarks,
+)
 from cucumbervision.dashboard.views.fruit_stops import show_stops
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
@@ -77,14 +83,11 @@ def _head(lists: RoundLists, key: str) -> None:
 def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
     record, units = detail.view.record, resources.settings().units
     found = lists.grades[detail.view.key]
-    between = None
-    if record.interval_low_m and record.interval_high_m:
-        low, high = units.text(record.interval_low_m), units.text(record.interval_high_m)
-        between = f"90 %: {low} to {high}"
+    interval = interval_words(record, units)
     st.metric(
         f"Length ({record.length_kind or 'not measured'})",
         units.text(record.length_m),
-        between,
+        interval and f"90 %: {interval}",
         delta_color="off",
         delta_arrow="off",
     )

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.round_tables import length_words
-from cucumbervision.rounds.service import fruit_table
+from cucumbervision.dashboard.round_tables import interval_words, length_words
 
 if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
@@ -39,14 +38,12 @@ def show_stops(one: RoundView, fruit: DetectionView) -> None:
                 column.image(cut, width="stretch")
             stands = " · this one stands" if view.best else ""
             column.caption(f"Stop {view.step or '?'}: {_length(view.record, units)}{stands}")
-    together = next((x.view for x in fruit_table(content) if x.view.group == fruit.group), None)
+    together = next((x.view for x in resources.fruit_of(one) if x.view.group == fruit.group), None)
     if together is not None:
         st.caption(f"All that show it whole, together: {_length(together.record, units)}")
 
 
 def _length(record: DetectionRecord, units: Units) -> str:
     words = length_words(record, units)
-    if record.partial or not (record.interval_low_m and record.interval_high_m):
-        return words
-    low, high = units.text(record.interval_low_m), units.text(record.interval_high_m)
-    return f"{words} ({low} to {high})"
+    interval = None if record.partial else interval_words(record, units)
+    return f"{words} ({interval})" if interval else words

@@ -36,7 +36,7 @@ def pair(number: int) -> list[tuple[str, io.BytesIO]]:
             f"{part}_{number}.png",
             io.BytesIO(cv2.imencode(".png", np.full((48, 64), value, dtype))[1].tobytes()),
         )
-        for part, value, dtype in (("color", 200, np.uint8), ("depth", 600, np.uint16))
+        for part, value, dtype in (("color", 200 + number, np.uint8), ("depth", 600, np.uint16))
     ]
 
 
@@ -85,6 +85,21 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
         (False, "was deleted: undo that to have it back"),
         (False, "is in the round already"),
     ]
+
+
+def test_one_camera_takes_a_place_once(store: Store, measurer: SharedMeasurer) -> None:
+    store.save_round(ROUND)
+    camera, job = next(iter(CAMERAS)), Job(1, "uploads")
+    for number, words in (
+        (1, "row 7, right, 3.00 m"),
+        (2, "stop 1 is at 3.00 m of that row and side"),
+    ):
+        (told,) = measure_uploads(
+            pair(number), measurer, store, ROUND.key, OPTIONS, PLACE, job, camera
+        )
+        assert words in told.words
+        assert told.saved == (number == 1)
+    assert len(store.stops(ROUND.key)) == 1
 
 
 def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(

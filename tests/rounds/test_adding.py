@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,29 @@ def test_place_and_poses_come_before_the_files(store: Store, tmp_path: Path) -> 
     # Measured from the camera's true place, 0.40 m.
     expected = [7.5 + along - 0.40 for along, *_ in FRUIT]
     assert sorted(a for a in at if a is not None) == pytest.approx(expected, abs=0.02)
+
+
+def test_one_camera_takes_a_place_once_and_another_on_its_mast_too(
+    store: Store, tmp_path: Path
+) -> None:
+    first, second, third = (draw("left", number, tmp_path / "low") for number in range(3))
+    place = Place(row="9", position_m=2.0, spacing_m=0.5)
+    assert add_captures(store, MORNING, [first], OPTIONS, place)[0].new
+    slip, next_one = add_captures(store, MORNING, [second, third], OPTIONS, place)
+    assert slip.failure is not None
+    assert slip.failure.capture == "left-1"
+    assert "stop 0 is at 2.00 m of that row and side" in slip.failure.message
+    assert next_one.new
+    # Of another height, or through another lens, it is another camera's.
+    line = PoseLine(capture="left-1", position_m=2.0, height_m=1.3)
+    [higher] = add_captures(store, MORNING, [second], OPTIONS, Place("9", poses={"left-1": line}))
+    manifest = tmp_path / "low" / "left-1" / "capture.json"
+    other = json.loads(manifest.read_text())
+    other["name"], other["camera"]["fx"] = "other", other["camera"]["fx"] + 0.7
+    manifest.write_text(json.dumps(other))
+    [lens] = add_captures(store, MORNING, [second], OPTIONS, place)
+    assert (higher.new, lens.new) == (True, True)
+    assert [one.position_m for one in store.stops(MORNING)] == [2.0, 2.5, 2.0, 2.0]
 
 
 def test_a_capture_without_its_pose_is_refused(store: Store, tmp_path: Path) -> None:

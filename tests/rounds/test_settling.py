@@ -11,7 +11,7 @@ from cucumbervision.errors import RoundError
 from cucumbervision.rounds.service import link_rounds
 from cucumbervision.rounds.settling import delete_round, move_stop, settle, undo
 from cucumbervision.store.edits import StopPlace
-from cucumbervision.store.records import StopRecord, key_of
+from cucumbervision.store.records import CaptureRecord, StopRecord, key_of
 from cucumbervision.store.views import LinkKind
 from cucumbervision.store.waiting import WaitingCaptures
 from cucumbervision_lab.simulation import SimulatedRow, simulate_row
@@ -74,6 +74,12 @@ def test_a_stop_is_not_moved_to_where_another_is(store: Store) -> None:
     with pytest.raises(RoundError, match="stop 3 is at"):
         move_stop(store, second, Stop("3", "right", 0.4, 2))
     move_stop(store, second, Stop("3", "left", 0.4, 2), "by the door")
+    # Another camera of the mast stands there too.
+    capture = CaptureRecord("c", camera={"fx": 600.0})
+    other = (replace(capture, camera={"fx": 601.0}),)
+    store.save_stop(StopRecord(key_of(4), MORNING, "5", "left", 0.0, step=4, captures=(capture,)))
+    store.save_stop(StopRecord(key_of(5), MORNING, "5", "left", 0.4, step=5, captures=other))
+    move_stop(store, store.stops(MORNING)[4], Stop("5", "left", 0.0, 5))
     move_stop(store, store.stops(MORNING)[1], Stop("4", "left", 0.0, 2), "by the door")
     assert [(one.row, one.note) for one in store.stops(MORNING)][1] == ("4", "by the door")
 

@@ -13,9 +13,9 @@ from cucumbervision.capture.files import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.rounds.adding import capture_sha256
+from cucumbervision.rounds.adding import Place, capture_sha256, spot_and_camera
 from cucumbervision.rounds.demonstration import round_for_capture
-from cucumbervision.rounds.walking import last_step
+from cucumbervision.rounds.walking import last_step, refuse_taken
 from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
@@ -179,7 +179,9 @@ def _saved(
                 "was deleted: undo that to have it back" if deleted else "is in the round already"
             )
             return Outcome(name, False, words)
-        taken = measurer.take_stop(store, home, replace(capture, stop=stop), options, key=key)
+        capture = replace(capture, stop=stop)
+        refuse_taken(store, home, *spot_and_camera(capture, 0, Place()))
+        taken = measurer.take_stop(store, home, capture, options, key=key)
     except CucumberVisionError as error:
         return Outcome(name, False, error.message)
     many = len(taken.result.fruit)

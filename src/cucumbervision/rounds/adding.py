@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
 from cucumbervision.pipeline.inputs import read_captures
@@ -20,9 +21,10 @@ from cucumbervision.rounds.poses import (
     pose_matrix,
     sign_of_side,
 )
+from cucumbervision.rounds.walking import refuse_taken
 from cucumbervision.store.records import key_of
 from cucumbervision.store.results import records_from_result
-from cucumbervision.store.views import Saved
+from cucumbervision.store.views import CameraAt, Saved
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -110,7 +112,7 @@ def add_captures(
     """Measure captures and save each as a stop of a round.
 
     A capture that is in the round already, deleted or not, is not measured again. One that cannot
-    be read or measured is noted, and the others go on.
+    be read or measured, or lies where the same camera took another, is noted, and the others go on.
 
     Parameters
     ----------
@@ -146,6 +148,7 @@ def add_captures(
                 measurer.load()
                 failures: list[Failure] = []
                 with Boundary(failures, read.source, read.name):
+                    refuse_taken(store, round_key, *spot_and_camera(read, number, place))
                     result, stop = measured_stop(read, number, place, measurer, store.images)
                     failures += () if result.error is None else result.failures
                     if not failures:
@@ -208,6 +211,13 @@ def measured_stop(
         for one in stop.captures
     )
     return result, replace(stop, captures=captures, pose=tuple(pose.round(9).ravel().tolist()))
+
+
+def spot_and_camera(capture: Capture, number: int, place: Place) -> tuple[Stop, CameraAt]:
+    """Return where a capture was taken and by what, as its stop will say."""
+    spot, _, pose = _spot(capture, number, place)
+    camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
+    return spot, CameraAt(pose.ravel().tolist(), {}, camera)
 
 
 def _spot(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.rounds.poses import sign_of_side
 from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
-from cucumbervision.rounds.walking import taken_by
+from cucumbervision.rounds.walking import refuse_taken
 from cucumbervision.store.edits import STOP_EDITS, StopPlace
 
 if TYPE_CHECKING:
@@ -60,15 +60,11 @@ def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
     Raises
     ------
     RoundError
-        If it is moved to where another stop of the round is.
+        If it is moved to where another stop of the round is, of the same camera.
     """
     if (place.row, place.side, place.position_m) != (stop.row, stop.side, stop.position_m):
-        others = [one for one in store.stops(stop.round_key) if one.key != stop.key]
-        if (other := taken_by(place, others)) is not None:
-            raise RoundError(
-                f"stop {other.step or ''} is at {place.position_m:.2f} m of that row and side",
-                remedy="choose another position, or move or delete that stop first",
-            )
+        camera = store.cameras(stop.round_key)[stop.key]
+        refuse_taken(store, stop.round_key, place, camera, but=stop.key)
     turned = sign_of_side(place.side) != sign_of_side(stop.side)
     where = StopPlace(
         place.row, place.side, place.position_m, place.step, note, stop.mirrored != turned

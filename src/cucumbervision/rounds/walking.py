@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from cucumbervision.errors import RoundError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from cucumbervision.capture.frames import Stop
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import CameraAt
 
 _STEP_M = 0.4
 _WIDEST_M = 5.0
@@ -26,6 +30,9 @@ class _Placed(Protocol):
     def position_m(self) -> float | None: ...
     @property
     def step(self) -> int | None: ...
+
+
+_T = TypeVar("_T", bound=_Placed)
 
 
 @dataclass(frozen=True)
@@ -114,27 +121,64 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     >>> unless_taken(Stop("3", "left", 0.25), others).position_m
     0.25
     """
-    if taken_by(stop, taken) is None:
+    if not stops_at(stop, taken):
         return stop
     own = [one for one in taken if (one.row, one.side) == (stop.row, stop.side)]
     on = next_place(own)
     if on.back and on.position_m == 0.0:  # a row ends there: on from its other end
         on = replace(on, position_m=max(one.position_m or 0.0 for one in own), back=False).onward()
-    while taken_by(moved := replace(stop, position_m=on.position_m), own) is not None:
+    while stops_at(moved := replace(stop, position_m=on.position_m), own):
         on = replace(on, back=False).onward()
     return moved
 
 
-def taken_by(stop: _Placed, others: Iterable[_Placed]) -> _Placed | None:
-    """Return the stop that is where this one is; None where none is, or its place is not known."""
+def stops_at(stop: _Placed, others: Iterable[_T]) -> list[_T]:
+    """Return the stops that are where this one is; none where its place is not known."""
     at_m = stop.position_m
     if at_m is None:
-        return None
-    for one in others:
-        near = one.position_m is not None and abs(one.position_m - at_m) < _SAME_M
-        if near and (one.row, one.side) == (stop.row, stop.side):
-            return one
-    return None
+        return []
+    return [
+        one
+        for one in others
+        if (one.row, one.side) == (stop.row, stop.side)
+        and one.position_m is not None
+        and abs(one.position_m - at_m) < _SAME_M
+    ]
+
+
+def refuse_taken(
+    store: Store, round_key: str, stop: _Placed, camera: CameraAt, *, but: str = ""
+) -> None:
+    """Refuse a stop at a place that has one of the same camera: most likely a slip in typing.
+
+    Two cameras on one mast share every place. They are two where their intrinsics differ, or their
+    heights.
+
+    Parameters
+    ----------
+    store, round_key : Store, str
+        The round.
+    stop : Stop or StopView
+        Where it is to be.
+    camera : CameraAt
+        What takes it.
+    but : str
+        Key of a stop that does not count: the one that is moved.
+
+    Raises
+    ------
+    RoundError
+        If one is there.
+    """
+    near = [one for one in stops_at(stop, store.stops(round_key)) if one.key != but]
+    cameras = store.cameras(round_key) if near else {}
+    for one in near:
+        if camera.is_one_with(cameras[one.key]):
+            name = "a stop" if one.step is None else f"stop {one.step}"
+            raise RoundError(
+                f"{name} is at {one.position_m:.2f} m of that row and side",
+                remedy="choose another position, or move or delete that stop first",
+            )
 
 
 def last_step(*walks: Sequence[_Placed]) -> int:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 
+_SAME_HEIGHT_M = 0.005
+
+
 @dataclass(frozen=True)
 class CameraAt:
     """Where a stop's camera stood, and what it was: what lists of stops leave out.
@@ -36,6 +39,17 @@ class CameraAt:
     pose: Sequence[float]
     captures: dict[str, int]
     camera: Mapping[str, Any]
+
+    @property
+    def height_m(self) -> float:
+        """Of the camera, as a pose file gave it; 0 without one."""
+        return float(self.pose[7]) if len(self.pose) == 16 else 0.0
+
+    def is_one_with(self, other: CameraAt) -> bool:
+        """Return whether both may be the same camera: no other intrinsics, and the same height."""
+        known = self.camera and other.camera
+        level = abs(self.height_m - other.height_m) < _SAME_HEIGHT_M
+        return level and (not known or self.camera == other.camera)
 
 
 class Saved(StrEnum):

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.kalman import Spreads
 
-SIZES = 64  # bodies drawn, from which fruit take their thickness
-UNFLAGGED = 0.2  # share of hidden fruit that nothing tells from whole ones
+_SIZES = 64  # bodies drawn, from which fruit take their thickness
+_UNFLAGGED = 0.2  # share of hidden fruit that nothing tells from whole ones
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,7 @@ def simulate_row(settings: SimulatedRow, seed: int) -> Walk:
 
 def _simulate_plants(settings: SimulatedRow, rng: np.random.Generator) -> Plants:
     """Simulate the fruit of a row; none reaches into another."""
-    bodies = np.sort(rng.uniform(0.06, 0.38, SIZES))
+    bodies = np.sort(rng.uniform(0.06, 0.38, _SIZES))
     thickness = [2 * float(random_fruit(rng, size, balls=24).radii_m.max()) for size in bodies]
     row_m = settings.fruit / settings.per_m
     table = np.zeros((0, 5))
@@ -378,7 +378,7 @@ def _capture(
     below = rng.random(len(seen)) < 0.5
     low, high = low + lost * below, high - lost * ~below
     middle[:, UP] = (low + high) / 2
-    partial = cut | (hidden & (rng.random(len(seen)) >= UNFLAGGED))
+    partial = cut | (hidden & (rng.random(len(seen)) >= _UNFLAGGED))
     invented = int(rng.binomial(max(len(seen), 1), s.false / (1 - s.false)))
     size = np.array([s.reach[0], s.reach[1], 0.5 * s.thickness_m / s.distance_m]) * s.distance_m
     ahead = np.array([0.0, 0.0, s.distance_m])

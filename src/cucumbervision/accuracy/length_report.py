@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-TRACKED_CAPTURES = 120  # beyond, one cannot tell captures apart
+_TRACKED_CAPTURES = 120  # beyond, one cannot tell captures apart
 GROUPED_CAPTURES = 10  # fewer are shown one by one, and neither tested nor grouped
 GLOSSARY = (
     ("centreline", "Length of the fruit's central axis, from the stem's attachment to the tip."),
@@ -99,7 +99,7 @@ def fruit_entries(
     readings: pd.DataFrame, truths: Sequence[LengthDefinition]
 ) -> list[Table | Picture]:
     """Return tables fruit by fruit; none where there are too many."""
-    if readings["case"].nunique() > TRACKED_CAPTURES:
+    if readings["case"].nunique() > _TRACKED_CAPTURES:
         return []
     return [fruit_table(readings, truth) for truth in truths]
 
@@ -115,7 +115,7 @@ def plot_entries(
         if captures >= GROUPED_CAPTURES:
             caption = f"Measured against true {truth}; on the line, both are the same."
             pictures.append(Picture(caption, plots.predicted_against_truth(readings, truth)))
-        if captures <= TRACKED_CAPTURES:
+        if captures <= _TRACKED_CAPTURES:
             pictures.append(Picture(tracked, plots.tracking(readings, truth)))
         if captures >= GROUPED_CAPTURES:
             caption = (

@@ -18,7 +18,7 @@ REPORTED = "reported"
 _TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
 _METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
 _LONGEST_CM = 10_000
-REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
+_REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ def read_measured(path: Path) -> Measured:
     if path.is_dir():
         found = [p for n in ("json", "csv") if (p := path / f"measurements.{n}").exists()]
         if not found:
-            raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+            raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
         path = found[0]
     beside = path.with_suffix(".json")
     report = _read_report(beside) if beside.exists() else {}
-    with refusing(path, remedy=REMEDY):
+    with refusing(path, remedy=_REMEDY):
         if path.suffix.lower() == ".json":
             if not report:
-                raise CucumberVisionError("is missing", source=path, remedy=REMEDY)
+                raise CucumberVisionError("is missing", source=path, remedy=_REMEDY)
             rows = [row for capture in report["captures"] for row in capture["fruit"]]
             names = [str(capture["name"]) for capture in report["captures"]]
         else:
@@ -111,7 +111,7 @@ def read_measured(path: Path) -> Measured:
             rows = [_typed(line.cells) for line in table.lines]
             names = []
             if not {"capture", "fruit", "length_cm"} <= set(table.columns):
-                raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+                raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
         ran = _keys_that_ran(rows, report)
         readings = tuple(_reading(row, ran) for row in rows)
     if not readings:
@@ -121,7 +121,7 @@ def read_measured(path: Path) -> Measured:
 
 
 def _read_report(path: Path) -> dict[str, Any]:
-    report = read_json(path, CucumberVisionError, REMEDY)
+    report = read_json(path, CucumberVisionError, _REMEDY)
     captures = report.get("captures") if isinstance(report, dict) else None
     known = isinstance(captures, list) and all(
         isinstance(c, dict)
@@ -130,7 +130,7 @@ def _read_report(path: Path) -> dict[str, Any]:
         for c in captures
     )
     if not known:
-        raise CucumberVisionError("holds no measurements", source=path, remedy=REMEDY)
+        raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
     return dict(report)
 
 

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.measured import Measured
 
-KIND_OF = {calibration_key(Method.M6, kind): kind for kind in LengthDefinition}
+_KIND_OF = {calibration_key(Method.M6, kind): kind for kind in LengthDefinition}
 
-LONGEST_M, SHORTEST_M = 1.0, 0.01
+_LONGEST_M, _SHORTEST_M = 1.0, 0.01
 
-LEAST_FRUIT = 3
+_LEAST_FRUIT = 3
 
 # Ratio of the written to the measured length, how far around it, what was written, what to do.
-UNITS = (
+_UNITS = (
     (10.0, 1.8, "10 times that: millimetres", "divide by 10"),
     (0.1, 1.8, "a tenth of that: decimetres", "multiply by 10"),
     (0.01, 2.5, "a hundredth of that: metres", "multiply by 100"),
@@ -165,7 +165,7 @@ def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
     """
     if method == REPORTED:
         return reported_kind not in {str(k) for k in LengthDefinition} or reported_kind == str(kind)
-    return KIND_OF.get(method, kind) is kind
+    return _KIND_OF.get(method, kind) is kind
 
 
 def _own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured) -> list[Record]:
@@ -209,7 +209,7 @@ def _score(
     truth = np.array([true for _, true, _ in chosen])
     fruit = [name for _, _, name in chosen]
     low, high = math.nan, math.nan
-    if len(set(fruit)) >= LEAST_FRUIT:
+    if len(set(fruit)) >= _LEAST_FRUIT:
         found = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
         low, high = found.low, found.high
     return MethodScore(method, kind, score(lengths, truth), low, high, len(set(fruit)))
@@ -246,7 +246,7 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
     measured = [(one, [x for x in reading.lengths_m.values() if x]) for one, reading in pairs]
     ratios = [one.length_m / float(np.median(known)) for one, known in measured if known]
     ratio = float(np.median(ratios)) if ratios else 1.0
-    for about, factor, words, remedy in UNITS:
+    for about, factor, words, remedy in _UNITS:
         if about / factor < ratio < about * factor:
             raise TruthError(
                 f"the lengths are not in centimetres: their median is {ratio:.3g} times what was "
@@ -256,7 +256,7 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
             )
     for one, _ in pairs:
         for length_m in one.lengths_m:
-            if not SHORTEST_M <= length_m <= LONGEST_M:
+            if not _SHORTEST_M <= length_m <= _LONGEST_M:
                 raise TruthError(
                     f"line {one.line}: {100 * length_m:g} cm is no cucumber's length",
                     source=path,

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import LengthDefinition
 
-DPI = 110
-WIDTH_IN = 10.0
-FEW_CAPTURES = 200  # drawn as larger dots
+_DPI = 110
+_WIDTH_IN = 10.0
+_FEW_CAPTURES = 200  # drawn as larger dots
 # Okabe and Ito's colours, told apart by colour-blind eyes too; each method also has its marker.
 STYLES: dict[str, tuple[str, str, str]] = {
     "M1": ("#E69F00", "v", "-"),
@@ -134,7 +134,7 @@ def error_spread(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
         errors = scored.loc[scored["method"] == method, "error_cm"].clip(lower=_SMALLEST_CM)
         colour, _, _ = method_style(method)
         jitter = k + rng.uniform(-0.25, 0.25, len(errors))
-        size = 24 if len(errors) <= FEW_CAPTURES else 9
+        size = 24 if len(errors) <= _FEW_CAPTURES else 9
         ax.scatter(errors, jitter, s=size, c=colour, alpha=0.6, linewidths=0, zorder=3)
         ax.boxplot(
             [errors],
@@ -172,7 +172,7 @@ def new_figure(height_in: float) -> Figure:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
         raise MissingExtraError("matplotlib", "report") from None
-    return Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
+    return Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, layout="constrained")
 
 
 def as_png(figure: Figure) -> bytes:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-SEPARATORS = (",", ";", "\t")
+_SEPARATORS = (",", ";", "\t")
 
-FORMULA_STARTS = ("=", "+", "-", "@")
+_FORMULA_STARTS = ("=", "+", "-", "@")
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
         first = rest.partition("\n")[0]
     if not text.strip():
         raise error("the file is empty", source=path, remedy="write a head and a line a length")
-    separator = max(SEPARATORS, key=first.count)
+    separator = max(_SEPARATORS, key=first.count)
     with refusing(path, error, "write one line a length, and close every quote"):
         return _table_of(text, skipped, separator, path, error)
 
@@ -130,14 +130,14 @@ def parse_number(text: str) -> float | None:
 
 def _cell(text: str) -> str:
     plain = text.strip()
-    return plain[1:] if plain[:1] == "'" and plain[1:2] in FORMULA_STARTS else plain
+    return plain[1:] if plain[:1] == "'" and plain[1:2] in _FORMULA_STARTS else plain
 
 
 MISSED = "missed"
 
-LENGTH_COLUMN = re.compile(r"length(_\d+)?_cm")
+_LENGTH_COLUMN = re.compile(r"length(_\d+)?_cm")
 
-KNOWN = {"capture", "fruit", "kind", "specimen", "repeat"}
+_KNOWN = {"capture", "fruit", "kind", "specimen", "repeat"}
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def read_truth(path: Path) -> Truth:
         number, an unknown kind, or lines that contradict each other.
     """
     table = read_table(path, TruthError)
-    columns = [name for name in table.columns if LENGTH_COLUMN.fullmatch(name)]
+    columns = [name for name in table.columns if _LENGTH_COLUMN.fullmatch(name)]
     missing = [name for name in ("capture", "fruit", "kind") if name not in table.columns]
     if not columns:
         missing.append("length_cm")
@@ -241,7 +241,7 @@ def read_truth(path: Path) -> Truth:
             remedy="name the columns capture, fruit, length_cm (in centimetres), kind",
         )
     _require_lines(table, path)
-    unused = [n for n in table.columns if n and n not in {*KNOWN, *columns}]
+    unused = [n for n in table.columns if n and n not in {*_KNOWN, *columns}]
     read = [(line, _true_length(line, columns, path)) for line in table.lines]
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     lengths = _merged(read, path)

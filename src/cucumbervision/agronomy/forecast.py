@@ -99,7 +99,7 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts)
 
 
-SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no likelier than this
+_SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no likelier than this
 
 
 @dataclass(frozen=True)
@@ -413,6 +413,6 @@ def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDA
     grown = unslowed(profile.acceptance.min_cm / 100) + lengths.newcomer_m
     entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
     reach = [(grown >= unslowed(entry)).mean(axis=1) for entry in entries]
-    complete = np.stack(reach, axis=1) <= SURELY_COMPLETE
+    complete = np.stack(reach, axis=1) <= _SURELY_COMPLETE
     complete[1:, len(profile.classes)] = False  # 'too short' grows by new fruit every day
     return complete

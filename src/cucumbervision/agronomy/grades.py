@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.profiles import CropProfile
 
-INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_high_cm`
+_INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_high_cm`
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class LengthBelief:
 
     @classmethod
     def from_interval(
-        cls, length_m: float, low_m: float, high_m: float, level: float = INTERVAL_LEVEL
+        cls, length_m: float, low_m: float, high_m: float, level: float = _INTERVAL_LEVEL
     ) -> LengthBelief:
         """Read an interval as a distribution.
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import Histories
     from cucumbervision.agronomy.profiles import CropProfile
 
-NEARLY_FULL = 0.98  # nearer to its full length a fruit's age cannot be told from its length
+_NEARLY_FULL = 0.98  # nearer to its full length a fruit's age cannot be told from its length
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Curve:
         length = np.asarray(length_m, np.float64)
         if np.isinf(self.full_m):
             return np.ones_like(length)
-        share = np.minimum(length / self.full_m, NEARLY_FULL)
+        share = np.minimum(length / self.full_m, _NEARLY_FULL)
         return np.asarray(np.minimum(2 * (1 - share), 1.0), np.float64)
 
     def unslowed(self, length_m: ArrayLike) -> NDArray[np.float64]:
@@ -102,7 +102,7 @@ class Curve:
         half = self.full_m / 2
         if u_m <= half:
             return 1.0
-        return max(float(np.exp(1 - u_m / half)), 2 * (1 - NEARLY_FULL))
+        return max(float(np.exp(1 - u_m / half)), 2 * (1 - _NEARLY_FULL))
 
 
 LINEAR = Curve()
@@ -110,11 +110,11 @@ LINEAR = Curve()
 # The profile's spreads may be wrong by these factors either way: 1.6 for houses, 1.4 for the rest.
 SPREAD_LOG_SD = np.array([0.5, 0.35, 0.35, 0.35, 0.35])
 
-FULL_LENGTHS = (1.15, 1.3, 1.5, 1.8)  # times the longest class's end: curves that are tried
+_FULL_LENGTHS = (1.15, 1.3, 1.5, 1.8)  # times the longest class's end: curves that are tried
 
 # Log likelihood that a curve must gain over the first. Picking alone makes growth look as if it
 # slowed, since of the long fruit those that grow slowly stay: 5 to 10 with 500 links.
-PLAINLY_BETTER = 15.0
+_PLAINLY_BETTER = 15.0
 
 HYPER_DRAWS = 40
 
@@ -197,7 +197,7 @@ class GrowthPrior:
         spreads = Spreads(*(figure / 100 for figure in cm))
         if g.full_cm is not None:
             return cls(g.mean / 100, spreads, (Curve(g.full_cm / 100),))
-        curves = [Curve(float(times * profile.edges_m[-1])) for times in FULL_LENGTHS]
+        curves = [Curve(float(times * profile.edges_m[-1])) for times in _FULL_LENGTHS]
         return cls(g.mean / 100, spreads, (LINEAR, *curves))
 
 
@@ -278,7 +278,7 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     mode, root = best.fit()
     # A curve that helps does so with the first one's spreads too.
     scores = [problem.log_posterior(mode) for problem in problems]
-    if max(scores) > scores[0] + PLAINLY_BETTER:
+    if max(scores) > scores[0] + _PLAINLY_BETTER:
         best = problems[int(np.argmax(scores))]
         mode, root = best.fit()
     logs = mode + np.random.default_rng(seed).standard_normal((HYPER_DRAWS, 5)) @ root.T

@@ -19,7 +19,7 @@ from cucumbervision.measurement.result import LengthDefinition
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
+_TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -170,9 +170,9 @@ class CropProfile(_Strict):
     @model_validator(mode="after")
     def _agrees(self) -> Self:
         names = [c.name for c in self.classes]
-        taken = {*names} & {TOO_SHORT, TOO_LONG}
+        taken = {*names} & {_TOO_SHORT, TOO_LONG}
         if len({*names}) < len(names) or taken:
-            raise ValueError(f"classes: each needs a name of its own, none may be {TOO_SHORT!r}")
+            raise ValueError(f"classes: each needs a name of its own, none may be {_TOO_SHORT!r}")
         for lower, upper in pairwise(sorted(self.classes, key=lambda c: c.min_cm)):
             if upper.min_cm != lower.max_cm:
                 raise ValueError(
@@ -203,7 +203,7 @@ class CropProfile(_Strict):
     @property
     def outcomes(self) -> tuple[str, ...]:
         """The classes, best first, then the two ways to be out of grade."""
-        return (*(c.name for c in self.classes), TOO_SHORT, TOO_LONG)
+        return (*(c.name for c in self.classes), _TOO_SHORT, TOO_LONG)
 
     @property
     def outcome_of_bin(self) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
 
 _FORMAT = "cucumbervision-calibration"
-CAMERA_TOLERANCE_PX = 0.01
+_CAMERA_TOLERANCE_PX = 0.01
 
 
 class _Frozen(StrictModel):
@@ -61,7 +61,7 @@ class CalibratedCamera(_Frozen):
         own = self.intrinsics.intrinsics
         same = own.size == intrinsics.size and own.distortion is intrinsics.distortion
         pairs = zip(_numbers(own), _numbers(intrinsics), strict=True)
-        if same and all(abs(a - b) <= CAMERA_TOLERANCE_PX for a, b in pairs):
+        if same and all(abs(a - b) <= _CAMERA_TOLERANCE_PX for a, b in pairs):
             return ""
         return f"its intrinsics are {_words(own)}, here {_words(intrinsics)}"
 

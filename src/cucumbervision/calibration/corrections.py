@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 LEAST_CAPTURES = 3
 
-OUTLINE_SD_PX = 0.7
+_OUTLINE_SD_PX = 0.7
 
 
 @dataclass(frozen=True)
@@ -75,20 +75,20 @@ def fit_depth_scale(measured_m: ArrayLike, reference_m: float, pixel_m: float = 
     if len(ratios) < LEAST_CAPTURES or not (ratios > 0).all():
         raise ValueError(f"a depth scale needs {LEAST_CAPTURES} captures of the bar")
     spread = float(ratios.std(ddof=1))
-    ends = np.sqrt(2) * OUTLINE_SD_PX * pixel_m / reference_m
+    ends = np.sqrt(2) * _OUTLINE_SD_PX * pixel_m / reference_m
     error = float(np.hypot(spread / np.sqrt(len(ratios)), ends))
     return DepthScale(float(ratios.mean()), error, spread, len(ratios))
 
 
 LEVEL = 0.90
 
-HUBER = 1.345
+_HUBER = 1.345
 
-LEAST_GAIN_POINTS = 0.01
+_LEAST_GAIN_POINTS = 0.01
 
-ROUNDS = 50
+_ROUNDS = 50
 
-TOLERANCE = 1e-9
+_TOLERANCE = 1e-9
 
 
 class Form(StrEnum):
@@ -202,7 +202,7 @@ def fit_correction(
         held_out[form] = _leave_one_out(form, raw, truth, member)
         gain, error = _gain(held_out[chosen], held_out[form], truth, member)
         verdict = f"{form} gains {gain:.2f} points, standard error {error:.2f}"
-        if gain > max(error, LEAST_GAIN_POINTS):
+        if gain > max(error, _LEAST_GAIN_POINTS):
             chosen, reasons = form, [verdict]
         else:
             reasons.append(f"{verdict}: no help")
@@ -285,15 +285,15 @@ def _fit(
     design = np.stack(columns, axis=1)
     trust = np.ones_like(raw)
     solution: NDArray[np.float64] = np.zeros(len(columns))
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         root = np.sqrt(weights * trust)
         before = solution
         solution = np.asarray(np.linalg.lstsq(design * root[:, None], root, rcond=None)[0], float)
         residual = np.abs(design @ solution - 1)
         # The floor keeps readings without any noise from being torn apart by rounding.
-        bound = HUBER * max(1.4826 * float(np.median(residual)), 1e-9)
+        bound = _HUBER * max(1.4826 * float(np.median(residual)), 1e-9)
         trust = np.minimum(1.0, bound / np.maximum(residual, 1e-12))
-        if np.abs(solution - before).max() < TOLERANCE:
+        if np.abs(solution - before).max() < _TOLERANCE:
             break
     return float(solution[0]), float(solution[1]) if form is Form.SCALE_OFFSET else 0.0
 

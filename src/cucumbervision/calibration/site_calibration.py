@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.truth import TrueLength, Truth
 
 _BAR_METHODS = ("M6 chord", "M3")
-WORST_SCALE = 0.10
-WORST_SPREAD = 0.02
+_WORST_SCALE = 0.10
+_WORST_SPREAD = 0.02
 
 
 @dataclass(frozen=True)
@@ -303,14 +303,14 @@ def _require_plausible(
 ) -> None:
     middle = float(np.median([x for _, x in known]))
     odd, length = max(known, key=lambda pair: abs(pair[1] - middle))
-    if spread > WORST_SPREAD:
+    if spread > _WORST_SPREAD:
         raise CalibrationError(
             f"the bar's readings scatter by {100 * spread:.1f} %; fruit {odd.fruit} of "
             f"'{odd.capture}' reads {length:.4f} m, the median is {middle:.4f} m",
             source=path,
             remedy="leave that capture out, or name the rows of the bar in a table",
         )
-    if abs(scale - 1) > WORST_SCALE:
+    if abs(scale - 1) > _WORST_SCALE:
         raise CalibrationError(
             f"the bar reads {scale:.3f} times its length, which no depth scale is",
             source=path,

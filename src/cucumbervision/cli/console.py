@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.run import BatchOptions, RunResult
 
-MOST_ROWS = 40
-WIDTH = 120
-SIMULATED = "simulated captures are among them: drawn, not taken"
+_MOST_ROWS = 40
+_WIDTH = 120
+_SIMULATED = "simulated captures are among them: drawn, not taken"
 
 
-def screen(width: int = WIDTH) -> Console:
+def screen(width: int = _WIDTH) -> Console:
     """Return the console for results.
 
     A file or a pipe has no width of its own; 80 columns would cut the tables.
@@ -168,7 +168,7 @@ def progress_bar(console: Console) -> Progress:
 
 def _results_table(result: RunResult) -> Table:
     """Lay out the rows as a table; the methods that ran get a column each."""
-    rows = list(islice(result.each_row(), MOST_ROWS))
+    rows = list(islice(result.each_row(), _MOST_ROWS))
     ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in rows)]
     table = Table(title="Measured fruit, lengths in cm", title_justify="left")
     for head in ("capture", "fruit"):
@@ -182,8 +182,8 @@ def _results_table(result: RunResult) -> Table:
     table.add_column("remarks", overflow="fold")
     for row in rows:
         table.add_row(*_cells(row, ran))
-    if result.summary.fruit > MOST_ROWS:
-        table.caption = f"and {result.summary.fruit - MOST_ROWS} more in measurements.csv"
+    if result.summary.fruit > _MOST_ROWS:
+        table.caption = f"and {result.summary.fruit - _MOST_ROWS} more in measurements.csv"
     return table
 
 
@@ -229,7 +229,7 @@ def _closing_line(result: RunResult) -> str:
     masks = [(MaskSource(name).words, count) for name, count in summary.masks.items() if name]
     if masks:
         line = f"{line}; masks by {', '.join(f'{words} {count}' for words, count in masks)}"
-    return f"{line}; {SIMULATED}." if summary.simulated else f"{line}."
+    return f"{line}; {_SIMULATED}." if summary.simulated else f"{line}."
 
 
 def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, ImageRef
     from cucumbervision.store.repository import Store
 
-LONG_SIDE_PX = 480
-MARGIN, NARROWEST = 0.12, 0.6  # of the fruit's longer side: around it, and the other side's least
-BARS_M = (0.10, 0.05, 0.02, 0.01)
+_LONG_SIDE_PX = 480
+_MARGIN, _NARROWEST = 0.12, 0.6  # of the fruit's longer side: around it, and the other side's least
+_BARS_M = (0.10, 0.05, 0.02, 0.01)
 QUALITY = 90
 
 
@@ -83,7 +83,7 @@ def draw_fruit(
     Returns
     -------
     ndarray of uint8, shape (h, w, 3)
-        RGB, the longer side `LONG_SIDE_PX`.
+        RGB, the longer side `_LONG_SIDE_PX`.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def draw_fruit(
         np.rint(per_px * corner).astype(int) for corner in ((left, top), (right, bottom))
     )
     cut = color[y1 : max(y2, y1 + 1), x1 : max(x2, x1 + 1)]
-    zoom = LONG_SIDE_PX / max(right - left, bottom - top)
+    zoom = _LONG_SIDE_PX / max(right - left, bottom - top)
     size = round(zoom * (right - left)), round(zoom * (bottom - top))
     by = cv2.INTER_AREA if zoom < per_px[0] else cv2.INTER_CUBIC
     picture = cast("NDArray[np.uint8]", cv2.resize(cut, size, interpolation=by))
@@ -136,7 +136,7 @@ def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int
     longest = max(x2 - x1, y2 - y1)
     spans = []
     for low, high, most in ((x1, x2, width_px), (y1, y2, height_px)):
-        half = max(high - low, NARROWEST * longest) / 2 + MARGIN * longest
+        half = max(high - low, _NARROWEST * longest) / 2 + _MARGIN * longest
         middle = (low + high) / 2
         first = int(np.clip(round(middle - half), 0, most - 1))
         spans.append((first, int(np.clip(round(middle + half), first + 1, most))))
@@ -147,5 +147,5 @@ def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int
 def _draw_scale(picture: NDArray[np.uint8], px_per_m: float) -> None:
     """Draw the longest bar that takes less than half of the picture's width."""
     most_m = 0.5 * picture.shape[1] / px_per_m
-    length_m = next((one for one in BARS_M if one <= most_m), BARS_M[-1])
+    length_m = next((one for one in _BARS_M if one <= most_m), _BARS_M[-1])
     draw_bar(picture, length_m * px_per_m, f"{100 * length_m:.0f} cm", 0.75)

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters would be
+_COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters would be
 
 
 def polyline_length(vertices_m: NDArray[Any]) -> float:
@@ -66,7 +66,7 @@ def natural_spline(
     from scipy.interpolate import CubicSpline
 
     step = np.linalg.norm(np.diff(vertices_m, axis=0), axis=1)
-    apart = step > COINCIDENT * step.sum()
+    apart = step > _COINCIDENT * step.sum()
     keep = np.concatenate(([True], apart))
     vertices, step = np.asarray(vertices_m, dtype=np.float64)[keep], step[apart]
     if len(vertices) < 2:

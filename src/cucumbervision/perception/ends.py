@@ -31,7 +31,7 @@ SURE = 0.9
 """From this probability on a fruit's ends are said to be told apart."""
 
 BEYOND = 0.15  # of the fruit's length, that is shown beyond each end: the stalk
-HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
+_HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
 _GREY = 114  # what stands for nothing in a network's input too
 
 
@@ -79,7 +79,7 @@ def straighten(
     middle = points_along(line, shares)
     ahead = np.gradient(middle, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
-    aside = np.linspace(-HALF_WIDTH, HALF_WIDTH, height)[:, None, None] * length
+    aside = np.linspace(-_HALF_WIDTH, _HALF_WIDTH, height)[:, None, None] * length
     at = middle[None] + aside * np.column_stack([-ahead[:, 1], ahead[:, 0]])[None]
     picture, corner, scale = _near(color_rgb, at, length * (1 + 2 * BEYOND) / width)
     at = ((at - corner + 0.5) * scale - 0.5).astype(np.float32)

@@ -90,15 +90,15 @@ class Instance:
     input_size_px: int | None = None
 
 
-SAME_IOU = 0.5  # of two masks of one fruit
-INSIDE = 0.8  # share of the smaller mask that lies in the larger, where both are of one fruit
-SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
-TRUSTED = 0.5  # of the best confidence, which the largest mask needs to be kept
-SPAN_IOU = 0.75  # of a pose's box with the common box of the pieces that it joins
-OWN_IOU = 0.5  # of a piece's box with that of another pose, whose fruit it is then
-THICKER = 1.6  # of a mask over two fruit side by side, to the one of them that is found too
-MUCH_CUT = 0.3  # of a mask given to others, from which on its box no longer holds
-OFF_LINE = 0.15  # of the pose's length: how far from its line a piece's middle may lie
+_SAME_IOU = 0.5  # of two masks of one fruit
+_INSIDE = 0.8  # share of the smaller mask that lies in the larger, where both are of one fruit
+_SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
+_TRUSTED = 0.5  # of the best confidence, which the largest mask needs to be kept
+_SPAN_IOU = 0.75  # of a pose's box with the common box of the pieces that it joins
+_OWN_IOU = 0.5  # of a piece's box with that of another pose, whose fruit it is then
+_THICKER = 1.6  # of a mask over two fruit side by side, to the one of them that is found too
+_MUCH_CUT = 0.3  # of a mask given to others, from which on its box no longer holds
+_OFF_LINE = 0.15  # of the pose's length: how far from its line a piece's middle may lie
 
 
 def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -188,7 +188,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
         edges = np.array([one.box for one in pieces])
         box = np.concatenate([edges[:, :2].min(axis=0), edges[:, 2:].max(axis=0)])
         alone = max(box_iou(one.box, pose.box) for one in pieces)
-        if box_iou(box, pose.box) < max(SPAN_IOU, alone):
+        if box_iou(box, pose.box) < max(_SPAN_IOU, alone):
             continue
         left = [one for one in left if one not in pieces]
         left.append(_joined(pieces, box, pose))
@@ -244,7 +244,7 @@ def apart(
         if before is None or after is None or after is before:
             out.append(one)
         elif after.any():
-            much = np.count_nonzero(after) < (1 - MUCH_CUT) * np.count_nonzero(before)
+            much = np.count_nonzero(after) < (1 - _MUCH_CUT) * np.count_nonzero(before)
             box = box_of_mask(after) if much else one.box
             out.append(replace(one, box=box, detector_mask=after))
     return tuple(out)
@@ -356,15 +356,15 @@ def _shared(a: _Region, b: _Region) -> float:
 
 def _same(a: _Region, b: _Region) -> bool:
     if a.mask is None or b.mask is None:
-        return box_iou(a.instance.box, b.instance.box) >= SAME_BOX_IOU
+        return box_iou(a.instance.box, b.instance.box) >= _SAME_BOX_IOU
     shared = _shared(a, b)
-    if shared >= SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b):
+    if shared >= _SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b):
         return not _over_two(*sorted((a, b), key=lambda one: one.area))
     return False
 
 
 def _inside(shared: float, a: _Region, b: _Region) -> bool:
-    return shared >= INSIDE * min(a.area, b.area)
+    return shared >= _INSIDE * min(a.area, b.area)
 
 
 def _over_two(part: _Region, whole: _Region) -> bool:
@@ -377,8 +377,8 @@ def _over_two(part: _Region, whole: _Region) -> bool:
     sides = [_sides(one) for one in (part.mask[whole.window], whole.mask[whole.window], rest)]
     (long, thick), (_, of_both), (of_rest, thick_rest) = sides
     return (
-        of_both >= THICKER * thick
-        and thick / THICKER <= thick_rest <= THICKER * thick
+        of_both >= _THICKER * thick
+        and thick / _THICKER <= thick_rest <= _THICKER * thick
         and of_rest >= long / 2
     )
 
@@ -402,7 +402,7 @@ def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
         if other is one or other.mask is None or other.area >= one.area:
             continue
         shared = _shared(one, other)
-        if shared >= INSIDE * other.area and not any(_same(other, part) for part in parts):
+        if shared >= _INSIDE * other.area and not any(_same(other, part) for part in parts):
             parts.append(other)
     if len(parts) < 2:
         return False
@@ -412,7 +412,7 @@ def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
 def _kept(group: Sequence[_Region]) -> Instance:
     members = sorted(group, key=_best_first)
     best = members[0].instance.confidence
-    trusted = [one for one in members if one.instance.confidence >= TRUSTED * best]
+    trusted = [one for one in members if one.instance.confidence >= _TRUSTED * best]
     kept = max(trusted, key=lambda one: one.area).instance
     posed = [one for one in (kept, *(m.instance for m in members)) if one.keypoints is not None]
     if not posed:
@@ -426,13 +426,13 @@ def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
     mask = visible_mask(one)
     if pose.keypoints is None or mask is None or not mask.any():
         return False
-    if any(box_iou(one.box, other.box) >= OWN_IOU for other in poses if other is not pose):
+    if any(box_iou(one.box, other.box) >= _OWN_IOU for other in poses if other is not pose):
         return False
     rows, columns = np.nonzero(mask)
     line = np.asarray(pose.keypoints[:, :2], np.float64)
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     middle = np.array([columns.mean(), rows.mean()])
-    return _distance(middle, line) <= OFF_LINE * length
+    return _distance(middle, line) <= _OFF_LINE * length
 
 
 def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:

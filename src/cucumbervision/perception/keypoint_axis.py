@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-LEAST_PIXELS = 80
-LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
-SAMPLES = 400
-FADE = 4  # in the middle of the fruit a sixteenth of an end's shift is left
+_LEAST_PIXELS = 80
+_LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
+_SAMPLES = 400
+_FADE = 4  # in the middle of the fruit a sixteenth of an end's shift is left
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-STALK = 0.45  # of the body's thickness: what is thinner is no body
-NEAR = 0.12  # of the length: an end of the outline further from the network's is another one
+_STALK = 0.45  # of the body's thickness: what is thinner is no body
+_NEAR = 0.12  # of the length: an end of the outline further from the network's is another one
 
 
 def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
@@ -77,7 +77,7 @@ def _placed(instance: Instance) -> Instance:
     tips, seen = line[[0, -1]], points[[0, -1], :2]
     if np.linalg.norm(tips - seen, axis=1).sum() > np.linalg.norm(tips[::-1] - seen, axis=1).sum():
         tips = tips[::-1]
-    near = np.linalg.norm(tips - seen, axis=1) <= NEAR * arc_positions(points[:, :2])[-1]
+    near = np.linalg.norm(tips - seen, axis=1) <= _NEAR * arc_positions(points[:, :2])[-1]
     if not near.any():
         return instance
     line = points[:, :2].copy()
@@ -107,7 +107,7 @@ def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
         return None
     part = np.pad(mask[window], 1).astype(np.uint8)
     inside = cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    radius = STALK * float(inside.max())
+    radius = _STALK * float(inside.max())
     # A pixel is in the opening if it lies in a disc that lies in the mask.
     centres = (inside <= radius).astype(np.uint8)
     opened = cv2.distanceTransform(centres, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) < radius
@@ -140,10 +140,10 @@ def axis_line(mask: NDArray[np.bool_]) -> Array | None:
     if axis is None:
         return None
     middle, frame, along, curve = axis
-    s = np.linspace(along.min(), along.max(), SAMPLES)
+    s = np.linspace(along.min(), along.max(), _SAMPLES)
     line = middle + np.stack([s, curve(s)], axis=1) @ frame
     inside = _inside(mask, line)
-    first, last = int(inside.argmax()), SAMPLES - int(inside[::-1].argmax())
+    first, last = int(inside.argmax()), _SAMPLES - int(inside[::-1].argmax())
     return line[first:last] if inside.any() and inside[first:last].all() else None
 
 
@@ -181,12 +181,12 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | No
         return None
     middle, frame, _, curve = axis
     first, last = (ends - middle) @ frame[0]
-    s = np.linspace(first, last, SAMPLES)
+    s = np.linspace(first, last, _SAMPLES)
     line = middle + np.stack([s, curve(s)], axis=1) @ frame
-    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
-    line += (1 - share) ** FADE * (ends[0] - line[0]) + share**FADE * (ends[1] - line[-1])
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
+    line += (1 - share) ** _FADE * (ends[0] - line[0]) + share**_FADE * (ends[1] - line[-1])
     # At the very ends the line may run along the outline.
-    if not _inside(mask, line[SAMPLES // 10 : -SAMPLES // 10]).all():
+    if not _inside(mask, line[_SAMPLES // 10 : -_SAMPLES // 10]).all():
         return None
     return points_along(line, SHARES)
 
@@ -194,11 +194,11 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | No
 def _axis(mask: NDArray[np.bool_]) -> tuple[Array, Array, Array, Callable[[Array], Array]] | None:
     """Return the pixels' middle, their principal axes, their places along and the axis across."""
     pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
-    if len(pixels) < LEAST_PIXELS:
+    if len(pixels) < _LEAST_PIXELS:
         return None
     middle = pixels.mean(axis=0)
     spread, axes = np.linalg.eigh(np.cov((pixels - middle).T))
-    if spread[1] < LEAST_SLIMNESS**2 * spread[0]:
+    if spread[1] < _LEAST_SLIMNESS**2 * spread[0]:
         return None
     frame = axes.T[::-1]
     along, across = ((pixels - middle) @ frame.T).T

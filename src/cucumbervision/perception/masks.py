@@ -90,8 +90,8 @@ def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
     return 0.0 if a is None else float(mask_ious(a[None], b)[0])
 
 
-SWALLOWED = 0.5  # share of the smaller mask in the larger: then the larger has swallowed it
-ONE_IOU = 0.8  # two masks of one thing, which is nobody's neighbour
+_SWALLOWED = 0.5  # share of the smaller mask in the larger: then the larger has swallowed it
+_ONE_IOU = 0.8  # two masks of one thing, which is nobody's neighbour
 _BESIDE_PX = 8
 NEARER = 0.01  # of the distance: what tells by depth which of two lies in front
 
@@ -142,7 +142,7 @@ def disjoint_masks(
             if not (a[rows, columns] & b[rows, columns]).any():
                 continue
             # As given: what others took from both may have made two fruit alike.
-            if given_a is None or given_b is None or mask_iou(given_a, given_b) >= ONE_IOU:
+            if given_a is None or given_b is None or mask_iou(given_a, given_b) >= _ONE_IOU:
                 continue
             loser = _loser((a, b), (scores[i], scores[j]), depth_m)
             kept[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
@@ -159,7 +159,7 @@ def _loser(
     shared = a & b
     areas = int(np.count_nonzero(a)), int(np.count_nonzero(b))
     count = int(np.count_nonzero(shared))
-    if count >= SWALLOWED * min(areas):
+    if count >= _SWALLOWED * min(areas):
         return int(areas[1] > areas[0])
     far_m = _distances(shared, pair, depth_m)
     if all(far_m):

@@ -28,23 +28,23 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
 
 # Lengths are in diameters of the thinner part.
-NARROWEST_GAP = 0.08  # a string's; masks that touch are two fruit, one before the other
-LONGEST_GAP, LONGEST_GAP_UNSEEN = 2.5, 2.0  # with depth, and without
-LONGEST_WHOLE = 12.0
-SHORTEST_PART = 0.3
-NEAR = 2.0  # of a part, counted from the gap, tells its axis and its diameter there
-SIDES = 0.4  # how far beside the axis the gap is looked at
-BESIDE, INNER = 0.75, 0.35  # of that: which lines run beside the middle, and which through it
-OPENING = 0.15  # how much wider the gap may be at its sides; between two round ends it is 0.27
-OFFSET = 0.3  # between the two axes, in the middle of the gap
-THIN_GAP = 0.35  # a string's: too thin for a depth camera to see it nearer
-EQUAL_GIRTH = 0.7  # thinner over thicker
-TURN_DEG = 30.0  # between the two axes
-AXIS_SPAN = 0.6  # how long a part must be before it has an axis of its own
-NEARER, NEARER_SHARE = 0.008, 0.6  # of the distance, and of the readings in the gap
-FARTHER, FARTHER_SHARE = 0.02, 0.2
-DEPTH_STEP = 0.03  # of the distance, between what both parts foretell for the gap
-SAME_COLOR = 18.0  # between the parts' medians, in CIE Lab
+_NARROWEST_GAP = 0.08  # a string's; masks that touch are two fruit, one before the other
+_LONGEST_GAP, _LONGEST_GAP_UNSEEN = 2.5, 2.0  # with depth, and without
+_LONGEST_WHOLE = 12.0
+_SHORTEST_PART = 0.3
+_NEAR = 2.0  # of a part, counted from the gap, tells its axis and its diameter there
+_SIDES = 0.4  # how far beside the axis the gap is looked at
+_BESIDE, _INNER = 0.75, 0.35  # of that: which lines run beside the middle, and which through it
+_OPENING = 0.15  # how much wider the gap may be at its sides; between two round ends it is 0.27
+_OFFSET = 0.3  # between the two axes, in the middle of the gap
+_THIN_GAP = 0.35  # a string's: too thin for a depth camera to see it nearer
+_EQUAL_GIRTH = 0.7  # thinner over thicker
+_TURN_DEG = 30.0  # between the two axes
+_AXIS_SPAN = 0.6  # how long a part must be before it has an axis of its own
+_NEARER, _NEARER_SHARE = 0.008, 0.6  # of the distance, and of the readings in the gap
+_FARTHER, _FARTHER_SHARE = 0.02, 0.2
+_DEPTH_STEP = 0.03  # of the distance, between what both parts foretell for the gap
+_SAME_COLOR = 18.0  # between the parts' medians, in CIE Lab
 
 
 def join_across(
@@ -165,12 +165,12 @@ class _Facing:
         """Whether shape and place are those of one fruit."""
         girth = self.girth_px
         return (
-            self.ratio >= EQUAL_GIRTH
-            and NARROWEST_GAP * girth <= self.gap_px <= LONGEST_GAP * girth
-            and self.opening_px <= OPENING * girth
-            and self.offset_px <= OFFSET * girth
-            and self.turn_deg <= TURN_DEG
-            and self.whole_px <= LONGEST_WHOLE * girth
+            self.ratio >= _EQUAL_GIRTH
+            and _NARROWEST_GAP * girth <= self.gap_px <= _LONGEST_GAP * girth
+            and self.opening_px <= _OPENING * girth
+            and self.offset_px <= _OFFSET * girth
+            and self.turn_deg <= _TURN_DEG
+            and self.whole_px <= _LONGEST_WHOLE * girth
         )
 
     def pixels(self, s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -210,8 +210,8 @@ def _facing(a: _Part, b: _Part) -> _Facing | None:
     """Return how two parts lie to each other; None where they plainly are apart."""
     thin, thick = sorted((a.girth_px, b.girth_px))
     far = float(np.linalg.norm(b.centre - a.centre))
-    reach = (a.long_px + b.long_px) / 2 + LONGEST_GAP * thick
-    if far < thin / 2 or far > 1.2 * reach or thin < EQUAL_GIRTH**2 * thick:
+    reach = (a.long_px + b.long_px) / 2 + _LONGEST_GAP * thick
+    if far < thin / 2 or far > 1.2 * reach or thin < _EQUAL_GIRTH**2 * thick:
         return None
     along, near_a, near_b = _near_the_gap(a, b)
     across = np.array([-along[1], along[0]])
@@ -222,13 +222,13 @@ def _facing(a: _Part, b: _Part) -> _Facing | None:
     if fore is None or aft is None:
         return None
     girth = min(fore.girth_px, aft.girth_px)
-    if min(fore.long_px, aft.long_px) < SHORTEST_PART * girth:
+    if min(fore.long_px, aft.long_px) < _SHORTEST_PART * girth:
         return None
     middle = (fore.middle_px + aft.middle_px) / 2
     edges = _edges(first, second, middle, girth)
     gap = edges[:, 2] - edges[:, 1]
-    off = np.abs(edges[:, 0] - middle) / (SIDES * girth)
-    beside, inner = off > BESIDE, off < INNER
+    off = np.abs(edges[:, 0] - middle) / (_SIDES * girth)
+    beside, inner = off > _BESIDE, off < _INNER
     slopes = [one.slope for one in (fore, aft) if one.slope is not None]
     if not slopes or not beside.any() or not inner.any():
         return None
@@ -260,8 +260,8 @@ def _near_the_gap(
     for _ in range(2):
         along = apart / max(float(np.linalg.norm(apart)), 1e-9)
         at_a, at_b = a.pixels @ along, b.pixels @ along
-        near_a = a.pixels[at_a > at_a.max() - NEAR * a.girth_px]
-        near_b = b.pixels[at_b < at_b.min() + NEAR * b.girth_px]
+        near_a = a.pixels[at_a > at_a.max() - _NEAR * a.girth_px]
+        near_b = b.pixels[at_b < at_b.min() + _NEAR * b.girth_px]
         apart = near_b.mean(axis=0) - near_a.mean(axis=0)
     return apart / max(float(np.linalg.norm(apart)), 1e-9), near_a, near_b
 
@@ -308,7 +308,7 @@ class _Sections:
         whole = known & (width > 0.8 * girth)
         s, t = np.flatnonzero(whole) + start, (low[whole] + high[whole]) / 2
         span = float(np.ptp(s)) + 1
-        slope = float(np.polyfit(s, t, 1)[0]) if span > AXIS_SPAN * girth else None
+        slope = float(np.polyfit(s, t, 1)[0]) if span > _AXIS_SPAN * girth else None
         last = float(t[-1] if side < 0 else t[0])
         return cls(girth, span, last, slope, (float(s.mean()), float(t.mean())))
 
@@ -324,7 +324,7 @@ def _edges(
     """Return of lines along the frame their t, and where they leave and enter the parts."""
     step = max(1.0, girth / 15)
     edges = []
-    for t in np.arange(middle - SIDES * girth, middle + SIDES * girth + step / 2, step):
+    for t in np.arange(middle - _SIDES * girth, middle + _SIDES * girth + step / 2, step):
         a, b = (points[np.abs(points[:, 1] - t) <= step / 2, 0] for points in (first, second))
         if len(a) and len(b):
             edges.append((t, a.max(), b.min()))
@@ -340,7 +340,7 @@ def _something_in_front(
         told = _depth_says(facing, ridges, depth_m)
         if told is not None:
             return told
-    if facing.gap_px > LONGEST_GAP_UNSEEN * facing.girth_px:
+    if facing.gap_px > _LONGEST_GAP_UNSEEN * facing.girth_px:
         return False
     return _of_one_color(facing, ridges, color_rgb)
 
@@ -354,17 +354,17 @@ def _depth_says(
     if foretold[0] is None or foretold[1] is None:
         return None
     far_m = (foretold[0] + foretold[1]) / 2
-    if abs(foretold[0] - foretold[1]) > DEPTH_STEP * far_m:
+    if abs(foretold[0] - foretold[1]) > _DEPTH_STEP * far_m:
         return False
     pixels = _inside(facing.gap_pixels(), depth_m.shape)
     readings = depth_m[pixels[:, 1], pixels[:, 0]]
     readings = readings[valid_depth(readings)]
-    if facing.gap_px <= THIN_GAP * facing.girth_px:
-        farther = readings > (1 + FARTHER) * far_m
-        return not readings.size or float(farther.mean()) <= FARTHER_SHARE
+    if facing.gap_px <= _THIN_GAP * facing.girth_px:
+        farther = readings > (1 + _FARTHER) * far_m
+        return not readings.size or float(farther.mean()) <= _FARTHER_SHARE
     if readings.size < max(5, 0.1 * len(pixels)):
         return None
-    return float((readings < (1 - NEARER) * far_m).mean()) >= NEARER_SHARE
+    return float((readings < (1 - _NEARER) * far_m).mean()) >= _NEARER_SHARE
 
 
 def _foretold(
@@ -395,7 +395,7 @@ def _of_one_color(
         pixels = facing.pixels(ridge[:, 0], ridge[:, 1])
         seen = color_rgb[pixels[:, 1], pixels[:, 0]].astype(np.float32)[None] / 255
         medians.append(np.median(cv2.cvtColor(seen, cv2.COLOR_RGB2LAB)[0], axis=0))
-    return float(np.linalg.norm(medians[0] - medians[1])) <= SAME_COLOR
+    return float(np.linalg.norm(medians[0] - medians[1])) <= _SAME_COLOR
 
 
 def _inside(pixels: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, LinkRecord, RoundView
 
-NEAR_M, FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
-SHOWN = 4
+_NEAR_M, _FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
+_SHOWN = 4
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def around(store: Store, round_key: str, key: str) -> Around | None:
     return Around(
         fruit,
         tuple(views),
-        nearest(fruit, others, NEAR_M),
+        nearest(fruit, others, _NEAR_M),
         None if before is None else _other_day(store, before, fruit, _ends(links, keys)),
         _other_day(store, after[0], fruit, _ends(links, keys)) if after else None,
     )
@@ -111,7 +111,7 @@ def _other_day(store: Store, one: RoundView, fruit: DetectionView, ends: set[str
     best = [view for view in every if view.best and view.verdict is not Verdict.REJECTED]
     linked = next((view for view in best if view.group == group), None)
     others = [view for view in best if view.group != group]
-    return OtherDay(one, linked, nearest(fruit, others, FAR_M))
+    return OtherDay(one, linked, nearest(fruit, others, _FAR_M))
 
 
 def nearest(
@@ -126,7 +126,7 @@ def nearest(
         for view in others
         if view.row == fruit.row and view.along_m is not None
     ]
-    return tuple(view for gap, _, view in sorted(placed)[:SHOWN] if gap <= reach_m)
+    return tuple(view for gap, _, view in sorted(placed)[:_SHOWN] if gap <= reach_m)
 
 
 def least_sure_first(fruit: Sequence[DetectionView]) -> list[DetectionView]:

@@ -18,16 +18,20 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.row_fruit import RowFruit
     from cucumbervision.rounds.row_views import Bools, Floats, Ints
 
-STAY = 0.7  # share of fruit that are still there and seen
-SWING_M = (0.04, 0.04, 0.05)  # how far a fruit hangs off its plant's shift: along, up, into the row
-MOST_ALONG_M, MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
-STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
-CHANGE_M = 0.05  # how far neighbouring stretches usually differ
+_STAY = 0.7  # share of fruit that are still there and seen
+_SWING_M = (
+    0.04,
+    0.04,
+    0.05,
+)  # how far a fruit hangs off its plant's shift: along, up, into the row
+_MOST_ALONG_M, _MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
+_STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
+_CHANGE_M = 0.05  # how far neighbouring stretches usually differ
 SURE = 0.8  # probability from which a link counts for growth
-FREEDOM = 4.0
-PASSES = 6
-BELIEF_STEPS = 40
-PRIOR_LINKS = 20.0  # links that the belief about swinging is worth
+_FREEDOM = 4.0
+_PASSES = 6
+_BELIEF_STEPS = 40
+_PRIOR_LINKS = 20.0  # links that the belief about swinging is worth
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +98,20 @@ def link_days(
         raise ValueError(f"the later round is {days} days after the earlier one")
     a, b = _tops(earlier), _tops(later)
     knots = _knots(a[:, ALONG])
-    i, j = _near(a[:, ALONG], b[:, ALONG], MOST_ALONG_M + 4 * SWING_M[0])
+    i, j = _near(a[:, ALONG], b[:, ALONG], _MOST_ALONG_M + 4 * _SWING_M[0])
     grown, grown_sd = growth_m * days, growth_sd_m * days
     size = _size_ratio(earlier, later, i, j, grown, grown_sd)
     noise = earlier.place_sd_m[i] ** 2 + later.place_sd_m[j] ** 2
     noise = noise + _hidden_variance(earlier, later, i, j)
-    swing = np.square(SWING_M)
+    swing = np.square(_SWING_M)
     other = _other_density(b)
     shift = _vote(knots, a, b, (i, j), size, noise + swing, other)
-    field, spread = shift, np.full_like(shift, SWING_M[0])
-    for _ in range(PASSES):
+    field, spread = shift, np.full_like(shift, _SWING_M[0])
+    for _ in range(_PASSES):
         moved = _at(knots, field, a[i, ALONG])
         gap = b[j] - a[i] - moved
         variance = noise + swing + _at(knots, spread, a[i, ALONG]) ** 2
-        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(STAY) - other
+        ratio = log_density(gap, variance).sum(axis=1) + size + np.log(_STAY) - other
         pairs = _assign(i, j, ratio, len(a), len(b))
         field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift)
         swing = _swing(gap[pairs], variance[pairs] - swing)
@@ -122,12 +126,12 @@ def _swing(gap: Floats, other: Floats) -> Floats:
 
     By the median, so that a fifth of wrong links does little.
     """
-    prior = np.square(SWING_M)
+    prior = np.square(_SWING_M)
     if not len(gap):
         return prior
     seen = (1.4826 * np.median(np.abs(gap), axis=0)) ** 2 - np.median(other, axis=0)
     seen = np.clip(seen, prior / 4, prior * 4)
-    return np.asarray((PRIOR_LINKS * prior + len(gap) * seen) / (PRIOR_LINKS + len(gap)))
+    return np.asarray((_PRIOR_LINKS * prior + len(gap) * seen) / (_PRIOR_LINKS + len(gap)))
 
 
 def _tops(fruit: RowFruit) -> Floats:
@@ -139,7 +143,7 @@ def _tops(fruit: RowFruit) -> Floats:
 
 def _knots(along: Floats) -> Floats:
     low, high = float(along.min(initial=0.0)), float(along.max(initial=0.0))
-    count = max(int(np.ceil((high - low) / STRETCH_M)), 1)
+    count = max(int(np.ceil((high - low) / _STRETCH_M)), 1)
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
@@ -195,11 +199,11 @@ def _vote(
     i, j = pairs
     step = 0.02
     gap = (b[j] - a[i])[:, :2]
-    half = np.array([MOST_ALONG_M, MOST_UP_M])
+    half = np.array([_MOST_ALONG_M, _MOST_UP_M])
     bins = [np.arange(-h, h + step, step) for h in half]
     core = np.sqrt(np.median(noise[:, :2], axis=0)) / step if len(i) else np.ones(2)
     # How much a pair adds at its own shift, beyond what other fruit do by chance.
-    height = size + log_density(0.0, noise).sum(axis=1) + np.log(STAY) - other
+    height = size + log_density(0.0, noise).sum(axis=1) + np.log(_STAY) - other
     weight = np.log1p(np.exp(np.minimum(height, 20.0)))
     stretch = np.abs(a[i, ALONG, None] - knots).argmin(axis=1)
     grids = []
@@ -267,9 +271,9 @@ def _fit(
         target = b[j, c] - a[i, c]
         for _ in range(4):
             misfit = (target - basis @ field[:, c]) ** 2 / noise[:, c]
-            trust = (FREEDOM + 1) / (FREEDOM + misfit) / noise[:, c]
-            jump = (steps @ field[:, c]) ** 2 / CHANGE_M**2
-            stiff = 2.0 / (1.0 + jump) / CHANGE_M**2
+            trust = (_FREEDOM + 1) / (_FREEDOM + misfit) / noise[:, c]
+            jump = (steps @ field[:, c]) ** 2 / _CHANGE_M**2
+            stiff = 2.0 / (1.0 + jump) / _CHANGE_M**2
             information = (basis.T * trust) @ basis + (steps.T * stiff) @ steps
             information += np.eye(count) / 0.5**2
             pull = basis.T @ (trust * target) + voted[:, c] / 0.5**2
@@ -286,7 +290,7 @@ def _chances(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Floats
     """
     weight = np.exp(np.clip(ratio, -30.0, 30.0))
     back = np.ones(len(weight))
-    for _ in range(BELIEF_STEPS):
+    for _ in range(_BELIEF_STEPS):
         of_row = weight * back
         there = weight / (1.0 + np.bincount(i, of_row, rows)[i] - of_row)
         back = 1.0 / (1.0 + np.bincount(j, there, columns)[j] - there)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView
 
-UNKNOWN_SD = 0.08  # relative, of a length without interval
+_UNKNOWN_SD = 0.08  # relative, of a length without interval
 
 
 def grade_of(record: DetectionRecord, profile: CropProfile) -> Grade:
@@ -185,7 +185,7 @@ def _believed_length(record: DetectionRecord) -> tuple[float, float]:
     if low and high:
         belief = LengthBelief.from_interval(length, low, high)
         return belief.median_m, max(belief.sd_m, 1e-3)
-    return length, max(record.length_sd_m or 0.0, UNKNOWN_SD * length)
+    return length, max(record.length_sd_m or 0.0, _UNKNOWN_SD * length)
 
 
 def growth_links(

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import CameraAt, DetectionView, LinkRecord, StopView
 
-CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
-REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
+_CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
+_REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
 LENGTH_Z = 1.6449  # of 90 % intervals
-UNKNOWN_SD, LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
-DIAMETER_SD = 0.05
-TUBE_KINDS = frozenset({"thread", "centreline", "chord"})
+UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
+_DIAMETER_SD = 0.05
+_TUBE_KINDS = frozenset({"thread", "centreline", "chord"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def load_rows(content: RoundContent) -> list[StoredRow]:
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
     size = [camera.get(name) for name in ("width", "fx", "height", "fy")]
     if not all(isinstance(one, int | float) and one > 0 for one in size):
-        return REACH
+        return _REACH
     width, fx, height, fy = (float(one) for one in size if one is not None)
     return width / 2 / fx, height / 2 / fy
 
@@ -153,7 +153,7 @@ def _row(
         if view.stop_key in index and place is not None:
             known.append(view)
             places.append(place)
-    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), CAMERA_SD_M)
+    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), _CAMERA_SD_M)
     at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
     at_m[:, UP] = [poses[stop.key][UP, 3] for stop in placed]
     sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
@@ -172,7 +172,7 @@ def _row(
         length[:, 0],
         length[:, 1],
         np.array([record.diameter_max_m or np.nan for record in records], np.float64),
-        np.full(len(known), DIAMETER_SD),
+        np.full(len(known), _DIAMETER_SD),
         np.array([record.partial for record in records], bool),
         np.array([record.score for record in records], np.float64),
         np.array([record.view_score for record in records], np.float64),
@@ -197,7 +197,7 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
     elif record.length_sd_m:
         sd = record.length_sd_m / record.length_m
     # Lengths of another kind may differ by more than any of them errs.
-    least = LEAST_SD if record.length_kind in TUBE_KINDS else UNKNOWN_SD
+    least = _LEAST_SD if record.length_kind in _TUBE_KINDS else UNKNOWN_SD
     return record.length_m, max(sd, least)
 
 

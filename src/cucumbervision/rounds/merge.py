@@ -22,9 +22,9 @@ from cucumbervision.rounds.stop_alignment import FittedStops, fit_stops, prior_s
 if TYPE_CHECKING:
     from cucumbervision.rounds.row_views import Floats, Ints, RowViews
 
-UNLIKE = -8.0  # what a pair counts that is not among the likely ones
+_UNLIKE = -8.0  # what a pair counts that is not among the likely ones
 
-HELD = 40.0  # what a pair counts that was merged by hand
+_HELD = 40.0  # what a pair counts that was merged by hand
 
 
 def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
@@ -95,7 +95,7 @@ def _assign(own: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> I
     total, count = np.zeros((rows, columns)), np.zeros((rows, columns))
     np.add.at(total, (row, column), ratio)
     np.add.at(count, (row, column), 1)
-    mean = (total + UNLIKE * (sizes - count)) / np.maximum(sizes, 1)
+    mean = (total + _UNLIKE * (sizes - count)) / np.maximum(sizes, 1)
     mean[:, sizes == 0] = -1e6
     # A column of its own for each view: to be no known fruit costs nothing.
     cost = np.hstack([-mean, np.where(np.eye(rows, dtype=bool), 0.0, 1e6)])
@@ -115,9 +115,9 @@ def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Int
         cluster[i][apart].tolist(), cluster[j][apart].tolist(), ratio[apart].tolist(), strict=True
     ):
         key = (min(a, b), max(a, b))
-        sums[key] = sums.get(key, 0.0) + value - UNLIKE
+        sums[key] = sums.get(key, 0.0) + value - _UNLIKE
     means = {
-        key: value / (len(groups[key[0]]) * len(groups[key[1]])) + UNLIKE
+        key: value / (len(groups[key[0]]) * len(groups[key[1]])) + _UNLIKE
         for key, value in sums.items()
     }
     joined: set[int] = set()
@@ -155,9 +155,9 @@ def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
 
 NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
 
-NEVER = -1e3
+_NEVER = -1e3
 
-GATE_SD = 4.0
+_GATE_SD = 4.0
 
 
 @dataclass(frozen=True)
@@ -326,7 +326,7 @@ def _candidates(fitted: FittedStops, views: RowViews) -> tuple[Ints, Ints]:
     """Return pairs of views of different captures that may be one fruit, by their place alone."""
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     own = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
-    i, j = pairs_within(along, GATE_SD * np.sqrt(2) * own)
+    i, j = pairs_within(along, _GATE_SD * np.sqrt(2) * own)
     other = views.capture[i] != views.capture[j]
     return i[other], j[other]
 
@@ -353,7 +353,7 @@ def _rated(
     across = stops.side[s] != stops.side[t]
     ratio += np.log(np.where(across, settings.seen_across, settings.seen_again))
     codes = i * len(views) + j
-    for pairs, value in ((by_hand.same, HELD), (by_hand.apart, NEVER)):
+    for pairs, value in ((by_hand.same, _HELD), (by_hand.apart, _NEVER)):
         ordered = np.sort(pairs, axis=1)
         ratio[np.isin(codes, ordered[:, 0] * len(views) + ordered[:, 1])] = value
     return i, j, ratio

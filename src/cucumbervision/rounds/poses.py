@@ -182,15 +182,15 @@ def stored_pose(numbers: Sequence[float], side: str | None) -> NDArray[np.float6
     return pose_matrix(0.0, sign_of_side(side))
 
 
-AXIS_SD_M = 0.005  # of a fitted tube's middle
+_AXIS_SD_M = 0.005  # of a fitted tube's middle
 
 SURFACE_SD_M = 0.010  # of the middle of what is seen: a box's or a mask's
 
 SURFACE_DEPTH_SD_M = 0.020  # the surface lies a radius before the axis
 
-PART_SHARE = 0.15  # of the length: how far the middle of a part is from the fruit's own
+_PART_SHARE = 0.15  # of the length: how far the middle of a part is from the fruit's own
 
-TURN_SD = 0.02  # radians: how far a camera is turned off its pose
+_TURN_SD = 0.02  # radians: how far a camera is turned off its pose
 
 
 def offset_of(
@@ -225,9 +225,9 @@ def offset_of(
         return None
     offset = np.asarray(pose[:3, :3] @ np.array(middle, np.float64))
     tube = fruit.diameter_max_m is not None
-    across = AXIS_SD_M if tube else SURFACE_SD_M
-    up = np.hypot(across, PART_SHARE * (fruit.length_m or 0.2)) if fruit.partial else across
+    across = _AXIS_SD_M if tube else SURFACE_SD_M
+    up = np.hypot(across, _PART_SHARE * (fruit.length_m or 0.2)) if fruit.partial else across
     # Turning moves all fruit of a capture along alike, which their stop takes up; what is left
     # is the difference in depth between its left and its right.
-    depth = np.hypot(across if tube else SURFACE_DEPTH_SD_M, TURN_SD * abs(float(offset[0])))
+    depth = np.hypot(across if tube else SURFACE_DEPTH_SD_M, _TURN_SD * abs(float(offset[0])))
     return offset, np.array([across, up, depth])

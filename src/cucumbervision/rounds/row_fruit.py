@@ -134,11 +134,11 @@ def combined_length(
     return float(np.exp(mean)), float(np.exp(mean)) * float(np.sqrt(variance))
 
 
-MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
-SEEN, SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
-FALSE, FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
-MOST_LEARNT = 500  # views; a house changes
-STEPS = 400  # where much is hidden, it converges slowly
+_MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
+_SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
+_FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
+_MOST_LEARNT = 500  # views; a house changes
+_STEPS = 400  # where much is hidden, it converges slowly
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ class FalseFinds:
         How many views that is worth.
     """
 
-    share: float = FALSE
-    weight: float = FALSE_WEIGHT
+    share: float = _FALSE
+    weight: float = _FALSE_WEIGHT
 
     @classmethod
     def learnt(cls, rejected: int, views: int) -> FalseFinds:
@@ -167,9 +167,9 @@ class FalseFinds:
         >>> round(FalseFinds.learnt(30, 500).share, 3)
         0.056
         """
-        weight = FALSE_WEIGHT + min(views, MOST_LEARNT)
+        weight = _FALSE_WEIGHT + min(views, _MOST_LEARNT)
         share = rejected / views if views else 0.0
-        return cls((FALSE * FALSE_WEIGHT + share * min(views, MOST_LEARNT)) / weight, weight)
+        return cls((_FALSE * _FALSE_WEIGHT + share * min(views, _MOST_LEARNT)) / weight, weight)
 
 
 USUAL = FalseFinds()
@@ -203,7 +203,7 @@ class CountEstimate:
     def of_nothing(cls) -> CountEstimate:
         """Return the count of a row without detections."""
         none: Ints = np.zeros(0, np.int64)
-        return cls(0.0, 0.0, none, none, np.zeros(0), SEEN)
+        return cls(0.0, 0.0, none, none, np.zeros(0), _SEEN)
 
     def interval(self, level: float = 0.9) -> tuple[int, int]:
         """Return whole numbers between which the number of fruit lies with that probability.
@@ -235,7 +235,7 @@ class CountEstimate:
         q, k, nothing = self.seen_again, self.shown, (1 - self.seen_again) ** self.shown
         mean = k * q / (1 - nothing)
         spread = mean * (1 - q + k * q - mean)
-        information = SEEN_WEIGHT / (q * (1 - q)) + (self.real * spread).sum() / (q * (1 - q)) ** 2
+        information = _SEEN_WEIGHT / (q * (1 - q)) + (self.real * spread).sum() / (q * (1 - q)) ** 2
         slope = (self.real * k * nothing / (1 - q) / (1 - nothing) ** 2).sum()
         return float(slope**2 / information)
 
@@ -306,7 +306,7 @@ def found_share(counts: Sequence[CountEstimate]) -> tuple[float, float, float]:
     real = sum(float(one.real.sum()) for one in counts)
     expected = sum(one.expected for one in counts)
     if not seen or not real:
-        return SEEN, float(np.sqrt(SEEN * (1 - SEEN) / SEEN_WEIGHT)), FALSE
+        return _SEEN, float(np.sqrt(_SEEN * (1 - _SEEN) / _SEEN_WEIGHT)), _FALSE
     found = min(real / expected, 1.0)
     sd = np.sqrt(sum(one.expected_variance() for one in counts)) / expected
     return found, found * float(sd), 1.0 - real / seen
@@ -330,7 +330,7 @@ def times_shown(merged: Merged, stops: RowStops, views: RowViews) -> Ints:
     shown = np.zeros(count, np.int64)
     for s in captures.tolist():
         gap = np.abs(middle - merged.stops.at_m[s])
-        half = stops.reach[s] * gap[:, DEPTH, None] - MARGIN_M
+        half = stops.reach[s] * gap[:, DEPTH, None] - _MARGIN_M
         shown += (gap[:, :2] < half).all(axis=1) & by_side[:, stops.side[s]]
     return shown
 
@@ -373,8 +373,8 @@ def estimate_count(
         return CountEstimate.of_nothing()
     likelier = _score_ratio(score, sure_scores)
     once = (seen == 1) if known is None else (seen == 1) & ~known
-    q, real = SEEN, np.where(once, 0.5, 1.0)
-    for _ in range(STEPS):
+    q, real = _SEEN, np.where(once, 0.5, 1.0)
+    for _ in range(_STEPS):
         nothing = (1 - q) ** shown
         single = shown * q * (1 - q) ** (shown - 1) / (1 - nothing)
         invented = (1 - real).sum() + false.share * false.weight
@@ -382,8 +382,8 @@ def estimate_count(
         odds = real.sum() / max(float(invented), 1e-9) * single * likelier
         real = np.where(once, odds / (1 + odds), 1.0)
         unseen = real * nothing / (1 - nothing)
-        hits = (real * seen).sum() + SEEN * SEEN_WEIGHT
-        q = float(hits / (((real + unseen) * shown).sum() + SEEN_WEIGHT))
+        hits = (real * seen).sum() + _SEEN * _SEEN_WEIGHT
+        q = float(hits / (((real + unseen) * shown).sum() + _SEEN_WEIGHT))
         q = min(max(q, 0.05), 0.995)
     doubt = float((real * (1 - real)).sum()) * _share_learnt(real[once])
     sd = np.sqrt(doubt + (unseen * (1 + unseen)).sum())

@@ -126,17 +126,17 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     return i, j
 
 
-TAIL, TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
+TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
 
-UNSEEN_END, UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
+_UNSEEN_END, _UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
 
-SIZE_TAIL = 0.1  # share of sizes that are wrong anyhow: an end unseen, leaves taken for fruit
+_SIZE_TAIL = 0.1  # share of sizes that are wrong anyhow: an end unseen, leaves taken for fruit
 
-SIZE_REACH = 0.7  # of the logarithm: how wrong they are, to either side
+_SIZE_REACH = 0.7  # of the logarithm: how wrong they are, to either side
 
-MOST_HIDDEN = 1.2  # of the logarithm: a fruit read at less than 30 % is rarely found at all
+_MOST_HIDDEN = 1.2  # of the logarithm: a fruit read at less than 30 % is rarely found at all
 
-LONGEST_PAST = 0.02  # noise of the logarithm that a lower bound has at least
+_LONGEST_PAST = 0.02  # noise of the logarithm that a lower bound has at least
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> Floats:
     spread = np.asarray(variance, np.float64)
     square = np.square(gap) / spread
     core = (1 - TAIL) * np.exp(-0.5 * square)
-    tail = TAIL / TAIL_FACTOR * np.exp(-0.5 * square / TAIL_FACTOR**2)
+    tail = TAIL / _TAIL_FACTOR * np.exp(-0.5 * square / _TAIL_FACTOR**2)
     return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
 
 
@@ -225,15 +225,15 @@ def _size_ratio(
 
     gap = np.log(second) - np.log(first)
     core = np.exp(-0.5 * np.square(gap / sd)) / (np.sqrt(2 * np.pi) * sd)
-    wide = (np.abs(gap) < SIZE_REACH) / (2 * SIZE_REACH)
+    wide = (np.abs(gap) < _SIZE_REACH) / (2 * _SIZE_REACH)
     known = np.isfinite(gap)
     both = partial[0] & partial[1]
     # A bound lies below the full size by anything up to `MOST_HIDDEN`.
     short = np.where(partial[0], gap, -gap)
-    noise = np.maximum(sd, LONGEST_PAST)
-    below = (ndtr(short / noise) - ndtr((short - MOST_HIDDEN) / noise)) / MOST_HIDDEN
+    noise = np.maximum(sd, _LONGEST_PAST)
+    below = (ndtr(short / noise) - ndtr((short - _MOST_HIDDEN) / noise)) / _MOST_HIDDEN
     density = np.where(partial[0] | partial[1], below, core)
-    mixed = (1 - SIZE_TAIL) * density + SIZE_TAIL * np.maximum(wide, 0.05)
+    mixed = (1 - _SIZE_TAIL) * density + _SIZE_TAIL * np.maximum(wide, 0.05)
     ratio = np.log(np.where(known, mixed, 1.0) * width)
     return np.asarray(np.where(known & ~both, ratio, 0.0), np.float64)
 
@@ -270,8 +270,8 @@ def position_ratio(gap_m: Floats, variance_m2: Floats, crowd: Crowd) -> Floats:
     density = log_density(gap_m, variance_m2).sum(axis=-1)
     # A hidden end that no flag names moves the middle up or down, by centimetres.
     up, variance = gap_m[..., UP], variance_m2[..., UP]
-    wide = variance + UNSEEN_END_M**2
+    wide = variance + _UNSEEN_END_M**2
     moved = -0.5 * (np.square(up) / wide + np.log(2 * np.pi * wide))
     known = log_density(up, variance)
-    density += np.logaddexp(known, np.log(UNSEEN_END) + moved) - known
+    density += np.logaddexp(known, np.log(_UNSEEN_END) + moved) - known
     return np.asarray(density + np.log(crowd.up_m * crowd.depth_m / crowd.per_m), np.float64)

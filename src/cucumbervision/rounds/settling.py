@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import RoundView, StopView
     from cucumbervision.store.waiting import WaitingCaptures
 
-SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
-FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
+_SAME_DAY_S = DAY_S / 4  # rounds nearer than that show one day's fruit
+_FARTHEST_S = 10 * DAY_S  # fruit seen longer ago are picked, or too long
 
 
 def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> str:
@@ -130,7 +130,7 @@ def earlier_round(store: Store, round_key: str) -> RoundView | None:
     """Return the newest round of the same house of an earlier day; None where there is none."""
     one, others = _neighbours(store, round_key)
     begun = one.record.started_s
-    near = [x for x in others if SAME_DAY_S < begun - x.record.started_s < FARTHEST_S]
+    near = [x for x in others if _SAME_DAY_S < begun - x.record.started_s < _FARTHEST_S]
     return near[0] if near else None
 
 
@@ -138,7 +138,7 @@ def later_rounds(store: Store, round_key: str) -> list[RoundView]:
     """Return the rounds of the same house of later days, the nearest first."""
     one, others = _neighbours(store, round_key)
     begun = one.record.started_s
-    return [x for x in others[::-1] if SAME_DAY_S < x.record.started_s - begun < FARTHEST_S]
+    return [x for x in others[::-1] if _SAME_DAY_S < x.record.started_s - begun < _FARTHEST_S]
 
 
 def _neighbours(store: Store, round_key: str) -> tuple[RoundView, list[RoundView]]:

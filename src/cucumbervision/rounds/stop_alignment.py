@@ -18,11 +18,11 @@ from cucumbervision.rounds.row_views import ALONG, log_density, position_ratio, 
 if TYPE_CHECKING:
     from cucumbervision.rounds.row_views import Bools, Crowd, Floats, Ints, RowStops, RowViews
 
-FREEDOM = 4.0  # degrees of freedom of Student's t
-ROUNDS = 6  # of reweighting
-STEP_M = 0.01  # of the shifts that are tried
-REACH_SD = 3.5  # how far a stop is looked for
-MOST_TRIED = 121
+_FREEDOM = 4.0  # degrees of freedom of Student's t
+_ROUNDS = 6  # of reweighting
+_STEP_M = 0.01  # of the shifts that are tried
+_REACH_SD = 3.5  # how far a stop is looked for
+_MOST_TRIED = 121
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +127,9 @@ def _fit_one(
     size, x = len(mean), mean
     band = int(np.abs(s - t).max(initial=0))
     information = np.zeros((band + 1, size))
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         misfit = (between - (x[t] - x[s])) ** 2 / variance
-        trust = weight * (FREEDOM + 1) / (FREEDOM + misfit) / variance
+        trust = weight * (_FREEDOM + 1) / (_FREEDOM + misfit) / variance
         information = np.zeros((band + 1, size))
         information[0] = 1.0 / own + np.bincount(s, trust, size) + np.bincount(t, trust, size)
         np.subtract.at(information, (np.abs(s - t), np.minimum(s, t)), trust)
@@ -171,11 +171,11 @@ def vote_pairs(
     gap = stops.at_m[t] + views.offset_m[j] - stops.at_m[s] - views.offset_m[i]
     noise = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2
     shift_sd = np.sqrt(stops.sd_m[s] ** 2 + stops.sd_m[t] ** 2)
-    variance = noise + np.where(np.arange(3) == ALONG, STEP_M**2 / 4, shift_sd**2)
+    variance = noise + np.where(np.arange(3) == ALONG, _STEP_M**2 / 4, shift_sd**2)
     rest = position_ratio(np.where(np.arange(3) == ALONG, 0.0, gap), variance, crowd)
     rest += shape_ratio(views, i, j, crowd) - log_density(0.0, variance[:, ALONG])
-    widest = REACH_SD * float(shift_sd[:, ALONG].max())
-    tried = np.linspace(-widest, widest, min(2 * int(widest / STEP_M) + 1, MOST_TRIED))
+    widest = _REACH_SD * float(shift_sd[:, ALONG].max())
+    tried = np.linspace(-widest, widest, min(2 * int(widest / _STEP_M) + 1, _MOST_TRIED))
     ratio = rest[:, None] + log_density(gap[:, ALONG, None] - tried, variance[:, ALONG, None])
     group = _starts(s, t)
     each = _starts(s, t, i)

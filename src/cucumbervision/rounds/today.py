@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
-FRESH_DAYS, USEFUL_DAYS = 2, 7
+_FRESH_DAYS, _USEFUL_DAYS = 2, 7
 
 
 class Age(StrEnum):
@@ -116,9 +116,9 @@ def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
     (3, <Age.OLD: 'old'>)
     """
     days = round((midnight_s(now_s) - midnight_s(walked_s)) / DAY_S)
-    if days > USEFUL_DAYS:
+    if days > _USEFUL_DAYS:
         return days, Age.USELESS
-    return days, Age.OLD if days > FRESH_DAYS else Age.FRESH
+    return days, Age.OLD if days > _FRESH_DAYS else Age.FRESH
 
 
 def age_words(days: int) -> str:

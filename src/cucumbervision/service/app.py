@@ -35,8 +35,8 @@ from cucumbervision.service.replies import DetectReply, Health, MeasureReply, Pr
 from cucumbervision.service.settings import ServiceSettings
 from cucumbervision.service.work import BusyError, Work
 
-OPEN = frozenset({"/health"})
-BODY_SLACK = 1_000_000  # heads of the parts of a body of many files
+_OPEN = frozenset({"/health"})
+_BODY_SLACK = 1_000_000  # heads of the parts of a body of many files
 
 _REFUSED = {
     400: "The body cannot be parsed.",
@@ -113,7 +113,7 @@ def create_app(
     app.include_router(_routes(work, metrics))
     _answer_errors(app)
     app.add_middleware(
-        RequestBodyLimitMiddleware, max_body_size=settings.limits.total_bytes + BODY_SLACK
+        RequestBodyLimitMiddleware, max_body_size=settings.limits.total_bytes + _BODY_SLACK
     )
 
     # The last that is added comes first: nobody's body is read before the token is.
@@ -122,7 +122,7 @@ def create_app(
         began_s = time.perf_counter()
         path = request.url.path
         scheme, _, token = request.headers.get("authorization", "").partition(" ")
-        admitted = path in OPEN or settings.admits(token if scheme.lower() == "bearer" else "")
+        admitted = path in _OPEN or settings.admits(token if scheme.lower() == "bearer" else "")
         if admitted:
             response = await answer(request)
         else:

@@ -12,7 +12,7 @@ from cucumbervision.errors import AccessError, MissingExtraError
 from cucumbervision.intake.limits import Limits
 
 TOKEN_VARIABLE = "CUCUMBERVISION_TOKEN"
-SHORTEST_TOKEN = 16
+_SHORTEST_TOKEN = 16
 _MB = 1_000_000
 
 
@@ -75,9 +75,9 @@ def check_access(address: str, token: str) -> None:
     if not token and not is_loopback(address):
         fault = "other machines can reach this address, and there is no token"
         raise AccessError(fault, source=address or "''", remedy=remedy)
-    if token and len(token) < SHORTEST_TOKEN:
+    if token and len(token) < _SHORTEST_TOKEN:
         fault = f"the token has {len(token)} characters"
-        remedy = f"give {SHORTEST_TOKEN} or more, such as of `openssl rand -hex 16`"
+        remedy = f"give {_SHORTEST_TOKEN} or more, such as of `openssl rand -hex 16`"
         raise AccessError(fault, source=TOKEN_VARIABLE, remedy=remedy)
 
 

@@ -239,7 +239,7 @@ def _decoded(image: Any) -> NDArray[Any]:
     return cast("NDArray[Any]", image)
 
 
-GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
+_GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
 
 _ASIDE = ".removing"
 
@@ -276,7 +276,7 @@ class CheckReport:
 
 
 def check_store(
-    store: Database, *, contents: bool = True, remove: bool = False, grace_s: float = GRACE_S
+    store: Database, *, contents: bool = True, remove: bool = False, grace_s: float = _GRACE_S
 ) -> CheckReport:
     """Check a store against its pictures; nothing that a stop names is ever removed.
 

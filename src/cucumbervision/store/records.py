@@ -16,8 +16,8 @@ from cucumbervision.measurement.result import LOWER_BOUND
 Point: TypeAlias = tuple[float, ...]
 
 # What the flags call a fruit of which part is out of sight, and the hidden share that says so too.
-PARTIAL_FLAGS = frozenset(map(str, LOWER_BOUND))
-HIDDEN_SHARE = 0.15
+_PARTIAL_FLAGS = frozenset(map(str, LOWER_BOUND))
+_HIDDEN_SHARE = 0.15
 
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
 
@@ -254,8 +254,8 @@ class DetectionRecord:
         >>> DetectionRecord(1, hidden_share=0.05).partial
         False
         """
-        return bool(PARTIAL_FLAGS & set(self.flags.split())) or (
-            (self.hidden_share or 0.0) > HIDDEN_SHARE
+        return bool(_PARTIAL_FLAGS & set(self.flags.split())) or (
+            (self.hidden_share or 0.0) > _HIDDEN_SHARE
         )
 
 

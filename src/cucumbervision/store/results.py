@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
     from cucumbervision.store.images import ImageStore
 
-PATH_POINTS = 48  # enough to draw a fruit by
+_PATH_POINTS = 48  # enough to draw a fruit by
 
 # A view with one of these shows its fruit less well than one without.
 _DOUBTS = frozenset(
@@ -196,7 +196,7 @@ def _method_record(measurement: Measurement) -> MethodRecord:
         diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
     kept = np.zeros(0, int)
     if path is not None:
-        kept = np.unique(np.linspace(0, len(path) - 1, min(len(path), PATH_POINTS)).round())
+        kept = np.unique(np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round())
         kept = kept.astype(int)
     return MethodRecord(
         method=str(measurement.method),

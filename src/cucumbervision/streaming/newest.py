@@ -156,8 +156,8 @@ def paced(
             wait_s = (taken_s - begun[1]) - (clock() - begun[0])
             # A clock that was set back has no pace to follow.
             if wait_s > 0:
-                sleep(min(wait_s, LONGEST_WAIT_S))
+                sleep(min(wait_s, _LONGEST_WAIT_S))
         yield capture
 
 
-LONGEST_WAIT_S = 2.0  # between two frames: a recording may have been paused
+_LONGEST_WAIT_S = 2.0  # between two frames: a recording may have been paused

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera import RgbdCamera
 
-CAMERA = "camera"
+_CAMERA = "camera"
 
 
 def open_stream(
@@ -64,7 +64,7 @@ def open_stream(
     >>> [one.item.name for one in open_stream(bundled_captures())]
     ['simulated-bench', 'simulated-row-a', 'simulated-row-b']
     """
-    if str(source) == CAMERA:
+    if str(source) == _CAMERA:
         single = replace(config or CameraConfig(), burst=1)
         return stream_camera(lambda: RealSenseCamera(single), retries)
     path, reading = Path(source), replace(reading or ReadOptions(), burst=1)

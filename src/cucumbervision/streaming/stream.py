@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.streaming.newest import Arrival
 
-FAST_SIZE_PX = 640
-FAST_FITS = 1
-LONGEST_GAP_S = 1.0
-AGAIN_AFTER = 10  # frames: until then a fruit seen from the same place is not measured again
+_FAST_SIZE_PX = 640
+_FAST_FITS = 1
+_LONGEST_GAP_S = 1.0
+_AGAIN_AFTER = 10  # frames: until then a fruit seen from the same place is not measured again
 
 
 def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
@@ -52,7 +52,7 @@ def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
         options,
         segmenter="none",
         keypoints=False,
-        input_sizes=options.input_sizes or (FAST_SIZE_PX,),
+        input_sizes=options.input_sizes or (_FAST_SIZE_PX,),
         full_precision=False,
         methods=(Method.M3, Method.M5, Method.M6),
     )
@@ -197,7 +197,7 @@ class FruitStream:
     @classmethod
     def fast(cls, options: MeasureOptions | None = None) -> FruitStream:
         """Return a stream for speed: half precision, no SAM, one fruit measured a frame."""
-        return cls(Measurer(_fast_options(options)), fits=FAST_FITS)
+        return cls(Measurer(_fast_options(options)), fits=_FAST_FITS)
 
     def follow(
         self, arrivals: Iterable[Arrival[Capture | Failure]]
@@ -280,7 +280,7 @@ class FruitStream:
         """
         before_s = received_s if self._received_s is None else self._received_s
         self._received_s = received_s
-        self._own_s += min(max(received_s - before_s, 0.0), LONGEST_GAP_S)
+        self._own_s += min(max(received_s - before_s, 0.0), _LONGEST_GAP_S)
         return self._own_s
 
     def _choose(self, numbers: list[int], views: list[FrameView]) -> frozenset[int]:
@@ -295,7 +295,7 @@ class FruitStream:
             return before is None, new, known.waiting
 
         gains = {k: gain(k) for k in range(len(numbers))}
-        due = [k for k, (_, new, waiting) in gains.items() if new or waiting >= AGAIN_AFTER]
+        due = [k for k, (_, new, waiting) in gains.items() if new or waiting >= _AGAIN_AFTER]
         return frozenset(sorted(due, key=gains.__getitem__, reverse=True)[: self._fits])
 
     def _tracked(

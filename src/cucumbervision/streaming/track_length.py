@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import LengthKind
 
 FIXED = 0.95  # of a length's variance: what stays in all frames from one place
-SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
-MOST_PLACES = 64
+_SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
+_MOST_PLACES = 64
 LENGTH_Z = 1.6449  # of 90 % intervals
-UNKNOWN_SD, LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
+_UNKNOWN_SD, _LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
 
 
 def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
@@ -46,7 +46,7 @@ def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
     (True, False)
     """
     away = float(np.linalg.norm(a_m - b_m))
-    return not away > SAME_PLACE * max(float(abs(a_m[2])), 0.1)
+    return not away > _SAME_PLACE * max(float(abs(a_m[2])), 0.1)
 
 
 @dataclass
@@ -149,7 +149,7 @@ class TrackLength:
         log, sd, shift = _log_length(length)
         scale = 0.0 if scale_known else SCALE_SD
         # The depth scale's error is the same wherever the camera stands: added at the end.
-        self._place(at_m).add(log, max(sd**2 - scale**2, LEAST_SD**2))
+        self._place(at_m).add(log, max(sd**2 - scale**2, _LEAST_SD**2))
         self.frames += 1
         self._shift += (shift - self._shift) / self.frames
         self.length = self._combined(length, scale)
@@ -158,7 +158,7 @@ class TrackLength:
         for place in self.places:
             if same_place(place.at_m, at_m):
                 return place
-        if len(self.places) < MOST_PLACES:
+        if len(self.places) < _MOST_PLACES:
             self.places.append(_Place(at_m))
         return self.places[-1]
 
@@ -166,7 +166,7 @@ class TrackLength:
         means = np.exp([place.mean for place in self.places])
         deviations = np.sqrt([place.view_variance for place in self.places])
         found = combined_length(means, deviations, np.zeros(len(means), bool))
-        value, sd_m = found or (latest.value_m, UNKNOWN_SD * latest.value_m)
+        value, sd_m = found or (latest.value_m, _UNKNOWN_SD * latest.value_m)
         spread = LENGTH_Z * float(np.hypot(sd_m / value, scale))
         middle = value * float(np.exp(self._shift))
         low, high = middle * float(np.exp(-spread)), middle * float(np.exp(spread))
@@ -177,6 +177,6 @@ def _log_length(length: Length) -> tuple[float, float, float]:
     """Return a length's logarithm, its standard deviation, and where its interval's middle is."""
     log = float(np.log(length.value_m))
     if not (length.low_m and length.high_m):
-        return log, UNKNOWN_SD, 0.0
+        return log, _UNKNOWN_SD, 0.0
     sd = float(np.log(length.high_m / length.low_m)) / (2 * LENGTH_Z)
     return log, sd, float(np.log(length.low_m * length.high_m)) / 2 - log

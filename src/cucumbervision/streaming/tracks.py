@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.perception.instances import Instance
 
-STEP = 4  # every which pixel of masks is looked at
-WALK_M_S = 1.0  # how fast a camera moves, at most, before anything is known of it
-TURN_M_S = 0.5  # by how much that changes from one second to the next
-DRIFT_M_S = 0.03  # how unsure a place becomes while its fruit is out of sight
-STILL_M = 0.005
-HALF_OVERLAP, LEAST_OVERLAP = 0.25, 0.03  # of masks: what speaks neither way, and what is added
+_STEP = 4  # every which pixel of masks is looked at
+_WALK_M_S = 1.0  # how fast a camera moves, at most, before anything is known of it
+_TURN_M_S = 0.5  # by how much that changes from one second to the next
+_DRIFT_M_S = 0.03  # how unsure a place becomes while its fruit is out of sight
+_STILL_M = 0.005
+_HALF_OVERLAP, _LEAST_OVERLAP = 0.25, 0.03  # of masks: what speaks neither way, and what is added
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class FrameView:
         >>> block.overlap(block, np.array([0.0, 0.0])), block.overlap(block, np.array([8.0, 0.0]))
         (1.0, 0.3333333333333333)
         """
-        down = round((self.top_px + float(shift_px[1]) - other.top_px) / STEP)
-        right = round((self.left_px + float(shift_px[0]) - other.left_px) / STEP)
+        down = round((self.top_px + float(shift_px[1]) - other.top_px) / _STEP)
+        right = round((self.left_px + float(shift_px[0]) - other.left_px) / _STEP)
         (h, w), (height, width) = self.outline.shape, other.outline.shape
         rows, columns = _common(down, h, height), _common(right, w, width)
         own = self.outline[rows[0] - down : rows[1] - down, columns[0] - right : columns[1] - right]
@@ -89,11 +89,11 @@ def frame_view(capture: Capture, instance: Instance) -> FrameView:
     x1, y1, x2, y2 = (round(float(edge) + 0.5) for edge in instance.box)
     if mask is None or window is None:
         window = (slice(max(y1, 0), max(y2, 1)), slice(max(x1, 0), max(x2, 1)))
-        outline = np.ones(capture.depth_m[window][::STEP, ::STEP].shape, bool)
+        outline = np.ones(capture.depth_m[window][::_STEP, ::_STEP].shape, bool)
     else:
-        outline = mask[window][::STEP, ::STEP]
+        outline = mask[window][::_STEP, ::_STEP]
     rows, columns = window
-    readings = capture.depth_m[window][::STEP, ::STEP][outline]
+    readings = capture.depth_m[window][::_STEP, ::_STEP][outline]
     readings = readings[valid_depth(readings)]
     at_m = np.full(3, np.nan)
     if readings.size:
@@ -202,14 +202,14 @@ class Tracker:
         from scipy.optimize import linear_sum_assignment
 
         predicted = self._predicted(elapsed_s)
-        reach = WALK_M_S if self._speed_m_s is None else TURN_M_S
-        reach_m = STILL_M + reach * elapsed_s
+        reach = _WALK_M_S if self._speed_m_s is None else _TURN_M_S
+        reach_m = _STILL_M + reach * elapsed_s
         gap = np.array([view.at_m for view in views]) - np.array(
             [track.at_m for track in self._tracks]
         ).reshape(-1, 1, 3)
         unseen_s = np.array([(self._at_s or 0.0) - track.seen_s for track in self._tracks])
         spread = np.array([SURFACE_SD_M, SURFACE_SD_M, SURFACE_DEPTH_SD_M])
-        variance = 2 * spread**2 + (DRIFT_M_S * unseen_s[:, None, None]) ** 2
+        variance = 2 * spread**2 + (_DRIFT_M_S * unseen_s[:, None, None]) ** 2
         crowd = _crowd(views, camera)
         shift_m = _likeliest_shift(gap, variance, crowd, predicted, reach_m)
         ratio = _place_ratio(gap - shift_m, variance, crowd, unknown=0.0)
@@ -230,7 +230,7 @@ class Tracker:
             if np.isfinite(before).all() and before[2] + track.moved_m[2] > 0:
                 shift_px = np.subtract(*camera.project([before + track.moved_m, before]))
             shares[i] = [track.view.overlap(view, shift_px) for view in views]
-        return np.asarray(np.log((shares + LEAST_OVERLAP) / (HALF_OVERLAP + LEAST_OVERLAP)))
+        return np.asarray(np.log((shares + _LEAST_OVERLAP) / (_HALF_OVERLAP + _LEAST_OVERLAP)))
 
     def _learn_speed(self, gap_m: NDArray[np.float64], elapsed_s: float) -> None:
         known = gap_m[np.isfinite(gap_m).all(axis=1)]

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 Baseline = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
 
-HALF_WINDOW_PX = 2  # depth of a path's pixel: median of a 5x5 window, as M4 reads its keypoints
-SMOOTH_PX = 41  # longest window of the smoothing along the path
+_HALF_WINDOW_PX = 2  # depth of a path's pixel: median of a 5x5 window, as M4 reads its keypoints
+_SMOOTH_PX = 41  # longest window of the smoothing along the path
 _MIN_PATH_PX = 5
 
 
@@ -230,13 +230,13 @@ def lifted_length(
     place = np.arange(len(z))
     z = np.interp(place, place[known], z[known])
     x, y = intrinsics.rays(path_px[:, 0].astype(float), path_px[:, 1].astype(float))
-    window = min(SMOOTH_PX, len(z) - 1 + len(z) % 2)
+    window = min(_SMOOTH_PX, len(z) - 1 + len(z) % 2)
     points = savgol_filter(np.stack([x * z, y * z, z], axis=1), window, 2, axis=0)
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.float64]:
-    half = HALF_WINDOW_PX
+    half = _HALF_WINDOW_PX
     depth = np.full(len(path_px), np.nan)
     for k, (u, v) in enumerate(path_px):
         near = readings_m[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]

@@ -38,27 +38,27 @@ CAMERA = Intrinsics(1280, 720, 910.22, 910.39, 642.8, 358.5)  # the paper's, tab
 # specimens.
 PAPER_THREADS_CM = (6.9, 8.2, 9.1, 12.6, 13.8, 23.6, 25.0)
 
-PAPER_CAPTURES = 48
+_PAPER_CAPTURES = 48
 
-VALIDATION_THREADS_CM = (25.70, 14.72, 15.52, 23.92, 38.00)
+_VALIDATION_THREADS_CM = (25.70, 14.72, 15.52, 23.92, 38.00)
 
-FRAME_SHARE = 0.86  # of the picture's height and width that a fruit may take
+_FRAME_SHARE = 0.86  # of the picture's height and width that a fruit may take
 
-PROTOCOL_DISTANCE_M = (0.40, 0.90)
+_PROTOCOL_DISTANCE_M = (0.40, 0.90)
 
-STRESS_DISTANCE_M = (0.30, 1.20)
+_STRESS_DISTANCE_M = (0.30, 1.20)
 
-STRESS_LENGTH_M = (0.069, 0.38)
+_STRESS_LENGTH_M = (0.069, 0.38)
 
-STRESS_TILT_DEG = (0.0, 60.0)
+_STRESS_TILT_DEG = (0.0, 60.0)
 
-STRESS_HIDDEN = (0.0, 0.60)
+_STRESS_HIDDEN = (0.0, 0.60)
 
-SHARE_HIDDEN, SHARE_END_HIDDEN = 0.6, 0.2
+_SHARE_HIDDEN, _SHARE_END_HIDDEN = 0.6, 0.2
 
-SHARE_STRAIGHT = 0.2
+_SHARE_STRAIGHT = 0.2
 
-TIGHTEST_BEND_M = 0.15
+_TIGHTEST_BEND_M = 0.15
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Case:
     condition: str = "plain"
 
 
-def paper_cases(count: int = PAPER_CAPTURES) -> list[Case]:
+def paper_cases(count: int = _PAPER_CAPTURES) -> list[Case]:
     """Return the paper's benchmark: 48 captures of seven cucumbers, in turn.
 
     Examples
@@ -130,8 +130,8 @@ def paper_cases(count: int = PAPER_CAPTURES) -> list[Case]:
 def validation_cases() -> list[Case]:
     """Return the paper's five validation specimens, one capture each, as the paper has it."""
     return [
-        _plain_case(Suite.VALIDATION, k, k, VALIDATION_THREADS_CM)
-        for k in range(len(VALIDATION_THREADS_CM))
+        _plain_case(Suite.VALIDATION, k, k, _VALIDATION_THREADS_CM)
+        for k in range(len(_VALIDATION_THREADS_CM))
     ]
 
 
@@ -143,7 +143,7 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
     # The paper's median radius is 42 cm; a fruit is no rounder than its length allows.
     bend_m = float(np.exp(shape.normal(np.log(0.42), 0.35)))
     roll = float(pose.normal(-90, 15))
-    near = max(PROTOCOL_DISTANCE_M[0], nearest_m(length_m, roll))
+    near = max(_PROTOCOL_DISTANCE_M[0], nearest_m(length_m, roll))
     return Case(
         name=f"{suite}-{k + 1:03d}",
         suite=suite,
@@ -153,7 +153,7 @@ def _plain_case(suite: Suite, k: int, which: int, threads_cm: Sequence[float]) -
         length_m=length_m,
         by_thread=True,
         bend_radius_m=max(bend_m, length_m),
-        distance_m=float(pose.uniform(near, PROTOCOL_DISTANCE_M[1])),
+        distance_m=float(pose.uniform(near, _PROTOCOL_DISTANCE_M[1])),
         tilt_deg=float(np.clip(pose.normal(0, 8), -20, 20)),
         roll_deg=roll,
         spin_deg=float(pose.uniform(0, 360)),
@@ -183,15 +183,15 @@ def stress_cases(count: int, first: int = 0) -> list[Case]:
 
 def _stress_case(k: int) -> Case:
     rng = np.random.default_rng(10_000_000 + k)
-    length_m = float(rng.uniform(*STRESS_LENGTH_M))
-    straight = rng.random() < SHARE_STRAIGHT
-    tightest = max(TIGHTEST_BEND_M, 0.5 * length_m)
+    length_m = float(rng.uniform(*_STRESS_LENGTH_M))
+    straight = rng.random() < _SHARE_STRAIGHT
+    tightest = max(_TIGHTEST_BEND_M, 0.5 * length_m)
     bend_m = float(1 / rng.uniform(1 / 1.0, 1 / tightest))
-    tilt, roll = float(rng.uniform(*STRESS_TILT_DEG)), float(rng.uniform(-180, 180))
-    near = max(STRESS_DISTANCE_M[0], nearest_m(length_m, roll, tilt))
-    hidden = rng.random() < SHARE_HIDDEN
-    share = float(rng.uniform(*STRESS_HIDDEN))
-    at_end = rng.random() < SHARE_END_HIDDEN
+    tilt, roll = float(rng.uniform(*_STRESS_TILT_DEG)), float(rng.uniform(-180, 180))
+    near = max(_STRESS_DISTANCE_M[0], nearest_m(length_m, roll, tilt))
+    hidden = rng.random() < _SHARE_HIDDEN
+    share = float(rng.uniform(*_STRESS_HIDDEN))
+    at_end = rng.random() < _SHARE_END_HIDDEN
     return Case(
         name=f"stress-{k:05d}",
         suite=Suite.STRESS,
@@ -201,7 +201,7 @@ def _stress_case(k: int) -> Case:
         length_m=length_m,
         by_thread=False,
         bend_radius_m=None if straight else bend_m,
-        distance_m=float(rng.uniform(near, max(near, STRESS_DISTANCE_M[1]))),
+        distance_m=float(rng.uniform(near, max(near, _STRESS_DISTANCE_M[1]))),
         tilt_deg=tilt * float(rng.choice([-1, 1])),
         roll_deg=roll,
         spin_deg=float(rng.uniform(0, 360)),
@@ -223,22 +223,22 @@ def nearest_m(length_m: float, roll_deg: float, tilt_deg: float = 0.0) -> float:
     """
     roll, tilt = np.deg2rad(roll_deg), np.deg2rad(tilt_deg)
     across = length_m * np.cos(tilt)
-    high = across * abs(np.sin(roll)) * CAMERA.fy_px / (FRAME_SHARE * CAMERA.height)
-    wide = across * abs(np.cos(roll)) * CAMERA.fx_px / (FRAME_SHARE * CAMERA.width)
+    high = across * abs(np.sin(roll)) * CAMERA.fy_px / (_FRAME_SHARE * CAMERA.height)
+    wide = across * abs(np.cos(roll)) * CAMERA.fx_px / (_FRAME_SHARE * CAMERA.width)
     return float(max(high, wide) + 0.5 * length_m * abs(np.sin(tilt)))
 
 
-FRAMES = 5
+_FRAMES = 5
 
 SCALE_SD = 0.01  # the data sheet allows 2 % at 2 m, taken as two standard deviations
 
-SUN_NOISE, SUN_HOLES = 1.5, 0.10
+_SUN_NOISE, _SUN_HOLES = 1.5, 0.10
 
-WET_HOLES = 0.30
+_WET_HOLES = 0.30
 
-BACKDROP_M = 0.45
+_BACKDROP_M = 0.45
 
-BACKGROUND_LEAVES = 14
+_BACKGROUND_LEAVES = 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,11 +296,11 @@ def build_scene(case: Case) -> Scene:
     fruit = fruit.moved(turn, (*aside, case.distance_m))
     behind = _background(case, rng)
     before = _occluders(case, fruit, rng)
-    plane = Plane.facing(case.distance_m + BACKDROP_M, *rng.uniform(-10, 10, 2))
+    plane = Plane.facing(case.distance_m + _BACKDROP_M, *rng.uniform(-10, 10, 2))
     return Scene((fruit,), (*behind, *before), (), (plane,))
 
 
-def simulate(case: Case, frames: int = FRAMES, paint: bool = False) -> Simulated:
+def simulate(case: Case, frames: int = _FRAMES, paint: bool = False) -> Simulated:
     """Simulate one capture of a case.
 
     Parameters
@@ -351,18 +351,18 @@ def paint_scene(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[n
 def _sensor(case: Case) -> D4xx:
     sensor = D4xx.like(CAMERA)
     if case.condition == "sun":
-        noise = sensor.disparity_rms_px * SUN_NOISE
-        return replace(sensor, disparity_rms_px=noise, glare_holes=SUN_HOLES)
+        noise = sensor.disparity_rms_px * _SUN_NOISE
+        return replace(sensor, disparity_rms_px=noise, glare_holes=_SUN_HOLES)
     if case.condition == "wet":
-        return replace(sensor, glare_holes=WET_HOLES, foliage_holes=0.15)
+        return replace(sensor, glare_holes=_WET_HOLES, foliage_holes=0.15)
     return sensor
 
 
 def _background(case: Case, rng: np.random.Generator) -> list[Leaf]:
     leaves = []
     half_view = 0.5 * CAMERA.width / CAMERA.fx_px
-    for _ in range(BACKGROUND_LEAVES):
-        depth = case.distance_m + float(rng.uniform(0.12, BACKDROP_M - 0.05))
+    for _ in range(_BACKGROUND_LEAVES):
+        depth = case.distance_m + float(rng.uniform(0.12, _BACKDROP_M - 0.05))
         at = np.array([*(rng.uniform(-1, 1, 2) * (half_view, 0.6 * half_view) * depth), depth])
         length, width = float(rng.uniform(0.05, 0.11)), float(rng.uniform(0.04, 0.08))
         turn = rotation(float(rng.uniform(0, 360)), *rng.uniform(-35.0, 35.0, 2))

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
 
 # Focal lengths in pixels at 1280x720 that are mistaken for the colour stream's in practice.
-WRONG_FOCALS_PX = {
+_WRONG_FOCALS_PX = {
     "depth stream of a D435 (640)": 640.0,
     "depth stream of a D415 (895)": 895.0,
     "colour stream at 640x480 (617)": 617.0,
     "colour stream at 1920x1080 (1365)": 1365.0,
 }
-TILTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
-SIZES_M = ((0.0, 0.10), (0.10, 0.18), (0.18, 0.45))
+_TILTS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)
+_SIZES_M = ((0.0, 0.10), (0.10, 0.18), (0.18, 0.45))
 
 
 def wrong_intrinsics() -> Table:
@@ -46,8 +46,8 @@ def wrong_intrinsics() -> Table:
     With k = f_right / f_wrong, a length at tilt t reads L' / L = sqrt(k² cos² t + sin² t).
     """
     rows = []
-    for name, focal in WRONG_FOCALS_PX.items():
-        for tilt in TILTS_DEG:
+    for name, focal in _WRONG_FOCALS_PX.items():
+        for tilt in _TILTS_DEG:
             tube = arc_tube(0.20, 0.015).moved(rotation(90, tilt), (0, 0, 0.6))
             scene = render(Scene.of(tube), CAMERA)
             wrong = replace(CAMERA, fx_px=focal, fy_px=focal)
@@ -165,7 +165,7 @@ def length_conventions(readings: pd.DataFrame) -> Table:
     rows: list[tuple[Cell, ...]] = []
     known = readings.dropna(subset=["thread_m", "centreline_m", "chord_m"])
     fruit = known.drop_duplicates("fruit", keep="last")
-    for low, high in SIZES_M:
+    for low, high in _SIZES_M:
         some = fruit[fruit["centreline_m"].between(low, high, inclusive="left")]
         if len(some):
             more = 100 * (some[["thread_m", "chord_m"]].div(some["centreline_m"], axis=0) - 1)

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-SMALLEST_GROUP = 60  # readings: fewer go with the next larger group
+_SMALLEST_GROUP = 60  # readings: fewer go with the next larger group
 
-FOLDS = 5
+_FOLDS = 5
 
-MASK_FEATURES = ("perceived", "own_mask", "goes_on", "ends_disagree")
+_MASK_FEATURES = ("perceived", "own_mask", "goes_on", "ends_disagree")
 
 TUBE_FEATURES = (
     "log_sd",
@@ -42,10 +42,10 @@ TUBE_FEATURES = (
     "end_hidden",
     "end_on",
     "poor_fit",
-    *MASK_FEATURES,
+    *_MASK_FEATURES,
 )
 
-RAW_FEATURES = ("distance_m", "holes", "log_pixels", *MASK_FEATURES)
+RAW_FEATURES = ("distance_m", "holes", "log_pixels", *_MASK_FEATURES)
 
 # What networks draw errs otherwise than what is given; fruit that go on out of sight are read
 # short, by far; where mask and keypoints disagree, one of them is wrong; the others err the more
@@ -140,12 +140,12 @@ def fit_interval_model(
         for group in sorted({one for some in groups for one in some})
     }
     fold, sigma = _folds(np.asarray(fruit), seed), np.empty_like(error)
-    for own in (fold == k for k in range(FOLDS)):
+    for own in (fold == k for k in range(_FOLDS)):
         sigma[own] = _sigma(columns[own], _log_linear(_size(error[~own]), columns[~own]))
     bands = {
         group: _band(error[chosen], sigma[chosen], level)
         for group, chosen in members.items()
-        if not group or chosen.sum() >= SMALLEST_GROUP
+        if not group or chosen.sum() >= _SMALLEST_GROUP
     }
     weights = tuple(map(float, _log_linear(_size(error), columns)))
     return IntervalModel(method, level, names, weights, bands, edges)
@@ -174,7 +174,7 @@ def _band(error: NDArray[np.float64], sigma: NDArray[np.float64], level: float) 
 def _folds(fruit: NDArray[np.str_], seed: int) -> NDArray[np.intp]:
     names, place = np.unique(fruit, return_inverse=True)
     order = np.random.default_rng(seed).permutation(len(names))
-    return np.asarray(order[place] % FOLDS)
+    return np.asarray(order[place] % _FOLDS)
 
 
 def _log_linear(size: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Find = Callable[[Capture], Sequence[Instance]]
 
-CORRELATION_PX = 12.0
+_CORRELATION_PX = 12.0
 
 
 def draw_disturbance(
@@ -47,7 +47,7 @@ def draw_disturbance(
     >>> bool(abs(field.std() - 1.5) < 1e-3)
     True
     """
-    noise = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), CORRELATION_PX)
+    noise = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), _CORRELATION_PX)
     return np.asarray(noise * np.float32(rms_px / noise.std()))
 
 
@@ -81,11 +81,11 @@ def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDAr
     return np.asarray(signed > -shift_px)
 
 
-BACK_SHARE = 0.12  # of the axis: where the walk to the end begins
+_BACK_SHARE = 0.12  # of the axis: where the walk to the end begins
 
-STEP_PX, BEYOND_PX = 0.25, 25.0
+_STEP_PX, _BEYOND_PX = 0.25, 25.0
 
-SHORTEST_COS = 0.3  # an end that points along the view tells nothing of its own length
+_SHORTEST_COS = 0.3  # an end that points along the view tells nothing of its own length
 
 
 def oracle_length_m(
@@ -110,10 +110,10 @@ def oracle_length_m(
     """
     length = truth.centreline_m
     for axis in (truth.axis_m, truth.axis_m[::-1]):
-        back = axis[max(1, round(BACK_SHARE * len(axis)))]
+        back = axis[max(1, round(_BACK_SHARE * len(axis)))]
         tip = axis[0]
         run = tip - back
-        cosine = max(float(np.hypot(run[0], run[1]) / np.linalg.norm(run)), SHORTEST_COS)
+        cosine = max(float(np.hypot(run[0], run[1]) / np.linalg.norm(run)), _SHORTEST_COS)
         back_px, tip_px = camera.project([back, tip])
         shift = end_shift_px(truth.visible, mask, back_px, tip_px)
         if shift is None:
@@ -156,7 +156,7 @@ def end_shift_px(
     reach = float(np.linalg.norm(way))
     if reach < 1:
         return None
-    steps = np.arange(0, reach + BEYOND_PX, STEP_PX)
+    steps = np.arange(0, reach + _BEYOND_PX, _STEP_PX)
     line = back_px + steps[:, None] * way / reach
     u, v = np.floor(line + 0.5).astype(int).T
     inside = (u >= 0) & (u < exact.shape[1]) & (v >= 0) & (v < exact.shape[0])
@@ -173,7 +173,7 @@ def end_shift_px(
 
 OUTLINE_RMS_PX = 1.5
 
-FOUND_IOU = 0.5  # of boxes: what overlaps the case's fruit by less is another one
+_FOUND_IOU = 0.5  # of boxes: what overlaps the case's fruit by less is another one
 
 _READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper", "oracle")
 
@@ -257,7 +257,7 @@ def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> I
 def found_at(box: NDArray[np.float64], found: Sequence[Instance]) -> Instance | None:
     """Return which of the fruit that were found is the one in a box, x1 y1 x2 y2, pixels."""
     best = max(found, key=lambda one: box_iou(one.box, box), default=None)
-    return None if best is None or box_iou(best.box, box) < FOUND_IOU else best
+    return None if best is None or box_iou(best.box, box) < _FOUND_IOU else best
 
 
 def _record(

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-SUITE_WORDS = {
+_SUITE_WORDS = {
     Suite.PAPER: "The paper's protocol",
     Suite.VALIDATION: "The five validation fruit",
     Suite.STRESS: "The stress set",
 }
-MASK_WORDS = {
+_MASK_WORDS = {
     Masks.EXACT: "exact outlines",
     Masks.DISTURBED: "outlines disturbed by 1.5 px",
     Masks.PERCEIVED: "outlines found by a network",
@@ -56,7 +56,7 @@ _SUITE_INTRO = {
 COVERED = {LengthDefinition.CENTRELINE: "M6", LengthDefinition.THREAD: "M6 thread"}
 """The readings whose intervals are judged."""
 
-GLOSSARY = (
+_GLOSSARY = (
     *length_report.GLOSSARY,
     (
         "skan, PlantCV, rectangle",
@@ -69,10 +69,10 @@ GLOSSARY = (
         "ends. Nobody can be expected to do better on the same masks.",
     ),
 )
-LARGE_GROUP = 400  # fruit from which on coverage is held against fixed bounds
-LARGE_GROUP_SHARE = (0.87, 0.93)  # for a 90 % interval; moved along with another level
+_LARGE_GROUP = 400  # fruit from which on coverage is held against fixed bounds
+_LARGE_GROUP_SHARE = (0.87, 0.93)  # for a 90 % interval; moved along with another level
 TILT_EDGES_DEG = np.arange(0, 61, 7.5)
-HIDDEN_EDGES_PERCENT = (0, 0.01, 10, 20, 30, 40, 50, 60)
+_HIDDEN_EDGES_PERCENT = (0, 0.01, 10, 20, 30, 40, 50, 60)
 _SMALLEST_PERCENT = 0.01  # what a logarithmic axis starts at
 
 
@@ -135,7 +135,7 @@ def write_benchmark_report(
         sections,
         notes=[("", NOTES["summary"])],
         provenance=provenance,
-        glossary=GLOSSARY,
+        glossary=_GLOSSARY,
         numbers={
             "notes": NOTES,
             "interval_level": level,
@@ -167,8 +167,8 @@ def _glance_table(parts: Iterable[tuple[Suite, Masks, pd.DataFrame]]) -> Table:
         tube = score(read["length_m"], read["true_m"]) if len(read) else None
         rows.append(
             (
-                SUITE_WORDS[suite],
-                MASK_WORDS[masks],
+                _SUITE_WORDS[suite],
+                _MASK_WORDS[masks],
                 readings["case"].nunique(),
                 readings["fruit"].nunique(),
                 tube.mape_percent if tube else None,
@@ -209,7 +209,7 @@ def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks, level: fl
         Level that the intervals state.
     """
     captures, fruit = readings["case"].nunique(), readings["fruit"].nunique()
-    words = MASK_WORDS[masks]
+    words = _MASK_WORDS[masks]
     intro = (_SUITE_INTRO[suite], f"{captures} measurements of {fruit} fruit, with {words}.")
     truths = length_report.main_truths(readings)
     truths = truths[:1] if suite is Suite.STRESS else truths
@@ -222,7 +222,7 @@ def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks, level: fl
             entries += _stress_plots(readings, truths[0])
         entries += length_report.group_entries(readings, truths)
         entries += _coverage_entries(readings, level)
-    return Section(f"{SUITE_WORDS[suite]}, {words}", intro, tuple(entries))
+    return Section(f"{_SUITE_WORDS[suite]}, {words}", intro, tuple(entries))
 
 
 def _stress_plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Table | Picture]:
@@ -230,7 +230,7 @@ def _stress_plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Table
     tilt, hidden = scored["tilt_deg"].abs(), 100 * scored["hidden_share"]
     by_tilt = error_by_value_plot(scored, truth, tilt, TILT_EDGES_DEG, "tilt of the fruit (°)")
     by_hidden = error_by_value_plot(
-        scored, truth, hidden, HIDDEN_EDGES_PERCENT, "hidden share of the fruit (%)"
+        scored, truth, hidden, _HIDDEN_EDGES_PERCENT, "hidden share of the fruit (%)"
     )
     caption = "Mean error by the fruit's tilt; each step up the scale is ten times the error."
     return [
@@ -299,8 +299,8 @@ def _covered(inside: pd.DataFrame, truth: LengthDefinition, level: float) -> dic
     hits, count = int(inside[f"{truth}_m"].between(low, high).sum()), len(inside)
     bounds = binomial_interval(hits, count)
     fruit = inside["fruit"].nunique()
-    if fruit >= LARGE_GROUP:
-        allowed = [level - 0.9 + share for share in LARGE_GROUP_SHARE]
+    if fruit >= _LARGE_GROUP:
+        allowed = [level - 0.9 + share for share in _LARGE_GROUP_SHARE]
         as_stated = allowed[0] <= hits / count <= allowed[1]
     else:
         as_stated = bounds[0] <= level <= bounds[1]

@@ -207,7 +207,7 @@ def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
     return {(r.suite, r.case, r.masks) for r in read_records([records])}
 
 
-CARROT = "rgbd/carrot_realsense_1280"
+_CARROT = "rgbd/carrot_realsense_1280"
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ def run_benchmark(
         "conventions": experiments.length_conventions(readings),
     }
     if plan.data is not None:
-        tables["carrot intrinsics"] = experiments.carrot_intrinsics(plan.data / CARROT)
+        tables["carrot intrinsics"] = experiments.carrot_intrinsics(plan.data / _CARROT)
     return readings, tables
 
 

@@ -168,7 +168,7 @@ def _draw(
     return tuple(labels), faults
 
 
-FORMS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect", "bop")
+_FORMS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect", "bop")
 
 _TASKS = {"yolo-seg": "segment", "yolo-pose": "pose", "yolo-detect": "detect"}
 
@@ -216,7 +216,7 @@ def convert_dataset(
     out : Path
         A new folder.
     form : str
-        One of `FORMS`.
+        One of `_FORMS`.
     keep : mapping of int or str to str, optional
         As in `keep_classes`; all classes without it.
     source, licence : str
@@ -234,9 +234,9 @@ def convert_dataset(
     DataSetError
         If there is no such form, or what `write_coco`, `write_yolo` and `write_bop` raise.
     """
-    if form not in FORMS:
+    if form not in _FORMS:
         raise DataSetError(
-            f"no form is called {form!r}", remedy=f"choose one of {', '.join(FORMS)}"
+            f"no form is called {form!r}", remedy=f"choose one of {', '.join(_FORMS)}"
         )
     if out.resolve() == dataset.folder.resolve():
         raise DataSetError("is the set itself", source=out, remedy="give a new folder")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _COPY_BITS = 6  # of 63: two photos of one heap differ by 16 and more
 
-COPY_COLOR = 0.3
+_COPY_COLOR = 0.3
 
 _SCENE_COLOR = 0.42
 
@@ -126,7 +126,7 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
     for i, one in enumerate(left):
         bits = np.bitwise_count(turned ^ one.hashes[0]).min(axis=1)
         for j in np.flatnonzero(bits <= _COPY_BITS).tolist():
-            if float(one.colors @ right[j].colors) >= 1 - COPY_COLOR**2:
+            if float(one.colors @ right[j].colors) >= 1 - _COPY_COLOR**2:
                 found.append((i, j))
     return found
 

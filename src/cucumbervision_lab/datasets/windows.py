@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet
 
-MARGIN = 1.25  # a window's side over the longer side of the fruit that it is cut around
-WHOLE = 0.9  # of a fruit's pixels in a window: another one of its own is not needed
-SLIVER = 0.15  # with less of its pixels a fruit in a window is to be ignored
+_MARGIN = 1.25  # a window's side over the longer side of the fruit that it is cut around
+_WHOLE = 0.9  # of a fruit's pixels in a window: another one of its own is not needed
+_SLIVER = 0.15  # with less of its pixels a fruit in a window is to be ignored
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def choose_windows(
         return (_around(rng, picture, np.full(4, np.nan), side_px),)
     chosen: list[Window] = []
     for index in rng.permutation(len(boxes)):
-        if not any(_inside(boxes[index], window) >= WHOLE for window in chosen):
+        if not any(_inside(boxes[index], window) >= _WHOLE for window in chosen):
             chosen.append(_around(rng, picture, boxes[index], side_px))
     return tuple(chosen)
 
@@ -103,7 +103,7 @@ def _around(
     """Put a window somewhere about a box, or anywhere."""
     placed = []
     long_px = 0.0 if np.isnan(box[0]) else float(max(box[2] - box[0], box[3] - box[1]))
-    side = max(side_px, round(MARGIN * long_px))
+    side = max(side_px, round(_MARGIN * long_px))
     for axis, whole in enumerate((picture.width, picture.height)):
         size = min(side, whole)
         first, last = 0, whole - size
@@ -166,7 +166,7 @@ def label_in(label: Label, window: Window) -> Label | None:
         amodal_code=None if whole is None else Rle.of(whole),
         keypoints=_points_in(label.keypoints, window),
         cut_off=cut,
-        ignore=label.ignore or share < SLIVER,
+        ignore=label.ignore or share < _SLIVER,
         extras=label.point_order if cut else label.extras,
     )
 
@@ -251,7 +251,7 @@ def _cut(
         )
 
 
-GRIDS = (2, 3)
+_GRIDS = (2, 3)
 LEAST_PX = 24
 """A fruit with fewer pixels than this is to be ignored."""
 
@@ -367,7 +367,7 @@ def write_sheets(
     licences = "; ".join(sorted({picture.licence for picture in pictures}))
     (out / "images").mkdir(parents=True, exist_ok=True)
     for number in range(count):
-        grid = GRIDS[int(rng.integers(len(GRIDS)))]
+        grid = _GRIDS[int(rng.integers(len(_GRIDS)))]
         while len(row) < grid**2:
             row += rng.permutation(len(pictures)).tolist()
         chosen, row = [pictures[k] for k in row[: grid**2]], row[grid**2 :]

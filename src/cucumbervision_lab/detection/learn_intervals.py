@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     Report = Callable[[str, int, int], None]
 
 # On case numbers that no benchmark reaches.
-LEARN_FIRST = 1_000_000
+_LEARN_FIRST = 1_000_000
 
 
 def learn_intervals(
@@ -59,7 +59,7 @@ def learn_intervals(
     report : callable, optional
         As in `run_benchmark`.
     """
-    cases = stress_cases(fruit, first=LEARN_FIRST)
+    cases = stress_cases(fruit, first=_LEARN_FIRST)
     tell = None if report is None else (lambda count: report("stress fruit", count, fruit))
     options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
     records = run_cases(cases, options, out / "learning.jsonl", workers, tell)

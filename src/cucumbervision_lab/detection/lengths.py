@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
-GROUPS = ("whole, in sight", "whole, partly hidden", "cut by the picture's edge")
+_GROUPS = ("whole, in sight", "whole, partly hidden", "cut by the picture's edge")
 _IN_SIGHT = 0.10
 _READ = (*Method, "M6 thread", "M6 chord", "selector best", "selector paper")
 
@@ -37,7 +37,7 @@ class LengthScore:
     Parameters
     ----------
     group : str
-        One of `GROUPS`, or 'whole'.
+        One of `_GROUPS`, or 'whole'.
     masks : Masks
         Whose masks.
     truth : LengthDefinition
@@ -139,10 +139,10 @@ def _record(
 
 
 def _group_of(fruit: TrueFruit) -> str:
-    """Return which of `GROUPS` a fruit belongs to; one of unknown hidden share is in sight."""
+    """Return which of `_GROUPS` a fruit belongs to; one of unknown hidden share is in sight."""
     if fruit.cut_off:
-        return GROUPS[2]
-    return GROUPS[1] if fruit.hidden_share > _IN_SIGHT else GROUPS[0]
+        return _GROUPS[2]
+    return _GROUPS[1] if fruit.hidden_share > _IN_SIGHT else _GROUPS[0]
 
 
 def length_scores(readings: pd.DataFrame, truth: LengthDefinition) -> list[LengthScore]:
@@ -157,8 +157,8 @@ def length_scores(readings: pd.DataFrame, truth: LengthDefinition) -> list[Lengt
     """
     scored = against(readings, truth)
     scores = []
-    for group in ("whole", *GROUPS):
-        inside = scored["group"] != GROUPS[2] if group == "whole" else scored["group"] == group
+    for group in ("whole", *_GROUPS):
+        inside = scored["group"] != _GROUPS[2] if group == "whole" else scored["group"] == group
         for masks in (Masks.EXACT, Masks.PERCEIVED):
             chosen = scored[inside & (scored["masks"] == masks)]
             for method, part in chosen.groupby("method", observed=True):

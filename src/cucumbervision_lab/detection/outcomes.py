@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.detection.pictures import Frame, SeenFruit
 
-MIN_IOU = 0.5
+_MIN_IOU = 0.5
 
 IN_IGNORED = 0.5
 """A detection of which at least this share lies in regions not to be judged is not counted."""
@@ -104,7 +104,7 @@ def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> in
     """Return the free box with the largest overlap, those that are required first."""
     free = np.where(taken, 0.0, overlaps)
     for part, start in ((free[:required], 0), (free[required:], required)):
-        if part.size and part.max() >= MIN_IOU:
+        if part.size and part.max() >= _MIN_IOU:
             return start + int(part.argmax())
     return None
 
@@ -113,9 +113,9 @@ def _boxes(values: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(values, np.float64).reshape(-1, 4)
 
 
-BLOSSOM, STEM = 0, 4
+_BLOSSOM, STEM = 0, 4
 
-EDGE_PX = 1.5  # a box that comes as near to the border is cut by it
+_EDGE_PX = 1.5  # a box that comes as near to the border is cut by it
 
 
 @dataclass(frozen=True)
@@ -366,10 +366,10 @@ def _ends(
     frame: Frame, number: int, true: NDArray[np.float64], points: NDArray[np.float64]
 ) -> EndRow:
     length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
-    ends, found = true[[BLOSSOM, STEM], :2], points[[BLOSSOM, STEM], :2]
+    ends, found = true[[_BLOSSOM, STEM], :2], points[[_BLOSSOM, STEM], :2]
     straight = np.linalg.norm(found - ends, axis=1)
     crossed = np.linalg.norm(found[::-1] - ends, axis=1)
-    labelled = true[[BLOSSOM, STEM], 2] > 0
+    labelled = true[[_BLOSSOM, STEM], 2] > 0
     percent = np.where(labelled, 100 * straight / max(length, 1e-9), math.nan)
     return EndRow(
         frame.name,
@@ -378,17 +378,17 @@ def _ends(
         length,
         float(percent[0]),
         float(percent[1]),
-        bool(true[BLOSSOM, 2] == 2),
+        bool(true[_BLOSSOM, 2] == 2),
         bool(true[STEM, 2] == 2),
         bool(crossed.sum() < straight.sum()) if labelled.all() else None,
-        float(points[BLOSSOM, 2]),
+        float(points[_BLOSSOM, 2]),
         float(points[STEM, 2]),
     )
 
 
 def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
     inside = np.concatenate([box[:2] + 0.5, (frame.width - 0.5, frame.height - 0.5) - box[2:]])
-    return bool(inside.min() < EDGE_PX)
+    return bool(inside.min() < _EDGE_PX)
 
 
 ALL = "all"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
 
-PROMPTS_COMPARED = ("box", "box+point")
+_PROMPTS_COMPARED = ("box", "box+point")
 
 FLOOR = 0.001
 """Least confidence for average precision, which judges the ranking of all detections."""
@@ -274,7 +274,7 @@ def overlap_row(
     found : Instance
         Whose box was the prompt.
     drawn : sequence of Instance
-        What SAM made of it by each of `PROMPTS_COMPARED`.
+        What SAM made of it by each of `_PROMPTS_COMPARED`.
     simulated, prompt_box
         As `OverlapRow` says.
     """
@@ -296,9 +296,9 @@ def overlap_row(
 def draw_by_prompt(
     segmenter: Segmenter, color: NDArray[np.uint8], asked: Sequence[Instance]
 ) -> list[tuple[Instance, ...]]:
-    """Return SAM's masks of every fruit by each of `PROMPTS_COMPARED`, the shipped one last."""
+    """Return SAM's masks of every fruit by each of `_PROMPTS_COMPARED`, the shipped one last."""
     drawn = []
-    for prompt in PROMPTS_COMPARED:
+    for prompt in _PROMPTS_COMPARED:
         segmenter.prompt = prompt
         drawn.append(segmenter.segment(color, asked))
     return drawn

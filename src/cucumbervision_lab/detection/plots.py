@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.pictures import Code, Frame
     from cucumbervision_lab.detection.run import DetectionResult
 
-BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+_BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
 
 _LEAST_PERCENT = 0.05
 
@@ -49,8 +49,8 @@ def recall_plot(groups: Sequence[GroupScore]) -> bytes:
         scale = 100.0 if "%" in factor else 1.0
         where = np.array([scale * one.middle for one in own])
         parts: list[tuple[str, str, str, list[Estimate | None]]] = [
-            ("recall", BLUE, "o", [one.recall for one in own]),
-            ("precision", ORANGE, "s", [one.precision for one in own]),
+            ("recall", _BLUE, "o", [one.recall for one in own]),
+            ("precision", _ORANGE, "s", [one.precision for one in own]),
         ]
         for label, colour, marker, estimates in parts:
             known = [
@@ -85,7 +85,7 @@ def end_error_plot(rows: Sequence[EndRow]) -> bytes:
     ends += [(r.stem_percent, r.stem_seen) for r in rows]
     figure = new_figure(3.6)
     ax = figure.subplots()
-    for label, colour, seen in (("in sight", BLUE, True), ("hidden", ORANGE, False)):
+    for label, colour, seen in (("in sight", _BLUE, True), ("hidden", _ORANGE, False)):
         errors = np.sort([e for e, s in ends if s is seen and math.isfinite(e)])
         if errors.size:
             share = 100 * np.arange(1, len(errors) + 1) / len(errors)
@@ -112,9 +112,9 @@ def overlap_plot(rows: Sequence[OverlapRow]) -> bytes:
         At least one, of drawn or of real pictures.
     """
     kinds = {
-        "network alone": ([r.network_iou for r in rows], GREEN, ":"),
-        "SAM, box": ([r.box_iou for r in rows], BLUE, "--"),
-        "SAM, box + centre": ([r.point_iou for r in rows], ORANGE, "-"),
+        "network alone": ([r.network_iou for r in rows], _GREEN, ":"),
+        "SAM, box": ([r.box_iou for r in rows], _BLUE, "--"),
+        "SAM, box + centre": ([r.point_iou for r in rows], _ORANGE, "-"),
     }
     figure = new_figure(3.6)
     ax = figure.subplots()
@@ -140,16 +140,16 @@ KINDS = {
 }
 """Which worst cases there are, and in which order."""
 
-TILE_PX = (240, 320)  # height, width
+_TILE_PX = (240, 320)  # height, width
 
-COLUMNS, MOST = 4, 8
+COLUMNS, _MOST = 4, 8
 
 _MARGIN = 0.35
 
 _STRIP_PX = 20
 
 # Okabe and Ito's green and vermilion (RGB).
-TRUE_COLOR, FOUND_COLOR = (0, 200, 140), (255, 110, 0)
+_TRUE_COLOR, _FOUND_COLOR = (0, 200, 140), (255, 110, 0)
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def worst_cases(result: DetectionResult, summary: Summary) -> list[WorstCase]:
     )
     cases = [
         ("missed", r.picture, boxes[r.picture, r.fruit], f"{_percent(r.hidden_share)} hidden")
-        for r in missed[:MOST]
+        for r in missed[:_MOST]
     ]
     false = sorted(
         (r for r in summary.found if r.outcome == "false" and r.picture in drawn),
@@ -203,12 +203,12 @@ def worst_cases(result: DetectionResult, summary: Summary) -> list[WorstCase]:
     )
     cases += [
         ("false", r.picture, (r.x1, r.y1, r.x2, r.y2), f"confidence {r.score:.2f}")
-        for r in false[:MOST]
+        for r in false[:_MOST]
     ]
     masks = sorted((r for r in fruit if math.isfinite(r.mask_iou)), key=lambda r: r.mask_iou)
     cases += [
         ("masks", r.picture, boxes[r.picture, r.fruit], f"IoU {r.mask_iou:.2f}")
-        for r in masks[:MOST]
+        for r in masks[:_MOST]
     ]
     ends = [
         (float(np.nanmax([r.blossom_percent, r.stem_percent])), r)
@@ -222,7 +222,7 @@ def worst_cases(result: DetectionResult, summary: Summary) -> list[WorstCase]:
             boxes[r.picture, r.fruit],
             f"off by {off:.0f} %" + (", swapped" if r.swapped else ""),
         )
-        for off, r in sorted(ends, key=lambda one: -one[0])[:MOST]
+        for off, r in sorted(ends, key=lambda one: -one[0])[:_MOST]
     ]
     return [WorstCase(*case) for case in cases]
 
@@ -249,7 +249,7 @@ def draw_sheet(cases: Sequence[WorstCase], result: DetectionResult) -> bytes:
     """
     pictures = {p.file: p for p in result.held_out.pictures}
     frames = {f.name: f for f in result.frames}
-    height, width = TILE_PX
+    height, width = _TILE_PX
     rows = -(-len(cases) // COLUMNS)
     sheet = np.full((rows * (height + 4), min(len(cases), COLUMNS) * (width + 4), 3), 255, np.uint8)
     for k, case in enumerate(cases):
@@ -266,7 +266,7 @@ def draw_sheet(cases: Sequence[WorstCase], result: DetectionResult) -> bytes:
 def _tile(
     color: NDArray[np.uint8], frame: Frame, case: WorstCase, confidence: float
 ) -> NDArray[np.uint8]:
-    height, width = TILE_PX
+    height, width = _TILE_PX
     x1, y1, x2, y2 = case.box
     scale = min(width / ((1 + 2 * _MARGIN) * (x2 - x1)), height / ((1 + 2 * _MARGIN) * (y2 - y1)))
     scale = min(scale, 4.0)
@@ -283,15 +283,15 @@ def _tile(
     stage = Stage.POSED if case.kind == "keypoints" else Stage.KEPT
     _, seen, required = matches_of(frame, confidence, stage)
     true = [frame.true[k] for k in required]
-    _outlines(tile, (one.code for one in true), place, TRUE_COLOR)
-    _outlines(tile, (one.code for one in seen), place, FOUND_COLOR)
+    _outlines(tile, (one.code for one in true), place, _TRUE_COLOR)
+    _outlines(tile, (one.code for one in seen), place, _FOUND_COLOR)
     for one in seen:
         if one.code is None:
             corners = place(one.box.reshape(2, 2)).tolist()
-            cv2.rectangle(tile, tuple(corners[0]), tuple(corners[1]), FOUND_COLOR, 1)
+            cv2.rectangle(tile, tuple(corners[0]), tuple(corners[1]), _FOUND_COLOR, 1)
     if case.kind == "keypoints":
-        _points(tile, [one.keypoints for one in true], place, TRUE_COLOR)
-        _points(tile, [one.keypoints for one in seen], place, FOUND_COLOR)
+        _points(tile, [one.keypoints for one in true], place, _TRUE_COLOR)
+        _points(tile, [one.keypoints for one in seen], place, _FOUND_COLOR)
     label = f"{case.picture.rsplit('/', 1)[-1]}: {case.words}"
     tile[height - _STRIP_PX :] = 0
     at, ink = (6, height - 6), (255, 255, 255)

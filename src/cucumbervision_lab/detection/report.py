@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
 
-JSON_NAME = "results.json"
-CARD_NAME = "card.json"
+_JSON_NAME = "results.json"
+_CARD_NAME = "card.json"
 # What fits a model's card: what was judged on what, and the figures over all fruit.
 _CARD_KEYS = (
     "software",
@@ -157,8 +157,8 @@ def write_detection_report(result: DetectionResult, summary: Summary, out: Path)
     """
     with _made(out):
         numbers = _numbers(result, summary)
-        write_json(out / JSON_NAME, numbers)
-        write_json(out / CARD_NAME, _card_numbers(numbers))
+        write_json(out / _JSON_NAME, numbers)
+        write_json(out / _CARD_NAME, _card_numbers(numbers))
         _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
         _write_rows(out / "detections.csv", summary.found, FoundRow)
         _write_rows(out / "ends.csv", summary.end_rows, EndRow)
@@ -241,7 +241,7 @@ def _page(result: DetectionResult, summary: Summary) -> str:
         sections,
         _provenance(result),
         glossary=_GLOSSARY,
-        numbers=JSON_NAME,
+        numbers=_JSON_NAME,
     )
 
 

@@ -31,27 +31,27 @@ from cucumbervision.store.records import (
 if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
 
-WIDTH, HEIGHT = 64, 48
+_WIDTH, _HEIGHT = 64, 48
 CAMERA = Intrinsics(
-    *(WIDTH, HEIGHT, 60.5, 60.25, 31.5, 24.5),
+    *(_WIDTH, _HEIGHT, 60.5, 60.25, 31.5, 24.5),
     distortion=Distortion.INVERSE_BROWN_CONRADY,
     coefficients=(0.1, -0.05, 0.001, -0.002, 0.01),
 )
-_LENS: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
+_LENS: dict[str, Any] = {"width": _WIDTH, "height": _HEIGHT, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
 _PACKAGE = Path(str(cucumbervision.__file__)).parent
 _POINTS = [[12.0 + 8 * k, 25.0, 2] for k in range(5)]
 
 
 def _color() -> np.ndarray[Any, np.dtype[np.uint8]]:
-    return np.random.default_rng(3).integers(60, 200, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    return np.random.default_rng(3).integers(60, 200, (_HEIGHT, _WIDTH, 3), dtype=np.uint8)
 
 
 def _depth_mm() -> np.ndarray[Any, np.dtype[np.uint16]]:
-    return np.random.default_rng(4).integers(300, 900, (HEIGHT, WIDTH), dtype=np.uint16)
+    return np.random.default_rng(4).integers(300, 900, (_HEIGHT, _WIDTH), dtype=np.uint16)
 
 
 def _mask() -> np.ndarray[Any, np.dtype[np.bool_]]:
-    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask = np.zeros((_HEIGHT, _WIDTH), bool)
     mask[20:30, 10:50] = True
     return mask
 
@@ -105,7 +105,7 @@ def camera_file(folder: Path) -> None:
     said = {"stream": "color", **_LENS, "depth_unit_m": 0.001, "distortion": "brown_conrady"}
     said |= {"coefficients": [0.1, -0.05, 0.001, -0.002, 0.01]}
     _json(folder / "camera.json", {**said, "depth": _LENS, "depth_to_color": _extrinsics()})
-    lens = {"width": WIDTH, "height": HEIGHT, "stream": "color"}
+    lens = {"width": _WIDTH, "height": _HEIGHT, "stream": "color"}
     _json(folder / "matrix.json", {**lens, "matrix": [[60, 0, 31], [0, 60, 23], [0, 0, 1]]})
     bop_keys = ("cx", "cy", "fx", "fy", "height", "width")
     _json(folder / "bop.json", {**{k: _LENS[k] for k in bop_keys}, "depth_scale": 0.1})
@@ -134,7 +134,11 @@ def viewer(folder: Path) -> None:
     for kind, form in (("Depth", "Z16"), ("Color", "RGB8")):
         lines = [
             *("Frame Info", f"Type,{kind}", f"Format,{form}", "Frame Number,17"),
-            *("Timestamp (ms),1700000000000.25", f"Resolution x,{WIDTH}", f"Resolution y,{HEIGHT}"),
+            *(
+                "Timestamp (ms),1700000000000.25",
+                f"Resolution x,{_WIDTH}",
+                f"Resolution y,{_HEIGHT}",
+            ),
             *("Bytes per pixel,2", "Intrinsic:", "Fx,60.5", "Fy,60.25", "PPx,31.5", "PPy,24.5"),
             "Distorsion,Brown Conrady",
         ]
@@ -144,15 +148,15 @@ def viewer(folder: Path) -> None:
 
 def coco(folder: Path) -> None:
     """Write annotations of every form, and results."""
-    rle = {"size": [HEIGHT, WIDTH], "counts": encode_rle(_mask())}
-    plain = {"size": [HEIGHT, WIDTH], "counts": [100, 20, HEIGHT * WIDTH - 120]}
+    rle = {"size": [_HEIGHT, _WIDTH], "counts": encode_rle(_mask())}
+    plain = {"size": [_HEIGHT, _WIDTH], "counts": [100, 20, _HEIGHT * _WIDTH - 120]}
     outline = [[10.0, 20.0, 50.0, 20.0, 50.0, 30.0, 10.0, 30.0]]
     keypoints = [value for point in _POINTS for value in point]
     common = {"image_id": 1, "category_id": 1, "bbox": [10.0, 20.0, 40.0, 10.0], "iscrowd": 0}
     shapes = [{"segmentation": shape} for shape in (outline, rle, plain)]
     items = [{**common, "id": k, **one} for k, one in enumerate(shapes)]
     items.append({**common, "id": 9, "keypoints": keypoints, "num_keypoints": 5, "score": 0.9})
-    image = {"id": 1, "file_name": "a.png", "width": WIDTH, "height": HEIGHT}
+    image = {"id": 1, "file_name": "a.png", "width": _WIDTH, "height": _HEIGHT}
     categories = [{"id": 1, "name": "cucumber", "keypoints": [f"KP{k}" for k in range(5)]}]
     _json(folder / "coco.json", {"images": [image], "annotations": items, "categories": categories})
     _json(folder / "results.json", [{**item, "score": 0.8} for item in items])
@@ -160,7 +164,7 @@ def coco(folder: Path) -> None:
 
 def yolo(folder: Path) -> None:
     """Write labels of every form with their classes."""
-    pose = " ".join(f"{u / WIDTH:.6f} {v / HEIGHT:.6f} {s}" for u, v, s in _POINTS)
+    pose = " ".join(f"{u / _WIDTH:.6f} {v / _HEIGHT:.6f} {s}" for u, v, s in _POINTS)
     lines = ["0 0.5 0.5 0.2 0.4", "0 0.5 0.5 0.2 0.4 0.93", "1 0.1 0.1 0.4 0.1 0.4 0.5 0.1 0.5"]
     (folder / "a.txt").write_text("\n".join([*lines, f"0 0.5 0.5 0.2 0.4 {pose}"]) + "\n")
     (folder / "classes.txt").write_text("cucumber\ncourgette\n", encoding="utf-8")
@@ -408,7 +412,13 @@ def _data_set(folder: Path) -> Any:
         _picture(folder / "images" / f"{name}.png", _color())
         pictures.append(
             LabelledPicture(
-                f"images/{name}.png", WIDTH, HEIGHT, labels, split=split, scene=name, licence="CC0"
+                f"images/{name}.png",
+                _WIDTH,
+                _HEIGHT,
+                labels,
+                split=split,
+                scene=name,
+                licence="CC0",
             )
         )
     names = tuple(f"KP{k}" for k in range(5))

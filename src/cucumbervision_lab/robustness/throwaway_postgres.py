@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-TOOLS = ("initdb", "pg_ctl", "postgres")
+_TOOLS = ("initdb", "pg_ctl", "postgres")
 
 
 def _folder_of_tools() -> Path | None:
@@ -30,7 +30,7 @@ def _folder_of_tools() -> Path | None:
     on_path = shutil.which("initdb")
     places = [Path(on_path).resolve().parent] if on_path else []
     places += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
-    return next((p for p in places if all((p / tool).exists() for tool in TOOLS)), None)
+    return next((p for p in places if all((p / tool).exists() for tool in _TOOLS)), None)
 
 
 def _user() -> pwd.struct_passwd | None:

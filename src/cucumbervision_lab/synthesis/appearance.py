@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.scene import Scene
     from cucumbervision_lab.synthesis.skin import Color
 
-SHOWS_FRUIT = ("fruit", "rot_")
+_SHOWS_FRUIT = ("fruit", "rot_")
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
@@ -62,7 +62,7 @@ class Assets:
     leaves: tuple[NDArray[np.uint8], ...] = ()
 
 
-def load_assets(folder: Path | None, without: Sequence[str] = SHOWS_FRUIT) -> Assets:
+def load_assets(folder: Path | None, without: Sequence[str] = _SHOWS_FRUIT) -> Assets:
     """Find pictures by the names of the folders they lie in.
 
     Pictures below `textures` are skins, those below `backgrounds` backgrounds, those in a folder
@@ -159,7 +159,7 @@ def _read_all(
             yield np.asarray(picture)
 
 
-ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
+_ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
 
 FAR = "far"
 
@@ -296,8 +296,8 @@ def random_style(
     hanging = Setting(setting) is Setting.HANGING
     leaves = tuple(leaf_roles) if leaf_roles is not None else ("leaf",) * len(scene.leaves)
     stems = tuple(stem_roles) if stem_roles is not None else _stem_roles(scene)
-    if unknown := {*leaves, *stems} - {*ROLES}:
-        raise ValueError(f"no role {min(unknown)!r}: choose one of {', '.join(ROLES)}")
+    if unknown := {*leaves, *stems} - {*_ROLES}:
+        raise ValueError(f"no role {min(unknown)!r}: choose one of {', '.join(_ROLES)}")
     light = random_light(rng, assets, _up(scene, hanging=hanging) if up is None else up)
     bench = () if hanging else tuple(str(rng.choice(_BENCHES)) for _ in scene.planes[:1])
     beyond = len(scene.planes) - len(bench)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
 
-CAP_POINTS = 400
+_CAP_POINTS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +86,13 @@ class Tube:
         # Angle of the contact with the common envelope, from the tangent towards outward; at the
         # ends the thread turns from there to the pole (pi at the blossom end, 0 at the stem end).
         angle = np.arccos(-slope)
-        first, last = (np.full(CAP_POINTS, k) for k in (0, len(self.radii_m) - 1))
+        first, last = (np.full(_CAP_POINTS, k) for k in (0, len(self.radii_m) - 1))
         k = np.concatenate([first, np.arange(len(self.radii_m)), last])
         angles = np.concatenate(
             [
-                np.linspace(np.pi, angle[0], CAP_POINTS, endpoint=False),
+                np.linspace(np.pi, angle[0], _CAP_POINTS, endpoint=False),
                 angle,
-                np.linspace(0.0, angle[-1], CAP_POINTS, endpoint=False)[::-1],
+                np.linspace(0.0, angle[-1], _CAP_POINTS, endpoint=False)[::-1],
             ]
         )[:, None]
         around = np.cos(angles) * tangents[k] + np.sin(angles) * across[k]
@@ -242,7 +242,7 @@ def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0
     return turn
 
 
-MAX_SLOPE = 0.45  # of a radius along the axis: steeper makes an end blunter than a half ball
+_MAX_SLOPE = 0.45  # of a radius along the axis: steeper makes an end blunter than a half ball
 
 
 class Variety(StrEnum):
@@ -418,9 +418,9 @@ def _radii(
     point, neck = rng.uniform(0.10, 0.50), rng.uniform(*sizes.neck)
     run = max(length_m - radius * (2 - point - neck), radius)
     # The blossom end rounds off towards its pole, the neck draws in and runs on.
-    width = max(rng.uniform(0.05, 0.15), 2.0 * point * radius / (MAX_SLOPE * run))
+    width = max(rng.uniform(0.05, 0.15), 2.0 * point * radius / (_MAX_SLOPE * run))
     blossom = 1 - point * np.clip(1 - share / width, 0.0, None) ** 2
-    width = max(rng.uniform(0.15, 0.35), 1.5 * neck * radius / (MAX_SLOPE * run))
+    width = max(rng.uniform(0.15, 0.35), 1.5 * neck * radius / (_MAX_SLOPE * run))
     t = np.clip((1 - share) / width, 0.0, 1.0)
     stem = 1 - neck * (1 - t * t * (3 - 2 * t))
     return np.asarray(radius * bulge * blossom * stem)

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
 
 MOST_FRUIT = 12
-TRIES = 30
-LENGTHS_M = {
+_TRIES = 30
+_LENGTHS_M = {
     Variety.LONG: (0.25, 0.40),
     Variety.MEDIUM: (0.18, 0.25),
     Variety.MINI: (0.12, 0.18),
@@ -176,7 +176,7 @@ def _count(rng: np.random.Generator, setting: Setting, difficulty: Difficulty) -
 
 
 def _grown(rng: np.random.Generator, variety: Variety) -> Tube:
-    return random_fruit(rng, float(rng.uniform(*LENGTHS_M[variety])), variety, balls=400)
+    return random_fruit(rng, float(rng.uniform(*_LENGTHS_M[variety])), variety, balls=400)
 
 
 def _on_the_plant(
@@ -189,7 +189,7 @@ def _on_the_plant(
 ) -> Composition:
     placed: list[Tube] = []
     for _ in range(count):
-        for _ in range(TRIES):
+        for _ in range(_TRIES):
             fruit = _hung(rng, camera, variety, distance_m)
             if fruit.centres_m[:, 2].min() > NEAREST_M + 0.03 and _apart(fruit, placed):
                 placed.append(fruit)

@@ -37,17 +37,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.2, 424.3, 239.6)  # a D435's colour camera at 848x480
-BENCH_M = 0.522
-STUB_M = 0.008
-WOOD = (172.0, 138.0, 100.0)
-LAYERS = (
+_BENCH_M = 0.522
+_STUB_M = 0.008
+_WOOD = (172.0, 138.0, 100.0)
+_LAYERS = (
     (0.12, 1.3),
     (0.35, 1.5),
     (0.6, 1.5),
 )  # metres behind the fruit, leaf area for each area of view
-FRAMES = 5
-JPEG_QUALITY = 90
-STILL = Exposure(
+_FRAMES = 5
+_JPEG_QUALITY = 90
+_STILL = Exposure(
     highlights=1.2, stops=-0.25, contrast=1.1, saturation=1.1, shot=0.0003, read=0.001, quality=0
 )
 
@@ -163,9 +163,9 @@ def build_scene(demo: DemoScene) -> tuple[Scene, tuple[str, ...], tuple[str, ...
     fruit = tuple(place(pose) for pose in demo.fruit)
     if demo.setting is Setting.BENCH:
         stubs = tuple(_stub(tube) for tube in fruit)
-        return Scene(fruit, (), stubs, (Plane.facing(BENCH_M),)), (), ("stalk",) * len(stubs)
+        return Scene(fruit, (), stubs, (Plane.facing(_BENCH_M),)), (), ("stalk",) * len(stubs)
     back = max(float((tube.centres_m[:, 2] + tube.radii_m).max()) for tube in fruit)
-    layers = [foliage(rng, CAMERA, back + near, 0.2, density) for near, density in LAYERS]
+    layers = [foliage(rng, CAMERA, back + near, 0.2, density) for near, density in _LAYERS]
     leaves = tuple(replace(leaf, teeth=0.04) for layer in reversed(layers) for leaf in layer)
     vines = [stem for tube in fruit for stem in _vine(rng, tube)]
     wall = Plane.facing(back + 1.2)
@@ -177,7 +177,7 @@ def _stub(tube: Tube) -> Stem:
     """Return the short end of the stalk that a picked fruit keeps."""
     pole, inner = tube.poles_m[1], tube.centres_m[-1]
     out = (pole - inner) / np.linalg.norm(pole - inner)
-    return Stem(np.stack([pole - 0.003 * out, pole + STUB_M * out]), 0.0035)
+    return Stem(np.stack([pole - 0.003 * out, pole + _STUB_M * out]), 0.0035)
 
 
 def _vine(rng: np.random.Generator, tube: Tube) -> tuple[Stem, Stem, Stem]:
@@ -198,7 +198,7 @@ def _vine(rng: np.random.Generator, tube: Tube) -> tuple[Stem, Stem, Stem]:
 
 
 def _draw_scene(
-    demo: DemoScene, frames: int = FRAMES
+    demo: DemoScene, frames: int = _FRAMES
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.float32]], tuple[FruitTruth, ...]]:
     """Render a burst of a scene.
 
@@ -224,7 +224,9 @@ def _draw_scene(
     rng = np.random.default_rng([demo.seed, 1])
     sharpest = int(rng.integers(frames))
     colors = [
-        expose(light, STILL if k == sharpest else replace(STILL, motion_px=2.0), rng, view.depth_m)
+        expose(
+            light, _STILL if k == sharpest else replace(_STILL, motion_px=2.0), rng, view.depth_m
+        )
         for k in range(frames)
     ]
     depths_m = sense(scene, D4xx.like(CAMERA), rng, frames)
@@ -249,7 +251,7 @@ def _shaded(
         skins=skins,
         far="leaves",
         materials=("wood" if bench else FAR,),
-        material_colors=(WOOD,),
+        material_colors=(_WOOD,),
         gloom_per_m=0.0 if bench else 2.2,
     )
     light = shade(scene, render(scene, fine), fine, style, Assets(), rng)
@@ -306,7 +308,7 @@ def _compress(manifest: Path) -> None:
     content = json.loads(manifest.read_text(encoding="utf-8"))
     for frame in content["frames"]:
         png, depth = manifest.parent / frame["color"], manifest.parent / frame["depth"]
-        write_jpeg(png.with_suffix(".jpg"), read_color(png), JPEG_QUALITY)
+        write_jpeg(png.with_suffix(".jpg"), read_color(png), _JPEG_QUALITY)
         png.unlink()
         frame["color"] = png.with_suffix(".jpg").name
         cv2.imwrite(str(depth), read_depth(depth), [cv2.IMWRITE_PNG_COMPRESSION, 9])

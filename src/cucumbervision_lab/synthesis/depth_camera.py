@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.synthesis.scene import Scene, View
 
-GAP_LOST = 0.95  # of the pixels in a gap
+_GAP_LOST = 0.95  # of the pixels in a gap
 
 _COARSE_SIGMA = 1.5  # px of a coarse grid: the blur that cubic enlarging still draws smoothly
 
@@ -186,7 +186,7 @@ def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Ge
     slope = (1 - apart) * _steps(soft, 3) / np.float32(2)
     lost = slope > np.float32(matcher.steep) * (np.float32(1) + np.float32(0.25) * clump)
     gap = cv2.dilate(sharp, _disc(matcher.gap_px)) - sharp > np.float32(matcher.jump_px)
-    lost |= gap & (clump < _quantile(GAP_LOST))
+    lost |= gap & (clump < _quantile(_GAP_LOST))
     border = sharp - cv2.erode(sharp, _disc(1)) > np.float32(matcher.jump_px)
     lost |= border & (clump < _quantile(matcher.border_lost))
     flying = lost & (rng.random(read.shape, dtype=np.float32) < matcher.flying_share)
@@ -238,7 +238,7 @@ _NO_TURN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _MARGIN_PX = 24
 
-FLICKER = 0.1  # of the readings beside a jump, gone in one frame and back in the next
+_FLICKER = 0.1  # of the readings beside a jump, gone in one frame and back in the next
 
 
 @dataclass(frozen=True)
@@ -403,7 +403,7 @@ def _frame(
     reading = np.asarray(units * np.float32(camera.unit_m), np.float32)
     reading[~valid | (reading < camera.min_z_m)] = 0.0
     v, u = np.nonzero(matched.unsure)
-    gone = rng.random(len(v)) < FLICKER
+    gone = rng.random(len(v)) < _FLICKER
     reading[v[gone], u[gone]] = 0.0
     return reading
 

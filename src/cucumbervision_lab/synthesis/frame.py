@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.scene import FruitTruth
     from cucumbervision_lab.synthesis.skin import Skin
 
-BURST = 3
-AXIS_POINTS = 41
+_BURST = 3
+_AXIS_POINTS = 41
 # A D435's colour camera has a focal length of 0.71 of its width.
-FOCAL_SHARE = (0.69, 0.73)
+_FOCAL_SHARE = (0.69, 0.73)
 # Carrot, banana, aubergine, wood, steel, a black hose, a white pipe; sRGB.
-DECOYS = (
+_DECOYS = (
     (226, 120, 40),
     (232, 200, 70),
     (62, 34, 66),
@@ -150,8 +150,8 @@ def draw_frame(
     if options.depth:
         scale = 1.0 + float(sensor.normal(0, options.scale_sd))
         reader = replace(D4xx.like(camera), scale_error=scale - 1.0)
-        burst = sense(staged.scene, reader, sensor, BURST)
-        _, depth, _ = fuse_burst([color] * BURST, burst)
+        burst = sense(staged.scene, reader, sensor, _BURST)
+        _, depth, _ = fuse_burst([color] * _BURST, burst)
     real = [k for k, cucumber in enumerate(staged.cucumber) if cucumber]
     return Frame(
         color,
@@ -166,7 +166,7 @@ def draw_frame(
 
 
 def _camera(rng: np.random.Generator, options: FrameOptions) -> Intrinsics:
-    focal = rng.uniform(*FOCAL_SHARE) * max(options.width, options.height)
+    focal = rng.uniform(*_FOCAL_SHARE) * max(options.width, options.height)
     centre = (
         options.width * (0.5 + rng.normal(0, 0.006)),
         options.height * (0.5 + rng.normal(0, 0.006)),
@@ -193,7 +193,7 @@ def _style(rng: np.random.Generator, staged: Composition, assets: Assets) -> Sty
 
 def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
     """Return the skin of something that has a cucumber's shape only."""
-    color = np.array(DECOYS[int(rng.integers(len(DECOYS)))]) * rng.uniform(0.8, 1.1)
+    color = np.array(_DECOYS[int(rng.integers(len(_DECOYS)))]) * rng.uniform(0.8, 1.1)
     red, green, blue = np.clip(color + rng.normal(0, 8, 3), 0, 255).tolist()
     base = (red, green, blue)
     return replace(skin, base=base, tip=base, stripe=base, warts_per_cm2=0.0, neck=0.1, texture=-1)
@@ -228,7 +228,7 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
     """
     axis = truth.axis_m
     run = arc_positions(axis)
-    shares = np.linspace(0.0, 1.0, AXIS_POINTS)
+    shares = np.linspace(0.0, 1.0, _AXIS_POINTS)
     even = points_along(axis, shares)
     blossom, stem = body.poles_m
     lean = np.degrees(np.arcsin((stem[2] - blossom[2]) / truth.chord_m))
@@ -236,7 +236,7 @@ def extras_of(body: Tube, truth: FruitTruth) -> dict[str, Any]:
         "centreline_m": round(truth.centreline_m, 6),
         "thread_m": round(truth.thread_m, 6),
         "chord_m": round(truth.chord_m, 6),
-        "distance_m": round(float(even[AXIS_POINTS // 2, 2]), 5),
+        "distance_m": round(float(even[_AXIS_POINTS // 2, 2]), 5),
         "tilt_deg": round(float(abs(lean)), 3),
         "axis_m": even.round(5).tolist(),
         "radius_m": np.interp(shares * run[-1], run, truth.radius_m).round(6).tolist(),

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.appearance import Assets
     from cucumbervision_lab.synthesis.paste import Cutout
 
-SMALLEST_PX, LARGEST_PX = 32, 4096
+_SMALLEST_PX, _LARGEST_PX = 32, 4096
 
 
 def parse_options(
@@ -84,9 +84,9 @@ def parse_options(
         width, height = (int(part) for part in size.lower().split("x"))
     except ValueError:
         width = height = 0
-    if not all(SMALLEST_PX <= side <= LARGEST_PX for side in (width, height)):
+    if not all(_SMALLEST_PX <= side <= _LARGEST_PX for side in (width, height)):
         raise DataSetError(
-            f"{size!r} is no size from {SMALLEST_PX} to {LARGEST_PX} px",
+            f"{size!r} is no size from {_SMALLEST_PX} to {_LARGEST_PX} px",
             source="--size",
             remedy="write it as 1280x720",
         )
@@ -113,23 +113,23 @@ def parse_options(
     )
 
 
-MANIFEST = "synth.json"
+_MANIFEST = "synth.json"
 
-FRAGMENTS = "fragments"
+_FRAGMENTS = "fragments"
 
-DEPTH_UNIT_M = 0.001
+_DEPTH_UNIT_M = 0.001
 
-EXACT_UNIT_M = 0.0001
+_EXACT_UNIT_M = 0.0001
 
 # In twenty frames fourteen train, three validate, three test: the paper's 70:15:15.
-SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
+_SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
 
 # Less of a fruit than this tells nobody what it is: neither fruit nor background.
-LEAST_SHARE = 0.12
+_LEAST_SHARE = 0.12
 
-PASTED = 1.2  # real fruit a training frame, on average
+_PASTED = 1.2  # real fruit a training frame, on average
 
-LEAST_PX = 0.0001  # of the picture's pixels
+_LEAST_PX = 0.0001  # of the picture's pixels
 
 
 @dataclass(frozen=True)
@@ -209,14 +209,14 @@ def generate(
         progress(options.frames - len(missing))
     for _ in ticked(each_done(partial(_draw, options, out), missing, workers), progress):
         pass
-    return write_coco(collect_fragments(out, FRAGMENTS), out)
+    return write_coco(collect_fragments(out, _FRAGMENTS), out)
 
 
 def _claim(options: SynthOptions, out: Path) -> None:
     """Note the options in the folder, or see that they are the same as those noted there."""
     folders = {key: Path(getattr(options, key)).name for key in ("assets", "paste", "onto")}
     wanted = json.loads(json.dumps(asdict(options) | {"frames": None} | folders))
-    file = out / MANIFEST
+    file = out / _MANIFEST
     try:
         if file.exists() and json.loads(file.read_text(encoding="utf-8")) != wanted:
             raise DataSetError(
@@ -224,7 +224,7 @@ def _claim(options: SynthOptions, out: Path) -> None:
                 source=out,
                 remedy="give the same options to go on, or another folder",
             )
-        for name in ("images", FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
+        for name in ("images", _FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
             (out / name).mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(wanted, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
@@ -290,25 +290,25 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
         return
     frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
     name = f"{index:06d}"
-    split = options.split or SPLIT_OF[index % len(SPLIT_OF)]
+    split = options.split or _SPLIT_OF[index % len(_SPLIT_OF)]
     picture = label_frame(frame, name, f"synth-{options.seed}-{name}", split)
     color = frame.color
     if options.paste and split == "train":
         # Real fruit carry pseudo-labels, which nothing may be tested on.
         rng = np.random.default_rng([options.seed, index, 1])
         cutouts = _cutouts(options.paste)
-        count = int(rng.poisson(PASTED))
+        count = int(rng.poisson(_PASTED))
         color, labels = paste(color, frame.exact_m, picture.labels, cutouts, count, rng)
         picture = replace(picture, labels=labels)
     write_jpeg(out / "images" / f"{name}.jpg", color, options.quality)
     if frame.depth_m is not None:
-        write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, DEPTH_UNIT_M))
-        write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, EXACT_UNIT_M))
+        write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, _DEPTH_UNIT_M))
+        write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, _EXACT_UNIT_M))
     write_fragment(picture, _fragment(out, index))
 
 
 def _fragment(out: Path, index: int) -> Path:
-    return out / FRAGMENTS / f"{index:06d}.json"
+    return out / _FRAGMENTS / f"{index:06d}.json"
 
 
 def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]:
@@ -341,7 +341,7 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
         seen = int(truth.visible.sum())
         if not seen:
             continue
-        small = seen < LEAST_PX * width * height or truth.hidden_share > 1 - LEAST_SHARE
+        small = seen < _LEAST_PX * width * height or truth.hidden_share > 1 - _LEAST_SHARE
         points = np.column_stack([truth.keypoints_px, truth.keypoint_visibility])
         labels.append(
             Label.of_mask(
@@ -365,7 +365,7 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
         source="synth",
         licence="CC0-1.0",
         depth_file=f"depth/{name}.png" if depth else None,
-        depth_unit_m=DEPTH_UNIT_M,
+        depth_unit_m=_DEPTH_UNIT_M,
         camera=frame.camera,
         extras={
             "setting": frame.staged.setting.value,

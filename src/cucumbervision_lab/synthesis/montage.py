@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import Label, LabelledPicture
     from cucumbervision_lab.synthesis.paste import Cutout
 
-LEAST_GROUND_PX = 340
-LENGTH_SHARE = (0.07, 0.75)  # of the picture's longer side
-MOST_FRUIT = 10
-HANGING = 0.6  # how often fruit hang
+_LEAST_GROUND_PX = 340
+_LENGTH_SHARE = (0.07, 0.75)  # of the picture's longer side
+_MOST_FRUIT = 10
+_HANGING = 0.6  # how often fruit hang
 HIDDEN = 0.6  # how often something in front is looked for
-MOST_HIDDEN = 0.55  # of a fruit, by what is brighter
+_MOST_HIDDEN = 0.55  # of a fruit, by what is brighter
 
 
 def fruitless(picture: LabelledPicture) -> bool:
@@ -36,7 +36,7 @@ def fruitless(picture: LabelledPicture) -> bool:
 
     A region to be ignored may hide fruit.
     """
-    return not picture.labels and min(picture.width, picture.height) >= LEAST_GROUND_PX
+    return not picture.labels and min(picture.width, picture.height) >= _LEAST_GROUND_PX
 
 
 def montage(
@@ -67,12 +67,12 @@ def montage(
     """
     picture = _part_of(ground, size, rng).astype(np.float32)
     light = cv2.GaussianBlur(picture.mean(axis=2), (0, 0), 0.004 * max(size))
-    longest = float(np.exp(rng.uniform(*np.log(LENGTH_SHARE)))) * max(size)
+    longest = float(np.exp(rng.uniform(*np.log(_LENGTH_SHARE)))) * max(size)
     # Small fruit come in numbers.
-    many = 1.2 + 4.0 * (1 - longest / (LENGTH_SHARE[1] * max(size)))
-    hangs = rng.random() < HANGING
+    many = 1.2 + 4.0 * (1 - longest / (_LENGTH_SHARE[1] * max(size)))
+    hangs = rng.random() < _HANGING
     labels: list[Label] = []
-    for _ in range(min(int(rng.poisson(many)), MOST_FRUIT)):
+    for _ in range(min(int(rng.poisson(many)), _MOST_FRUIT)):
         cutout = cutouts[int(rng.integers(len(cutouts)))]
         fruit = place_cutout(
             cutout,
@@ -148,7 +148,7 @@ def _behind(
     if rng.random() > HIDDEN:
         return none
     amodal = fruit.amodal
-    share = rng.uniform(0.05, MOST_HIDDEN)
+    share = rng.uniform(0.05, _MOST_HIDDEN)
     limit = float(np.quantile(light[amodal], 1 - share))
     front = (light > limit).astype(np.uint8)
     width = 2 * max(int(0.02 * np.sqrt(amodal.sum()) + 1), 1) + 1

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.datasets.labels import DataSet
 
-MARGIN_PX = 4
-LEAST_SIDE_PX = 40
+_MARGIN_PX = 4
+_LEAST_SIDE_PX = 40
 LEAST_PX = 60
-SOLID = 0.78
+_SOLID = 0.78
 LENGTH_SHARE = (0.10, 0.55)  # of the frame's longer side
 LEAST_SEEN = 0.12
 
@@ -86,20 +86,20 @@ def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | No
     x1, y1, x2, y2 = label.box
     inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
     hidden = label.ignore or label.cut_off or (label.hidden_share or 0) > 0.05
-    if hidden or not inside or max(x2 - x1, y2 - y1) < LEAST_SIDE_PX:
+    if hidden or not inside or max(x2 - x1, y2 - y1) < _LEAST_SIDE_PX:
         return None
     mask = label.mask
     if mask is None:
         return None
     hull = cv2.convexHull(np.argwhere(mask).astype(np.int32))
     share = np.count_nonzero(mask) / max(cv2.contourArea(hull), 1.0)
-    return mask if share >= SOLID else None
+    return mask if share >= _SOLID else None
 
 
 def _cut(color: NDArray[np.uint8], mask: NDArray[np.bool_], label: Label) -> Cutout:
     x1, y1, x2, y2 = box_of_mask(mask)
-    left, top = max(int(x1) - MARGIN_PX, 0), max(int(y1) - MARGIN_PX, 0)
-    part = np.s_[top : int(y2) + MARGIN_PX, left : int(x2) + MARGIN_PX]
+    left, top = max(int(x1) - _MARGIN_PX, 0), max(int(y1) - _MARGIN_PX, 0)
+    part = np.s_[top : int(y2) + _MARGIN_PX, left : int(x2) + _MARGIN_PX]
     points = label.keypoints
     if points is not None:
         points = points - np.array([left, top, 0.0])

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.raycast import Hit
 
-COARSE = 0.5  # the search for a leaf's size looks at every second pixel
+_COARSE = 0.5  # the search for a leaf's size looks at every second pixel
 
-SEARCH_STEPS = 14
+_SEARCH_STEPS = 14
 
-NEAREST = 0.4  # a leaf stands no nearer to the camera than that share of the way from the fruit
+_NEAREST = 0.4  # a leaf stands no nearer to the camera than that share of the way from the fruit
 
 
 def place_hanging(
@@ -235,7 +235,7 @@ def occlude(
     if hidden_share <= 0:
         return scene
     tube = scene.fruit[index]
-    rough = scaled_camera(camera, COARSE)
+    rough = scaled_camera(camera, _COARSE)
     fruit = cast_tube(tube, rough)
     if fruit is None:
         return scene
@@ -246,7 +246,7 @@ def occlude(
         where = 1.0
     # A half length of half the share would do for an oblong leaf; this one has lobes.
     low, high = 0.0, (0.9 if ends_free else 1.8) * hidden_share
-    for _ in range(SEARCH_STEPS):
+    for _ in range(_SEARCH_STEPS):
         reach = (low + high) / 2
         leaf = _blade(tube, where, reach, before, bend)
         if _hides(leaf, fruit, rough) < hidden_share:
@@ -269,7 +269,7 @@ def _blade(
     off = sight - (sight @ along) * along
     off /= np.linalg.norm(off)
     radius = float(tube.radii_m.max())
-    away = min((radius + before_m) / max(float(sight @ off), 0.3), NEAREST * distance)
+    away = min((radius + before_m) / max(float(sight @ off), 0.3), _NEAREST * distance)
     return Leaf(
         tube.centres_m[k] + away * sight,
         np.stack([along, np.cross(off, along), off]),
@@ -290,11 +290,11 @@ def _hides(leaf: Leaf, fruit: Hit, camera: Intrinsics) -> float:
     return float(hidden.sum() / fruit.mask.sum())
 
 
-STEEPEST_DEG = 55.0
+_STEEPEST_DEG = 55.0
 
 NEAREST_M = 0.24  # nothing is drawn nearer to the camera
 
-EVERY = 8  # of a body's balls stand for it when it is laid
+_EVERY = 8  # of a body's balls stand for it when it is laid
 
 TRIES = 12
 
@@ -324,7 +324,7 @@ class Ground:
         >>> bool(np.allclose(ground.frame @ ground.frame.T, np.eye(3)))
         True
         """
-        off = np.deg2rad(rng.uniform(0, STEEPEST_DEG))
+        off = np.deg2rad(rng.uniform(0, _STEEPEST_DEG))
         about = rng.normal(0, 0.15) if rng.random() < 0.7 else rng.uniform(0, 2 * np.pi)
         # The far side of a bench is up in the picture: the normal leans there (y points down).
         normal = np.array([0.0, -np.sin(off), -np.cos(off)])
@@ -399,8 +399,8 @@ def place_lying(
         best = None
         for _ in range(TRIES if inner_m is None else TRIES // 3):
             spot, turn = _spot(rng, camera, ground, body, inner_m)
-            flat = body.centres_m[::EVERY] @ turn.T + np.array([*spot, 0.0])
-            height = _rest(flat, body.radii_m[::EVERY], lain)
+            flat = body.centres_m[::_EVERY] @ turn.T + np.array([*spot, 0.0])
+            height = _rest(flat, body.radii_m[::_EVERY], lain)
             if best is None or height < best[0]:
                 best = height, flat, turn, spot
         if best is None:
@@ -410,7 +410,7 @@ def place_lying(
         seen = whole.moved(ground.frame.T, ground.point_m)
         if seen.centres_m[:, 2].min() < NEAREST_M:
             continue
-        lain.append((flat + np.array([0.0, 0.0, height]), body.radii_m[::EVERY]))
+        lain.append((flat + np.array([0.0, 0.0, height]), body.radii_m[::_EVERY]))
         placed.append(seen)
         kept.append(index)
     return placed, kept

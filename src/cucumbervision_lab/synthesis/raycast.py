@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Window = tuple[slice, slice]
 
-COARSE_BALLS = 100
+_COARSE_BALLS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ def cast_tube(tube: Tube, camera: Intrinsics) -> Hit | None:
     0.48
     """
     grid = ray_grid(camera)
-    step = max(1, len(tube.radii_m) // COARSE_BALLS)
+    step = max(1, len(tube.radii_m) // _COARSE_BALLS)
     coarse = np.unique(np.append(np.arange(0, len(tube.radii_m), step), len(tube.radii_m) - 1))
     gap = np.linalg.norm(np.diff(tube.centres_m[coarse], axis=0), axis=1).max()
     swell = 1.0 if step == 1 else 1.0 + 2 * (gap / tube.radii_m.min()) ** 2 / 8
@@ -349,9 +349,9 @@ def _cylinder(
     return np.where(hit & (reach >= 0) & (reach <= length), z, np.inf)
 
 
-LOBES = 5  # a cucumber leaf has five
-TEETH = 41
-NOTCH, NOTCH_RAD = 0.35, 0.3
+_LOBES = 5  # a cucumber leaf has five
+_TEETH = 41
+_NOTCH, _NOTCH_RAD = 0.35, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -525,15 +525,15 @@ def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> N
     if leaf.lobe == leaf.teeth == 0:
         return np.asarray(square <= 1)
     # Only between the innermost and the outermost reach of the edge does the angle matter.
-    innermost = 1 - leaf.lobe - leaf.teeth - (NOTCH if leaf.teeth else 0)
+    innermost = 1 - leaf.lobe - leaf.teeth - (_NOTCH if leaf.teeth else 0)
     inside = np.asarray(square <= innermost**2)
     unsure = ~inside & (square <= (1 + leaf.lobe + leaf.teeth) ** 2)
     angle = np.arctan2(q[unsure], p[unsure])
-    rim = 1 + leaf.lobe * np.cos(LOBES * angle)
+    rim = 1 + leaf.lobe * np.cos(_LOBES * angle)
     if leaf.teeth:
         # A triangular wave, and a notch at the stalk, where the angle is 180 degrees.
-        rim += leaf.teeth * (4 * np.abs((TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
-        rim -= NOTCH * np.exp(-(((np.pi - np.abs(angle)) / NOTCH_RAD) ** 2))
+        rim += leaf.teeth * (4 * np.abs((_TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
+        rim -= _NOTCH * np.exp(-(((np.pi - np.abs(angle)) / _NOTCH_RAD) ** 2))
     inside[unsure] = square[unsure] <= rim * rim
     return inside
 

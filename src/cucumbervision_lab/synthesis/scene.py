@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.synthesis.bodies import Tube
     from cucumbervision_lab.synthesis.raycast import Hit
 
-KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class Kind(IntEnum):
@@ -263,7 +263,7 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
     visible, amodal = view.mask(index), view.amodal[index]
     whole = int(amodal.sum())
     axis = tube.axis_m
-    points = points_along(axis, KEYPOINT_SHARES)
+    points = points_along(axis, _KEYPOINT_SHARES)
     pixels = camera.project(points)
     return FruitTruth(
         centreline_m=tube.centreline_m,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WINDOW_PX = 26
-OFFSETS_PX = np.arange(-14, 21)
+_OFFSETS_PX = np.arange(-14, 21)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,11 +218,11 @@ def edge_profile(
     facing = faces > np.cos(np.pi / 4) * np.hypot(slope_u, slope_v)
     valid, height = valid_depth(depth_m), ground_m - depth_m
     heights, invalid = [], []
-    for offset in OFFSETS_PX.tolist():
+    for offset in _OFFSETS_PX.tolist():
         ring = facing & (signed >= offset) & (signed < offset + 1)
         read = ring & valid
         heights.append(np.median(height[read]) if read.sum() >= 10 else np.nan)
         invalid.append(1 - read.sum() / ring.sum() if ring.any() else np.nan)
     inner = np.array(heights[:4])
     top = np.median(inner[~np.isnan(inner)]) if not np.isnan(inner).all() else np.nan
-    return EdgeProfile(OFFSETS_PX, np.array(heights) / top, np.array(invalid))
+    return EdgeProfile(_OFFSETS_PX, np.array(heights) / top, np.array(invalid))

@@ -22,9 +22,9 @@ from cucumbervision_lab.training.tables import read_rows, write_rows
 if TYPE_CHECKING:
     pass
 
-CONFIDENCE = 0.30
-DRAWN = ("photos all", "half all: recall", "drawn")  # of the columns, as lines
-FRAMES = 40
+_CONFIDENCE = 0.30
+_DRAWN = ("photos all", "half all: recall", "drawn")  # of the columns, as lines
+_FRAMES = 40
 
 
 class Curve:
@@ -82,7 +82,7 @@ class Curve:
         return audited_photos(self._photos)[0]
 
     def _on_photos(self, onnx: Path) -> dict[str, float]:
-        found = evaluate_photos(self._audited, self._networks(onnx, CONFIDENCE))
+        found = evaluate_photos(self._audited, self._networks(onnx, _CONFIDENCE))
         point = {}
         for words, scores in (("photos", found.scores[:1] + found.tests), ("half", found.small)):
             for name, score in scores:
@@ -95,7 +95,7 @@ class Curve:
         if self._drawn is None:
             return {}
         networks = self._networks(onnx, 0.001)
-        held_out = read_held_out(self._drawn, "test", FRAMES)
+        held_out = read_held_out(self._drawn, "test", _FRAMES)
         frames = []
         for picture in held_out.pictures:
             color = read_color(held_out.data.path(picture))
@@ -132,7 +132,7 @@ def draw_curve(table: Path, out: Path) -> None:
     axes = figure.add_subplot()
     seen = [int(row["pictures"]) / 1000 for row in rows]
     keys = dict.fromkeys(key for row in rows for key in row)
-    names = [key for key in keys if key.startswith(DRAWN)]
+    names = [key for key in keys if key.startswith(_DRAWN)]
     for name in names:
         axes.plot(seen, [float(row.get(name) or "nan") for row in rows], marker=".", label=name)
     axes.set(xlabel="pictures seen, thousands", ylabel="share", ylim=(0, 1))

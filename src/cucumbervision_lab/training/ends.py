@@ -20,8 +20,8 @@ from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, t
 from cucumbervision_lab.training.publish import ModelCard, write_card
 
 COPIES = 3  # of each fruit, each with other points
-ALONG_SD, ASIDE_SD = 0.04, 0.02  # what a pose network's points err by, as shares of the length
-HELD_OUT = 8  # every eighth scene is not learnt from, nor the split val
+_ALONG_SD, _ASIDE_SD = 0.04, 0.02  # what a pose network's points err by, as shares of the length
+_HELD_OUT = 8  # every eighth scene is not learnt from, nor the split val
 _BATCH, _SEEN = 128, 2
 _SMOOTH = 0.02
 _LIMITS = (
@@ -113,13 +113,13 @@ def collect_strips(
                     strips = _copies(rng, color, label)
                     found += strips
                     seen += [_ends_seen(label)] * len(strips)
-                    judged = picture.split == "val" or scene % HELD_OUT == HELD_OUT - 1
+                    judged = picture.split == "val" or scene % _HELD_OUT == _HELD_OUT - 1
                     held += [judged] * len(strips)
     if not found or all(held) or not any(held):
         raise TrainingError(
             "there are too few scenes with fruit of five labelled points",
             source=sets[0].folder if sets else None,
-            remedy=f"give at least {HELD_OUT} scenes with keypoints",
+            remedy=f"give at least {_HELD_OUT} scenes with keypoints",
         )
     return Strips(np.stack(found), np.array(seen), np.array(held))
 
@@ -143,11 +143,11 @@ def _copies(
     length = float(arc_positions(points)[-1])
     strips = []
     for _ in range(COPIES):
-        moved = points + rng.normal(0, ASIDE_SD * length, points.shape)
+        moved = points + rng.normal(0, _ASIDE_SD * length, points.shape)
         for tip, inner in ((0, 1), (-1, -2)):
             out = points[tip] - points[inner]
             out /= max(float(np.linalg.norm(out)), 1e-9)
-            moved[tip] += out * rng.normal(0, ALONG_SD * length)
+            moved[tip] += out * rng.normal(0, _ALONG_SD * length)
         strip = straighten(color, moved)
         if strip is not None:
             strips.append(strip)

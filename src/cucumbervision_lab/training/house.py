@@ -36,7 +36,7 @@ from cucumbervision_lab.training.train import TrainWatcher, train
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
-CONFIDENCE = 0.30
+_CONFIDENCE = 0.30
 GAIN, LOSS = 0.01, 0.02
 """By how much F1 must rise on the house, and may fall on our tests."""
 
@@ -295,7 +295,7 @@ def _judge(
         "file": new.name,
         "old": file_sha256(old),
         "new": card.sha256,
-        "confidence": CONFIDENCE,
+        "confidence": _CONFIDENCE,
         "better": better,
         "why": why,
         "scores": {
@@ -340,7 +340,7 @@ def judge_on(
     most : int
         Photos at most, evenly spread.
     """
-    networks = open_networks(network, None, None, floor=CONFIDENCE)
+    networks = open_networks(network, None, None, floor=_CONFIDENCE)
     dataset, held_back = kept_back(house)
     test = read_coco(drawn)
     found = []
@@ -352,7 +352,7 @@ def judge_on(
             detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
             for one in pictures
         ]
-        score = overall(fruit_rows(frames, CONFIDENCE), found_rows(frames, CONFIDENCE))
+        score = overall(fruit_rows(frames, _CONFIDENCE), found_rows(frames, _CONFIDENCE))
         found.append(Judged.of(name, score))
     if photos is not None:
         result = evaluate_photos(spread(tuple(audited_photos(photos)[0]), most), networks)

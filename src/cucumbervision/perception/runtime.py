@@ -283,6 +283,8 @@ def _open_onnxruntime(
         raise ModelError(f"ONNX Runtime has no {wanted[0]} here", remedy=_GPU_REMEDY)
     options = ort.SessionOptions()
     options.log_severity_level = 4
+    # Else its threads go on looking for work for 30 ms after each run, which the rest needs.
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     if threads is not None:
         options.intra_op_num_threads = threads
     settings = {"CUDAExecutionProvider": {"use_tf32": "0"}} if full_precision else {}

@@ -24,7 +24,7 @@ from cucumbervision.measurement.result import (
 )
 from cucumbervision.perception.ends import SURE
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.perception.masks import mask_pixels
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -87,15 +87,13 @@ def end_flags(
 def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
     """Return how far the mask goes beyond each end's keypoint, as a share of the line."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    window = None if mask is None else mask_window(mask)
-    if mask is None or window is None or not steps.all():
+    pixels = np.empty((0, 2)) if mask is None else mask_pixels(mask)
+    if not len(pixels) or not steps.all():
         return []
-    v, u = np.nonzero(mask[window])
-    pixels = np.column_stack([u + window[1].start, v + window[0].start]).astype(np.float64)
     # Each pixel belongs to the part of the line that it is nearest to: a bent fruit's other end
     # does not count.
     middles = (line[:-1] + line[1:]) / 2
-    nearest = ((pixels[:, None] - middles) ** 2).sum(axis=2).argmin(axis=1)
+    nearest = ((middles**2).sum(axis=1) - 2 * pixels @ middles.T).argmin(axis=1)
     reaches = []
     for tip, inner, part in ((0, 1, 0), (-1, -2, len(middles) - 1)):
         ahead = (line[tip] - line[inner]) / np.linalg.norm(line[tip] - line[inner])

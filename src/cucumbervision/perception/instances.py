@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.perception.boxes import box_areas, box_iou
-from cucumbervision.perception.masks import box_of_mask, disjoint_masks, mask_window
+from cucumbervision.perception.masks import box_of_mask, disjoint_masks, mask_pixels, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -424,15 +424,16 @@ def _kept(group: Sequence[_Region]) -> Instance:
 
 def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
     mask = visible_mask(one)
-    if pose.keypoints is None or mask is None or not mask.any():
+    if pose.keypoints is None or mask is None:
         return False
     if any(box_iou(one.box, other.box) >= _OWN_IOU for other in poses if other is not pose):
         return False
-    rows, columns = np.nonzero(mask)
+    pixels = mask_pixels(mask)
+    if not len(pixels):
+        return False
     line = np.asarray(pose.keypoints[:, :2], np.float64)
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    middle = np.array([columns.mean(), rows.mean()])
-    return _distance(middle, line) <= _OFF_LINE * length
+    return _distance(pixels.mean(axis=0), line) <= _OFF_LINE * length
 
 
 def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.perception.masks import mask_pixels, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
 
     Array = NDArray[np.float64]
+    _Axis = tuple[Array, Array, Array, Callable[[Array], Array]]
 
 _LEAST_PIXELS = 80
 _LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
@@ -71,8 +72,9 @@ def _placed(instance: Instance) -> Instance:
     if mask is None or points is None or given or not np.isfinite(points[:, :2]).all():
         return instance
     body = body_without_stalk(mask)
-    line = None if body is None else axis_line(body)
-    if body is None or line is None:
+    axis = None if body is None else _axis(body)
+    line = None if body is None or axis is None else _line_along(body, axis)
+    if body is None or axis is None or line is None:
         return instance
     tips, seen = line[[0, -1]], points[[0, -1], :2]
     if np.linalg.norm(tips - seen, axis=1).sum() > np.linalg.norm(tips[::-1] - seen, axis=1).sum():
@@ -82,7 +84,7 @@ def _placed(instance: Instance) -> Instance:
         return instance
     line = points[:, :2].copy()
     line[[0, -1]] = np.where(near[:, None], tips, seen)
-    spread = keypoints_between(body, line[[0, -1]]) if near.all() else None
+    spread = _points_between(body, axis, line[[0, -1]]) if near.all() else None
     if spread is None:
         spread = points_along(line, SHARES)
     return replace(instance, keypoints=np.column_stack([spread, points[:, 2]]))
@@ -137,8 +139,10 @@ def axis_line(mask: NDArray[np.bool_]) -> Array | None:
     axes (least squares over all of them), cut where it leaves the outline.
     """
     axis = _axis(mask)
-    if axis is None:
-        return None
+    return None if axis is None else _line_along(mask, axis)
+
+
+def _line_along(mask: NDArray[np.bool_], axis: _Axis) -> Array | None:
     middle, frame, along, curve = axis
     s = np.linspace(along.min(), along.max(), _SAMPLES)
     line = middle + np.stack([s, curve(s)], axis=1) @ frame
@@ -175,10 +179,11 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | No
     >>> keypoints_between(mask, [[90, 20], [18, 20]])[:, 0].round().tolist()
     [90.0, 72.0, 54.0, 36.0, 18.0]
     """
-    ends = np.asarray(ends_px, np.float64)
     axis = _axis(mask)
-    if axis is None:
-        return None
+    return None if axis is None else _points_between(mask, axis, np.asarray(ends_px, np.float64))
+
+
+def _points_between(mask: NDArray[np.bool_], axis: _Axis, ends: Array) -> Array | None:
     middle, frame, _, curve = axis
     first, last = (ends - middle) @ frame[0]
     s = np.linspace(first, last, _SAMPLES)
@@ -191,9 +196,9 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | No
     return points_along(line, SHARES)
 
 
-def _axis(mask: NDArray[np.bool_]) -> tuple[Array, Array, Array, Callable[[Array], Array]] | None:
+def _axis(mask: NDArray[np.bool_]) -> _Axis | None:
     """Return the pixels' middle, their principal axes, their places along and the axis across."""
-    pixels = np.argwhere(mask)[:, ::-1].astype(np.float64)
+    pixels = mask_pixels(mask)
     if len(pixels) < _LEAST_PIXELS:
         return None
     middle = pixels.mean(axis=0)

@@ -46,6 +46,33 @@ def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, sli
     )
 
 
+def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the places of a mask's pixels, row by row.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 2)
+        u, v in pixels.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[1, 2:4] = mask[2, 1] = True
+    >>> mask_pixels(mask).tolist()
+    [[2.0, 1.0], [3.0, 1.0], [1.0, 2.0]]
+    """
+    window = mask_window(mask)
+    if window is None:
+        return np.empty((0, 2))
+    v, u = np.nonzero(mask[window])
+    corner = window[1].start, window[0].start
+    return np.asarray(np.stack([u, v], axis=1) + corner, np.float64)
+
+
 def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the edges x1, y1, x2, y2 of a mask's box, in pixels.
 

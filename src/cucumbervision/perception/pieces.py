@@ -18,7 +18,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.perception.instances import visible_mask
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.perception.masks import mask_pixels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,11 +103,7 @@ class _Part:
 
     @classmethod
     def of(cls, mask: NDArray[np.bool_]) -> _Part | None:
-        window = mask_window(mask)
-        if window is None:
-            return None
-        v, u = np.nonzero(mask[window])
-        pixels = np.column_stack([u + window[1].start, v + window[0].start]).astype(np.float64)
+        pixels = mask_pixels(mask)
         if len(pixels) < 20:
             return None
         centre = pixels.mean(axis=0)

@@ -17,7 +17,13 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, disjoint_masks, mask_iou, mask_ious
+from cucumbervision.perception.masks import (
+    box_of_mask,
+    disjoint_masks,
+    mask_iou,
+    mask_ious,
+    mask_window,
+)
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.resize import (
     mask_from_logits,
@@ -308,14 +314,19 @@ def _parts(instance: Instance) -> tuple[Instance, ...]:
     import cv2
 
     own = instance.detector_mask
-    if own is None:
+    window = None if own is None else mask_window(own)
+    if own is None or window is None:
         return (instance,)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(own.view(np.uint8), connectivity=8)
+    part = own[window].astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
     areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
     least = max(_MIN_MASK_PX, _LEAST_PART * areas[1:].sum())
-    masks = [np.asarray(labels) == k for k in range(1, count) if areas[k] >= least]
-    if len(masks) < 2:
+    large = [k for k in range(1, count) if areas[k] >= least]
+    if len(large) < 2:
         return (instance,)
+    masks = [np.zeros_like(own) for _ in large]
+    for mask, k in zip(masks, large, strict=True):
+        mask[window] = np.asarray(labels) == k
     return tuple(replace(instance, box=box_of_mask(one), detector_mask=one) for one in masks)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.measurement.m4 import MIN_VISIBILITY
+from cucumbervision.perception.masks import mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,9 +93,18 @@ def _tint_mask(
     size: float,
 ) -> None:
     """Tint a mask's pixels and draw its outline, in place; `size` scales the lines."""
-    picture[inside] = ((1 - TINT) * picture[inside] + TINT * np.array(color)).astype(np.uint8)
-    outline = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outline[0], -1, color, max(1, round(1.5 * size)), cv2.LINE_AA)
+    window = mask_window(inside)
+    if window is None:
+        return
+    part, own = picture[window], inside[window]
+    part[own] = ((1 - TINT) * part[own] + TINT * np.array(color)).astype(np.uint8)
+    outline, _ = cv2.findContours(
+        own.astype(np.uint8),
+        cv2.RETR_EXTERNAL,
+        cv2.CHAIN_APPROX_NONE,
+        offset=(window[1].start, window[0].start),
+    )
+    cv2.drawContours(picture, outline, -1, color, max(1, round(1.5 * size)), cv2.LINE_AA)
 
 
 def draw_path(

@@ -14,8 +14,10 @@ from cucumbervision.perception.masks import (
     box_of_mask,
     decode_rle,
     disjoint_masks,
+    distances_inside,
     encode_rle,
     mask_iou,
+    mask_pixels,
     mask_window,
 )
 
@@ -183,3 +185,20 @@ def test_no_pixel_is_lost_or_won(spans: list[tuple[int, int]], seed: int) -> Non
         for i in range(k):
             one = mask_iou(masks[i], masks[k]) >= 0.8
             assert one or not (kept[i] & kept[k]).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_distances_are_the_roots_of_whole_numbers_to_the_last_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mask = np.ones((60 + seed, 90), bool)
+    outside = np.column_stack([rng.integers(0, n, 12) for n in mask.shape])
+    mask[tuple(outside.T)] = False
+    places = np.moveaxis(np.indices(mask.shape), 0, -1)[:, :, None]
+    squares = ((places - outside) ** 2).sum(axis=-1).min(axis=-1)
+    assert np.array_equal(distances_inside(mask), np.sqrt(squares.astype(np.float32)))
+
+
+@settings(deadline=None, max_examples=40)
+@given(MASKS)
+def test_a_masks_pixels_are_those_that_are_set(mask: NDArray[np.bool_]) -> None:
+    assert np.array_equal(mask_pixels(mask), np.argwhere(mask)[:, ::-1])

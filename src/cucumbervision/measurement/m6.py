@@ -24,7 +24,7 @@ from cucumbervision.measurement.result import (
     TubeFit,
 )
 from cucumbervision.measurement.traits import TubeTraits, tube_traits
-from cucumbervision.perception.masks import mask_window
+from cucumbervision.perception.masks import distances_inside, mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -176,12 +176,8 @@ class _Lens:
 
 
 def _from_rim(part: NDArray[np.bool_]) -> NDArray[np.float32]:
-    import cv2
-
     # The picture's edge is no outline.
-    padded = np.pad(part, 1, mode="edge").astype(np.uint8)
-    inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(inside[1:-1, 1:-1], np.float32)
+    return distances_inside(np.pad(part, 1, mode="edge"))[1:-1, 1:-1]
 
 
 def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:

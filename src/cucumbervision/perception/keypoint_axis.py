@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.perception.masks import mask_pixels, mask_window
+from cucumbervision.perception.masks import distances_inside, mask_pixels, mask_window
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -107,12 +107,10 @@ def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     window = mask_window(mask, 2)
     if window is None:
         return None
-    part = np.pad(mask[window], 1).astype(np.uint8)
-    inside = cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inside = distances_inside(np.pad(mask[window], 1))
     radius = _STALK * float(inside.max())
     # A pixel is in the opening if it lies in a disc that lies in the mask.
-    centres = (inside <= radius).astype(np.uint8)
-    opened = cv2.distanceTransform(centres, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) < radius
+    opened = distances_inside(inside <= radius) < radius
     count, labels, stats, _ = cv2.connectedComponentsWithStats(opened.astype(np.uint8))
     if count > 2:
         opened = labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())

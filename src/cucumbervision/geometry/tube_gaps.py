@@ -141,9 +141,9 @@ def depth_gaps(
     # a ray grazes the body.
     nearest = np.minimum(np.maximum(nearest, 1), BALLS - 2)
     three = nearest[:, None] + np.arange(-1, 2)
-    off = centres[three] - (first[:, None] * rays)[:, None, :]
-    distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off)) - radii[three]
-    index, bend, width, centre = _ball_at(shape, nearest - 1 + _lowest(distance))
+    off = centres.take(three, axis=0) - (first[:, None] * rays)[:, None, :]
+    distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off)) - radii.take(three)
+    index, bend, width, centre = _ball_at(shape, nearest + _vertex(*distance.T))
     radius = np.maximum(width @ shape.width_m, 1e-4)
     along_one = np.einsum("ij,ij->i", centre, rays)
     beside = np.einsum("ij,ij->i", centre, centre) - along_one**2
@@ -167,13 +167,12 @@ def _entered(
     entry = rays @ centres.T
     inside = entry * entry
     inside += radii * np.abs(radii) - np.einsum("ij,ij->i", centres, centres)
-    missed = inside <= 0
-    np.maximum(inside, 0.0, out=inside)
-    np.sqrt(inside, out=inside)
-    entry -= inside
-    np.copyto(entry, MISSED_M, where=missed)
-    nearest = np.argmin(entry, axis=1)
-    return nearest, entry[np.arange(len(rays)), nearest]
+    hit = inside > 0
+    np.sqrt(inside, out=inside, where=hit)
+    entered = np.full(entry.shape, MISSED_M)
+    np.subtract(entry, inside, out=entered, where=hit)
+    nearest = np.argmin(entered, axis=1)
+    return nearest, entered[np.arange(len(rays)), nearest]
 
 
 def _ball_at(
@@ -181,17 +180,22 @@ def _ball_at(
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     # Index among FINE positions, bases of centre and radius, and centre, at a fractional ball.
     index = np.rint(ball * (FINE / (BALLS - 1))).astype(np.intp)
-    bend, width = (table[index] for table in bases(FINE + 1))
+    bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
     return index, bend, width, bend @ shape.bend_m
 
 
 def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
     # Position of each row's minimum, by a parabola through the lowest value and its neighbours.
-    last = values.shape[1] - 1
-    k = np.minimum(np.maximum(np.argmin(values, axis=1), 1), last - 1)
-    rows = np.arange(len(values))
-    a, b, c = values[rows, k - 1], values[rows, k], values[rows, k + 1]
+    count = values.shape[1]
+    k = np.minimum(np.maximum(np.argmin(values, axis=1), 1), count - 2)
+    at = np.arange(0, values.size, count) + k
+    return k + _vertex(values.take(at - 1), values.take(at), values.take(at + 1))
+
+
+def _vertex(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    # Where the parabola through three neighbours is lowest, from the middle one: -1 to 1.
     curve = a - 2 * b + c
     step = np.where(curve > 1e-12, 0.5 * (a - c) / np.maximum(curve, 1e-12), np.sign(a - c))
-    at = k + np.minimum(np.maximum(step, -1.0), 1.0)
-    return np.asarray(np.minimum(np.maximum(at, 0.0), last))
+    return np.asarray(np.minimum(np.maximum(step, -1.0), 1.0))

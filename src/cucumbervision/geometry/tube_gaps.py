@@ -189,7 +189,7 @@ def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
     count = values.shape[1]
     k = np.minimum(np.maximum(np.argmin(values, axis=1), 1), count - 2)
     at = np.arange(0, values.size, count) + k
-    return k + _vertex(values.take(at - 1), values.take(at), values.take(at + 1))
+    return np.asarray(k + _vertex(values.take(at - 1), values.take(at), values.take(at + 1)))
 
 
 def _vertex(

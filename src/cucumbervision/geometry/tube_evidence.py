@@ -169,8 +169,9 @@ def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float6
 def _slope(found: Gaps, waves: int) -> NDArray[np.float64]:
     # By the body; the rest is left to be filled in.
     slope = np.empty((len(found.gap_m), BODY + waves))
-    by_bend = slope[:, :BENDS].reshape(len(slope), BENDS // 3, 3)
-    np.multiply(found.bend_basis[:, :, None], found.away[:, None, :], out=by_bend)
+    for axis in range(3):
+        away = found.away[:, axis : axis + 1]
+        np.multiply(found.bend_basis, away, out=slope[:, axis:BENDS:3])
     np.negative(found.width_basis, out=slope[:, BENDS:SHAPE])
     return slope
 

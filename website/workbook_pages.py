@@ -8,21 +8,51 @@ LibreOffice lays the pages out and Poppler draws them (Debian: libreoffice-calc,
 from __future__ import annotations
 
 import argparse
+import shutil
 import subprocess
+import sys
+import tempfile
 from pathlib import Path
+
+PROGRAMS = {"soffice": "libreoffice-calc", "pdftoppm": "poppler-utils"}
+
+
+def missing() -> list[str]:
+    """Return the Debian packages whose programs are not here."""
+    return [package for program, package in PROGRAMS.items() if shutil.which(program) is None]
+
+
+def draw_pages(workbook: Path, out: Path) -> list[Path]:
+    """Write OUT/page-1.png and so on, and return them in the pages' order."""
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        # A profile of its own: a LibreOffice that runs already would take the work, and not wait.
+        profile = f"-env:UserInstallation={(Path(folder) / 'profile').as_uri()}"
+        made = [
+            "soffice",
+            profile,
+            "--headless",
+            "--convert-to",
+            "pdf",
+            "--outdir",
+            folder,
+            workbook,
+        ]
+        subprocess.run(made, check=True, timeout=300, stdout=subprocess.DEVNULL)
+        pages = Path(folder) / f"{workbook.stem}.pdf"
+        subprocess.run(["pdftoppm", "-r", "80", "-png", pages, out / "page"], check=True)
+    return sorted(out.glob("page-*.png"))
 
 
 def main() -> None:
-    """Write OUT/page-1.png and so on."""
+    """Draw them."""
     parser = argparse.ArgumentParser(description="Pictures of a workbook's printed pages.")
     parser.add_argument("workbook", type=Path)
     parser.add_argument("out", type=Path)
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    pages = given.out / f"{given.workbook.stem}.pdf"
-    made = ["soffice", "--headless", "--convert-to", "pdf", "--outdir", given.out, given.workbook]
-    subprocess.run(made, check=True, timeout=300)
-    subprocess.run(["pdftoppm", "-r", "80", "-png", pages, given.out / "page"], check=True)
+    if packages := missing():
+        sys.exit(f"a program is missing: apt install {' '.join(packages)}")
+    print(f"{len(draw_pages(given.workbook, given.out))} pages in {given.out}")
 
 
 if __name__ == "__main__":

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -21,7 +24,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
-from cucumbervision.exports.writers import reading_table, render_sheet, write_exports
+from cucumbervision.exports.writers import SHEETS, reading_table, render_sheet, write_exports
 from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -249,8 +252,6 @@ def test_parquet_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> Non
 
 def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     openpyxl = pytest.importorskip("openpyxl")
-    from cucumbervision.exports.writers import SHEETS
-
     write_exports(tables, tmp_path, [ExportFormat.XLSX])
     book = openpyxl.load_workbook(tmp_path / "round.xlsx")
     for name, (title, frozen) in SHEETS.items():
@@ -279,7 +280,9 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     target = book["Fruit"].cell(2, picture.column).hyperlink.target
     assert target.replace("\\", "/") == "pictures/morning_row-3_fruit-0001.jpg"
     assert (tmp_path / target.replace("\\", "/")).is_file()  # Excel's own way to write paths
-    assert len(book["Summary"]._charts) == 2
+    first, second = (chart.anchor for chart in book["Summary"]._charts)
+    # Neither covers the other: the left one ends before the column where the right one begins.
+    assert (first.to.col, second._from.col) == (2, 3)
     values = [str(cell.value) for row in book["Summary"].iter_rows() for cell in row]
     assert {CONFIG, MODEL, SITE} <= {*values}
     # No cell anywhere is a formula.
@@ -370,3 +373,32 @@ def test_the_page_on_exports_names_every_column(name: str) -> None:
     part = text.split(f"\n### `{name}`\n")[1].split("\n### ")[0]
     rows = re.findall(r"^\| `(\w+)` \| (\S*) \| (\S+) \| (.+?) \|$", part, re.M)
     assert rows == [(c.name, c.unit, c.type, c.says) for c in COLUMNS[name]]
+
+
+def workbook_pages(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, ROOT / "website" / "workbook_pages.py", *map(str, arguments)]
+    env = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=600)
+
+
+def test_what_draws_the_workbook_s_pages_is_named_where_it_is_missing(tmp_path: Path) -> None:
+    done = workbook_pages("round.xlsx", tmp_path / "out", PATH=str(tmp_path))
+    assert done.returncode == 1
+    assert done.stderr == ("a program is missing: apt install libreoffice-calc poppler-utils\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_sheet_of_the_workbook_prints(tables: RoundTables, tmp_path: Path) -> None:
+    for program in ("soffice", "pdftoppm"):
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is not installed: nothing can lay the workbook out")
+    (book,) = write_exports(tables, tmp_path, [ExportFormat.XLSX])
+    done = workbook_pages(book, tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    pages = [cv2.imread(str(path)) for path in sorted((tmp_path / "out").glob("page-*.png"))]
+    assert len(pages) >= len(SHEETS) + 2  # the summary and what the columns say
+    assert done.stdout == f"{len(pages)} pages in {tmp_path / 'out'}\n"
+    for page in pages:
+        high, wide = page.shape[:2]
+        assert sorted((high, wide)) == pytest.approx([80 * 210 / 25.4, 80 * 297 / 25.4], abs=2)
+        assert (page < 128).any(axis=2).mean() > 0.002  # something is written on it

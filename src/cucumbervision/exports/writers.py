@@ -142,6 +142,7 @@ _FORMATS = {"cm": "0.0", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "
 
 _WIDEST_PX = 480  # of a column
 _A4 = 9
+_CHART_PX = 375  # as wide as the first three columns of the summary
 _NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
 
 # Texts are written as texts, whatever they start with: never as formulas or links.
@@ -264,9 +265,9 @@ class _Writer:
         for name in ("software", "licence", "source", "written_utc"):
             notes.append((name.replace("_", " "), tables.provenance[name], ""))
         for one in tables.provenance["hashes"]:
-            notes.append((f"{one['kind']} SHA-256", one["sha256"], one["name"]))
-        for line, (what, value, name) in enumerate(notes, 3 + len(facts.columns)):
-            sheet.write_row(line, 0, (what, cell_value(value), "", cell_value(name)))
+            notes.append((f"{one['kind']} SHA-256", one["name"], one["sha256"]))
+        for line, (what, value, says) in enumerate(notes, 3 + len(facts.columns)):
+            sheet.write_row(line, 0, (what, cell_value(value), "", cell_value(says)))
 
     def table(self, sheet: Any, table: Table, frozen: int) -> None:
         """Write a table with its head, formats, filter and links."""
@@ -332,6 +333,7 @@ class _Writer:
             )
             _axes(chart, "Lengths on the plant", "length [cm]")
             chart.set_legend({"none": True})
+            chart.set_size({"width": _CHART_PX})
             summary.insert_chart(below, 0, chart)
         sheet.write_row(0, 4, ["day", *map(cell_value, tables.charts.classes)], self.head)
         for line, (day, counts) in enumerate(days, start=1):

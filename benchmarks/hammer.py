@@ -21,7 +21,7 @@ import tempfile
 import time
 import urllib.request
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -96,8 +96,12 @@ class Found:
 
 def make_store(path: Path) -> None:
     """Save the bundled captures, measured, and a made round of today."""
-    measurer, drawn = SharedMeasurer(load_registry()), RoundRecord(name="drawn")
-    made = made_round("made", int((time.time() - made_round("").started_s) // 86400))
+    measurer, drawn = (
+        SharedMeasurer(load_registry()),
+        RoundRecord(name="drawn", profile="long-cucumber"),
+    )
+    day = int((time.time() - made_round("").started_s) // 86400)
+    made = replace(made_round("made", day), profile=drawn.profile)
     with open_store(path) as store:
         store.save_round(drawn)
         for ref in open_source(bundled_captures()):
@@ -168,6 +172,8 @@ def hammer(browser: Any, address: str, path: Path, seed: int, minutes: float) ->
         if time.monotonic() > tidy:
             bring_back(path)
             tidy += 60
+            faults = sum(found.faults.values())
+            print(f"{found.done['clicks']} clicks, {faults} faults", file=sys.stderr, flush=True)
         page = draw.choice(pages)
         try:
             act(page, address, draw, found)

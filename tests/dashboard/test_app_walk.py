@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import os
@@ -99,7 +100,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     tablet.get_by_role("button", name="Begin this round").tap()
     tablet.get_by_text("This round has no stops yet: walk a row.").wait_for()
     shot(tablet, "start")
-    assert tablet.get_by_role("dialog").count() == 0  # nothing lies over the page any more
+    tablet.get_by_role("dialog").wait_for(state="hidden")  # nothing lies over the page any more
     tablet.get_by_role("link", name="Capture").last.tap()
 
     # Capture; a reload in its middle.
@@ -164,6 +165,14 @@ def test_a_day_from_the_start_page_to_the_pick_list(
         one = next(x for x in store.rounds() if x.record.name == "Monday")
         assert len(store.picked(one.key)) == 1
 
+    # Own truth: three fruit by a tape, one tenth longer than the program says; then as it says.
+    tablet.goto(f"{address}/accuracy")
+    for times, error in ((1.1, 100 * 0.1 / 1.1), (1.0, 0.0)):
+        told = measure_by_hand(tablet, times)
+        assert own_error(tablet, error) == pytest.approx(error, abs=0.3)
+        assert read_by_hand(house) == pytest.approx(told, abs=0.006)
+    shot(tablet, "accuracy")
+
     # Nothing of a page is wider than a phone.
     for path in NARROW:
         phone.goto(f"{address}/{path}")
@@ -182,6 +191,54 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     packed = tmp_path / "round.zip"
     loading.value.save_as(packed)
     open_exports(packed, tablet, fruit_of(house))
+
+
+def cell(table: Any, column: int, line: int) -> str:
+    """What a table, which is a picture, says to those who cannot see it."""
+    return str(table.get_by_test_id(f"glide-cell-{column}-{line}").text_content())
+
+
+def measure_by_hand(page: Any, times: float) -> list[float]:
+    """Type so many times what the program says for three fruit, and save; return what was typed."""
+    table = page.get_by_test_id("stDataFrame").first
+    table.scroll_into_view_if_needed()
+    table.click(position={"x": 40, "y": 40 + 28})  # its first line, of 56 pixels
+    table.get_by_test_id("glide-cell-2-2").wait_for(state="attached")
+    typed = [round(times * float(cell(table, 2, line)), 2) for line in range(3)]
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    for line, length in enumerate(typed):
+        page.keyboard.press("Enter")
+        opened = page.locator("#portal input")
+        opened.wait_for()
+        opened.fill(f"{length:.2f}")
+        page.keyboard.press("Enter")  # to the next line
+        page.wait_for_function(
+            "([id, text]) => document.querySelector(`[data-testid=${id}]`).textContent === text",
+            arg=[f"glide-cell-3-{line}", f"{length:.2f}"],
+        )
+    page.get_by_role("button", name="Save these lengths").click()
+    return typed
+
+
+def own_error(page: Any, expected: float) -> float:
+    """The mean error in per cent of the lengths that the program reports."""
+    page.get_by_text("Errors", exact=True).wait_for()
+    until, found = time.monotonic() + 300, -1.0
+    while abs(found - expected) > 0.3 and time.monotonic() < until:
+        page.wait_for_timeout(300)
+        table = page.get_by_test_id("stDataFrame").nth(1)
+        table.click(position={"x": 40, "y": 60})  # what it says is told when it is touched
+        lines = table.locator("canvas tr").count() - 1  # without its head
+        of = {cell(table, 0, line): cell(table, 3, line) for line in range(lines)}
+        found = float(of.get("reported", "-1").rstrip(" %"))
+    return found
+
+
+def read_by_hand(house: House) -> list[float]:
+    (path,) = house.store.with_suffix(".truth").glob("*.csv")
+    lines = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+    return [float(line["length_1_cm"]) for line in lines]
 
 
 def fruit_of(house: House) -> int:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -69,7 +71,7 @@ def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
     seen: set[str] = set()
     for one in fruit:
         figures = (one.length_m, one.sd_m, one.day, one.position_m)
-        if not np.isfinite(figures).all() or one.length_m <= 0 or one.sd_m <= 0:
+        if not all(map(math.isfinite, figures)) or one.length_m <= 0 or one.sd_m <= 0:
             raise ForecastError(
                 f"fruit {one.fruit_id!r}: length {one.length_m} m, sd {one.sd_m} m, day {one.day}, "
                 f"position {one.position_m} m",
@@ -87,6 +89,7 @@ def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
         seen.add(one.fruit_id)
 
 
+@lru_cache(maxsize=4096)  # a house has few rows, and many fruit in each
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     """Return a key that sorts names as people do: row 2 before row 10.
 

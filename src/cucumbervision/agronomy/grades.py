@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.profiles import CropProfile
 
+_LENGTHS = {str(kind): f"{kind}_m" for kind in LengthDefinition}
 _INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_high_cm`
 
 
@@ -194,7 +195,7 @@ class GradingTraits:
         >>> traits.thread_m, traits.inner_arc_mm_per_10cm
         (0.31, 4.0)
         """
-        lengths = {str(kind): values.get(f"{kind}_m") for kind in LengthDefinition}
+        lengths = {kind: values.get(name) for kind, name in _LENGTHS.items()}
         arc_mm = values.get("inner_arc_mm_per_10cm")
         if arc_mm is None and values.get("inner_arc_m") is not None and lengths["chord"]:
             arc_mm = 100 * values["inner_arc_m"] / lengths["chord"]
@@ -202,7 +203,7 @@ class GradingTraits:
             # A site's calibration corrects this length alone.
             lengths[values["length_kind"]] = values["length_m"]
         about, low, high = (values.get(f"interval_{end}") for end in ("of", "low_m", "high_m"))
-        measured = lengths.get(str(about))
+        measured = lengths.get(about or "")
         belief = None
         if measured and low and high:
             belief = LengthBelief.from_interval(measured, low, high)

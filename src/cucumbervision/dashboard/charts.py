@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
 
 # Vega itself says what is wrong with a chart; to check each against its schema takes longer than
-# all else that a page does.
+# all else that a page does; channels are named for the same reason, where a string would do.
 disable_debug_mode()
 
 MARKS = {"seen": "circle", "picked": "cross", "drawn": "diamond"}  # on the map
@@ -98,15 +98,19 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
                 title=f"Length [{units.name}]",
                 scale=alt.Scale(zero=False),
             ),
-            x2="to:Q",
+            x2=alt.X2("to:Q"),
             y=alt.Y("fruit:Q", title="Fruit", axis=alt.Axis(tickMinStep=1, format="d")),
             color=alt.Color("class:N", scale=_class_colors(x["class"] for x in lines), title=None),
             tooltip=[alt.Tooltip("fruit:Q", title="Fruit"), alt.Tooltip("class:N", title="Class")],
         )
     )
     spread = _data([{"low": mean - sd, "high": mean + sd, "mean": mean}])
-    band = alt.Chart(spread).mark_rect(opacity=0.12, color="#000").encode(x="low:Q", x2="high:Q")
-    line = alt.Chart(spread).mark_rule(color="#000", strokeWidth=2).encode(x="mean:Q")
+    band = (
+        alt.Chart(spread)
+        .mark_rect(opacity=0.12, color="#000")
+        .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
+    )
+    line = alt.Chart(spread).mark_rule(color="#000", strokeWidth=2).encode(x=alt.X("mean:Q"))
     chart: alt.LayerChart = (band + bars + line).properties(height=260)
     return chart
 
@@ -131,9 +135,9 @@ def method_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     x = alt.X("low:Q", title=f"Length [{units.name}]", scale=alt.Scale(zero=False))
     said = [alt.Tooltip(f"{name}:Q") for name in ("fruit", "median", "low", "high")]
     base = alt.Chart(_data(table)).encode(y=alt.Y("method:N", title=None), tooltip=said)
-    ends = base.mark_rule(color="#1B7837").encode(x=x, x2="high:Q")
+    ends = base.mark_rule(color="#1B7837").encode(x=x, x2=alt.X2("high:Q"))
     box = base.mark_bar(size=18, color="#5AAE61").encode(x="q1:Q", x2="q3:Q")
-    median = base.mark_tick(color="white", size=18, thickness=2).encode(x="median:Q")
+    median = base.mark_tick(color="white", size=18, thickness=2).encode(x=alt.X("median:Q"))
     chart: alt.LayerChart = (ends + box + median).properties(height=260)
     return chart
 
@@ -223,9 +227,9 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
     base = alt.Chart(_data(lines))
     bars = base.mark_bar().encode(
         x=alt.X("from:Q", title="Day", axis=axis, scale=ends),
-        x2="to:Q",
+        x2=alt.X2("to:Q"),
         y=alt.Y("expected:Q", title="Fruit"),
-        y2="floor:Q",
+        y2=alt.Y2("floor:Q"),
         color=alt.Color("class:N", scale=_class_colors(names), title=None),
         tooltip=[
             alt.Tooltip("day:N", title="Day"),
@@ -236,7 +240,7 @@ def forecast_chart(found: Forecast) -> alt.LayerChart:
         ],
     )
     whiskers = base.mark_rule(strokeWidth=2, color="#222").encode(
-        x="middle:Q", y="low:Q", y2="high:Q"
+        x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
     )
     chart: alt.LayerChart = (bars + whiskers).properties(height=320)
     return chart

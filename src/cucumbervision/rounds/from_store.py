@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.views import LinkKind, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from cucumbervision.rounds.row_views import Bools, Ints
     from cucumbervision.store.records import DetectionRecord
@@ -90,6 +91,11 @@ class RoundContent:
     cameras: Mapping[str, CameraAt]
     false: FalseFinds = USUAL
 
+    @cached_property
+    def rows(self) -> tuple[StoredRow, ...]:
+        """Its rows as arrays, laid out once."""
+        return tuple(_load_rows(self))
+
 
 def read_round(store: Store, round_key: str) -> RoundContent:
     """Read a round.
@@ -105,8 +111,8 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     return RoundContent(round_key, tuple(stops), tuple(views), cameras, FalseFinds.learnt(*judged))
 
 
-def load_rows(content: RoundContent) -> list[StoredRow]:
-    """Return a round's rows as arrays.
+def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
+    """Yield a round's rows as arrays.
 
     Raises
     ------
@@ -115,13 +121,11 @@ def load_rows(content: RoundContent) -> list[StoredRow]:
     """
     known = {stop.key for stop in content.stops}  # a stop may be saved while we read
     kept = [v for v in content.views if v.verdict is not Verdict.REJECTED and v.stop_key in known]
-    found = []
     for name in sorted({stop.row or "" for stop in content.stops}):
         stops = [stop for stop in content.stops if (stop.row or "") == name]
         views = [view for view in kept if (view.row or "") == name]
         row = _row(name, stops, views, content.cameras)
-        found.append(replace(row, false=content.false))
-    return found
+        yield replace(row, false=content.false)
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:

@@ -15,7 +15,6 @@ from cucumbervision.rounds.from_store import (
     LENGTH_Z,
     RoundContent,
     by_hand_of,
-    load_rows,
     read_round,
     stored_merging,
 )
@@ -187,7 +186,7 @@ def merge_round(
     links: list[LinkRecord] = []
     positions: dict[str, Position] = {}
     reports = []
-    for row in load_rows(read_round(store, round_key)):
+    for row in read_round(store, round_key).rows:
         merged = _merged(row, settings, by_hand)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
             first, second = row.fruit_keys[a], row.fruit_keys[b]
@@ -226,7 +225,7 @@ def row_reports(content: RoundContent) -> list[RowReport]:
     fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
     return [
         _report(row, stored_merging(content, row), done=not fitted.isdisjoint(row.stop_keys))
-        for row in load_rows(content)
+        for row in content.rows
     ]
 
 
@@ -260,9 +259,9 @@ def link_rounds(
         of = profile.growth
         growth = of.mean / 100, math.hypot(of.house_sd, of.row_sd, of.fruit_sd) / 100
     contents = read_round(store, earlier), read_round(store, later)
-    first = {row.name: row for row in load_rows(contents[0]) if len(row.views)}
+    first = {row.name: row for row in contents[0].rows if len(row.views)}
     links, shifts, found = [], [], []
-    for row in load_rows(contents[1]):
+    for row in contents[1].rows:
         before = first.get(row.name)
         if before is None or not len(row.views):
             continue
@@ -317,7 +316,7 @@ def _combined(content: RoundContent) -> dict[str, tuple[float, float, int]]:
     """
     found = {}
     kind = {view.key: view.record.length_kind for view in content.views}
-    for row in load_rows(content):
+    for row in content.rows:
         if not len(row.views):
             continue
         cluster = stored_merging(content, row).cluster

@@ -148,20 +148,26 @@ def _pictures(detail: DetectionDetail) -> None:
     except CucumberVisionError as error:
         st.warning(plain(error), icon=":material/broken_image:")
         return
-    seen, turned = st.tabs(["Picture", "3D"])
+    # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
+    seen, turned = st.tabs(["Picture", "3D"], key="fruit_tabs", on_change="rerun")
     with seen:
         _picture(detail, capture)
-    with turned:
-        deck = point_cloud(capture, detail.view.record)
-        if deck is None:
-            st.info("There is no depth on this fruit to show in 3D.")
-        else:
-            with st.container(key="point_cloud"):
-                st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
-            st.caption(
-                "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
-                "white; the bar is 5 cm long. Drag to turn, pinch or wheel to zoom."
-            )
+    if turned.open:
+        with turned:
+            _cloud(capture, detail.view.record)
+
+
+def _cloud(capture: Capture, record: DetectionRecord) -> None:
+    deck = point_cloud(capture, record)
+    if deck is None:
+        st.info("There is no depth on this fruit to show in 3D.")
+        return
+    with st.container(key="point_cloud"):
+        st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
+    st.caption(
+        "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
+        "white; the bar is 5 cm long. Drag to turn, pinch or wheel to zoom."
+    )
 
 
 @st.cache_resource(

@@ -186,8 +186,10 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     for name in ("Parquet", "JSON"):
         tablet.get_by_test_id("stButtonGroup").get_by_text(name, exact=True).tap()
     tablet.get_by_role("button", name="Make the files").tap()
+    load = tablet.get_by_role("button", name="Download", exact=True)
+    load.wait_for()  # making them may take as long as the download is waited for
     with tablet.expect_download() as loading:
-        tablet.get_by_role("button", name="Download", exact=True).tap()
+        load.tap()
     packed = tmp_path / "round.zip"
     loading.value.save_as(packed)
     open_exports(packed, tablet, fruit_of(house))

@@ -28,16 +28,8 @@ def draw_pages(workbook: Path, out: Path) -> list[Path]:
     with tempfile.TemporaryDirectory() as folder:
         # A profile of its own: a LibreOffice that runs already would take the work, and not wait.
         profile = f"-env:UserInstallation={(Path(folder) / 'profile').as_uri()}"
-        made = [
-            "soffice",
-            profile,
-            "--headless",
-            "--convert-to",
-            "pdf",
-            "--outdir",
-            folder,
-            workbook,
-        ]
+        made = ["soffice", profile, "--headless", "--convert-to", "pdf"]
+        made += ["--outdir", folder, str(workbook)]
         subprocess.run(made, check=True, timeout=300, stdout=subprocess.DEVNULL)
         pages = Path(folder) / f"{workbook.stem}.pdf"
         subprocess.run(["pdftoppm", "-r", "80", "-png", pages, out / "page"], check=True)

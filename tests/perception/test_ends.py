@@ -40,11 +40,11 @@ def test_a_fruit_is_laid_level_whatever_its_angle_and_size(angle: float, length:
     assert strip is not None
     assert strip.shape == (*STRIP_PX, 3)
     middle = strip[STRIP_PX[0] // 2].astype(int)
-    # 0.15 of the length lies beyond either end: of 96 columns the fruit has 11 to 84.
-    assert (middle[16:44, 2] > 180).all()
-    assert (middle[52:80, 0] > 180).all()
-    assert np.abs(middle[:6] - 90).max() < 30
-    assert np.abs(middle[-6:] - 90).max() < 30
+    # 0.25 of the length lies beyond either end: of 192 columns the fruit has 32 to 159.
+    assert (middle[40:88, 2] > 180).all()
+    assert (middle[104:152, 0] > 180).all()
+    assert np.abs(middle[:24] - 90).max() < 30
+    assert np.abs(middle[-24:] - 90).max() < 30
     turned = straighten(picture, points[::-1])
     assert turned is not None
     assert np.abs(turned[::-1, ::-1].astype(int) - strip).mean() < 3
@@ -64,7 +64,8 @@ def test_what_is_no_line_is_left_out() -> None:
 def redness(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network that says: the stem is where it is redder, right less left."""
     weights = np.zeros((1, 3, *STRIP_PX), np.float32)
-    weights[0, 0, :, 48:], weights[0, 0, :, :48] = 0.01, -0.01
+    half = STRIP_PX[1] // 2
+    weights[0, 0, :, half:], weights[0, 0, :, :half] = 0.0025, -0.0025
     nodes = [
         helper.make_node("Conv", ["fruit", "weights"], ["far"]),
         helper.make_node("Flatten", ["far"], ["flat"]),

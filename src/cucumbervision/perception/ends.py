@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
     from cucumbervision.perception.instances import Instance
 
-STRIP_PX = (32, 96)
+STRIP_PX = (64, 192)
 """Height and width of a fruit laid level."""
 
 SURE = 0.9
 """From this probability on a fruit's ends are said to be told apart."""
 
-BEYOND = 0.15  # of the fruit's length, that is shown beyond each end: the stalk
+BEYOND = 0.25  # of the fruit's length, that is shown beyond each end: the stalk
 _HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
 _GREY = 114  # what stands for nothing in a network's input too
 
@@ -49,8 +49,8 @@ def straighten(
 
     Returns
     -------
-    ndarray of uint8, shape (32, 96, 3), or None
-        The first point to the left, up to 0.15 of the length beyond either end; None where the
+    ndarray of uint8, shape (64, 192, 3), or None
+        The first point to the left, up to 0.25 of the length beyond either end; None where the
         points span no line of at least 4 pixels.
 
     Examples
@@ -59,7 +59,7 @@ def straighten(
     >>> picture[20:40, 70:100] = (255, 0, 0)  # a red stem end, to the right
     >>> line = np.column_stack([np.linspace(20, 100, 5), np.full(5, 30.0)])
     >>> level, turned = straighten(picture, line), straighten(picture, line[::-1])
-    >>> bool((level[16, 60:80, 0] > 200).all()), bool((turned[16, 16:36, 0] > 200).all())
+    >>> bool((level[32, 120:155, 0] > 200).all()), bool((turned[32, 37:72, 0] > 200).all())
     (True, True)
     """
     import cv2

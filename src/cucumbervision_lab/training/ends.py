@@ -38,7 +38,7 @@ class Strips:
 
     Parameters
     ----------
-    pictures : ndarray of uint8, shape (N, 32, 96, 3)
+    pictures : ndarray of uint8, shape (N, 64, 192, 3)
         RGB.
     seen : ndarray of int64, shape (N,)
         How many of the two ends are in sight.
@@ -160,13 +160,13 @@ def make_network() -> Any:
     Returns
     -------
     torch.nn.Module
-        Takes fruit, float32 of shape (N, 3, 32, 96), 0 to 1; gives logits of shape (N,) that the
+        Takes fruit, float32 of shape (N, 3, 64, 192), 0 to 1; gives logits of shape (N,) that the
         stem is to the right. Turned by half a turn, a fruit gives the opposite.
 
     Examples
     --------
     >>> import torch
-    >>> network, fruit = make_network().eval(), torch.rand(2, 3, 32, 96)
+    >>> network, fruit = make_network().eval(), torch.rand(2, 3, 64, 192)
     >>> bool(torch.allclose(network(fruit), -network(fruit.flip(2, 3)), atol=1e-6))
     True
     """
@@ -186,11 +186,12 @@ def make_network() -> Any:
                 *layer(3, 16, 2),
                 *layer(16, 32, 2),
                 *layer(32, 64, 2),
-                *layer(64, 64, 1),
-                nn.AvgPool2d((STRIP_PX[0] // 8, 2)),
+                *layer(64, 96, 2),
+                *layer(96, 96, 1),
+                nn.AvgPool2d((STRIP_PX[0] // 16, 2)),
                 nn.Flatten(),
                 nn.Dropout(0.2),
-                nn.Linear(64 * STRIP_PX[1] // 16, 1),
+                nn.Linear(96 * STRIP_PX[1] // 32, 1),
             )
 
         def forward(self, fruit: Any) -> Any:

@@ -1,7 +1,8 @@
 r"""What the detector finds at several input sizes, and what each costs, side by side in one run.
 
     python benchmarks/input_sizes.py --photos DIR --set SET --split val \
-        --size 640 --size 1280 --size 640,1280 [--confidence 0.3] [--limit 40] [--seg SEG.onnx]
+        --size 640 --size 1280 --size 640,1280 [--confidence 0.3] [--limit 40] [--seg SEG.onnx] \
+        [--no-pose | --pose POSE.onnx]
 
 Recall and precision on the audited photos of a split (at full size and at half of it) and on a
 labelled set with masks, by hidden share. Each picture is seen once at each size; merged sizes and
@@ -27,7 +28,7 @@ import numpy as np
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.input_sizes import FLOOR_SHARE, merge_sizes, parse_input_sizes
-from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
+from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, POSE_CONFIDENCE, YoloDetector
 from cucumbervision_lab.detection.outcomes import (
     HIDDEN_SHARE,
     found_rows,
@@ -96,18 +97,23 @@ def detector(path: Path, runtime: str, sizes: Sizes, confidence: float) -> YoloD
 
 
 def found_at(
-    path: Path, asked: Sequence[Sizes], confidences: Sequence[float], shown: Iterator[Shown]
+    path: Path,
+    pose: YoloDetector | None,
+    asked: Sequence[Sizes],
+    confidences: Sequence[float],
+    shown: Iterator[Shown],
 ) -> Frames:
     """Give the frames by test, and by what was asked."""
-    least = min(confidences) * FLOOR_SHARE
+    least = min(confidences) * FLOOR_SHARE**2
     single = {size: detector(path, "auto", (size,), least) for sizes in asked for size in sizes}
     frames: Frames = {}
     for one in shown:
         seen = {size: network.detect(one.color) for size, network in single.items()}
+        posed = None if pose is None else pose.detect(one.color)
         for sizes in asked:
             every = merge_sizes([seen[size] for size in sizes])
             for confidence in confidences:
-                kept = shipped(every, (), confidence, one.color, one.depth_m)
+                kept = shipped(every, posed, confidence, one.color, one.depth_m, looks=len(sizes))
                 frame = replace(one.truth, kept=tuple(seen_fruit(fruit) for fruit in kept))
                 frames.setdefault(one.test, {}).setdefault((sizes, confidence), []).append(frame)
     return frames
@@ -185,14 +191,19 @@ def main() -> None:
     parser.add_argument("--limit", type=int, help="pictures at most of each test, evenly spread")
     parser.add_argument("--half", action="store_true", help="photos at half their size too")
     parser.add_argument("--seg", type=Path, help="a detector; else the package's own")
+    parser.add_argument("--pose", type=Path, help="a pose network; else the package's own")
+    parser.add_argument("--no-pose", action="store_true", help="without the pose network's votes")
     parser.add_argument("--turns", type=int, default=5, help="of timing")
     options = parser.parse_args()
-    path, _ = chosen_networks(options.seg, None)
+    path, points = chosen_networks(options.seg, options.pose)
     if path is None:
         raise SystemExit("this version comes without a detector: name one with --seg")
     asked = [parse_input_sizes(text) for text in options.size or ("640", "960", "1280", "640,1280")]
     confidences = options.confidence or [DEFAULT_CONFIDENCE]
-    frames = found_at(path, asked, confidences, pictures(options))
+    pose = None
+    if points is not None and not options.no_pose:
+        pose = YoloDetector(points, "auto", POSE_CONFIDENCE, full_precision=True, most=MOST)
+    frames = found_at(path, pose, asked, confidences, pictures(options))
     for test, by_asked in frames.items():
         count = len(next(iter(by_asked.values())))
         print(f"\n{test}: {count} pictures, split {options.split}")

@@ -56,7 +56,7 @@ class Instance:
         x1, y1, x2, y2 of the box's edges in pixels; a mask's box runs from half a pixel outside
         its first pixel centre to half a pixel outside its last.
     confidence : float
-        The detector's confidence, 0 to 1; 1 for boxes and masks given by people.
+        How sure the networks are that it is a fruit, 0 to 1; 1 for boxes and masks given by people.
     class_name : str
         Class name.
     mask : ndarray of bool, shape (H, W), optional

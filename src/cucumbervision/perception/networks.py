@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cucumbervision.errors import ModelError
+from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.ends import EndTeller
+from cucumbervision.perception.input_sizes import FLOOR_SHARE
 from cucumbervision.perception.instances import apart, each_once, merge_instances
 from cucumbervision.perception.pieces import join_across
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
@@ -16,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from cucumbervision.perception.instances import Instance
@@ -30,9 +34,9 @@ class Detectors:
     detector : YoloDetector
         Whose detections are the fruit; of whatever class, since a fruit of two classes is one.
     pose : YoloDetector, optional
-        Whose keypoints they get.
+        Whose keypoints they get, and who has a say in how sure they are (`with_pose_votes`).
     confidence : float
-        Of the detector; surer poses join the parts of a fruit.
+        Which a fruit's must exceed.
     """
 
     def __init__(
@@ -70,17 +74,22 @@ class Detectors:
         tuple of Instance
             Best first, with the detector's masks and the pose network's keypoints.
         """
-        found = self._detector.detect(color_rgb)
-        pose = self._pose.detect(color_rgb) if self._pose is not None and found else ()
-        return each_fruit_once(found, pose, color_rgb, depth_m, self._confidence)
+        detector, pose = self._detector, self._pose
+        found = detector.detect(color_rgb)
+        posed = pose.detect(color_rgb) if pose is not None and found else None
+        return each_fruit_once(
+            found, posed, color_rgb, depth_m, confidence=self._confidence, looks=detector.looks
+        )
 
 
 def each_fruit_once(
     detected: Sequence[Instance],
-    posed: Sequence[Instance],
+    posed: Sequence[Instance] | None,
     color_rgb: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None = None,
-    sure: float = DEFAULT_CONFIDENCE,
+    *,
+    confidence: float = DEFAULT_CONFIDENCE,
+    looks: int = 1,
 ) -> tuple[Instance, ...]:
     """Return what is reported of a detector's and a pose network's detections of one picture.
 
@@ -88,22 +97,72 @@ def each_fruit_once(
     ----------
     detected : sequence of Instance
         Of the detector: the fruit.
-    posed : sequence of Instance
-        Of the pose network, whose keypoints they get; empty without one.
+    posed : sequence of Instance, optional
+        Of the pose network, whose keypoints and votes they get; None without one.
     color_rgb : ndarray of uint8, shape (H, W, 3)
         The picture.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
-    sure : float
-        As for `each_once`.
+    confidence : float
+        Which a fruit's must exceed, with the pose network's vote; surer poses join the parts of a
+        fruit.
+    looks : int
+        As for `with_pose_votes`.
 
     Returns
     -------
     tuple of Instance
         Each fruit once, best first; no pixel is of two masks.
     """
-    found = join_across(merge_instances(detected), color_rgb, depth_m)
-    return apart(each_once(found, posed, sure) if posed and found else found, depth_m)
+    voted = detected if posed is None else with_pose_votes(detected, posed, looks)
+    sure = [one for one in voted if one.confidence > confidence]
+    found = join_across(merge_instances(sure), color_rgb, depth_m)
+    return apart(each_once(found, posed, confidence) if posed and found else found, depth_m)
+
+
+_SAME_IOU = 0.5
+
+
+def with_pose_votes(
+    detected: Sequence[Instance], posed: Sequence[Instance], looks: int = 1
+) -> tuple[Instance, ...]:
+    """Return detections as sure as detector and pose network are of them together.
+
+    The pose network has been taught by the same fruit but errs elsewhere: what only the detector
+    takes for a fruit is seldom one.
+
+    Parameters
+    ----------
+    detected : sequence of Instance
+        Of the detector.
+    posed : sequence of Instance
+        Of the pose network; one whose box overlaps a detection's by an IoU of more than 0.5 votes
+        for it, each for one at most.
+    looks : int
+        At how many sizes the detector has looked; the pose network's is one look more, and every
+        look counts the same, with 0 where it finds nothing (as `merge_sizes` has it).
+
+    Returns
+    -------
+    tuple of Instance
+        Best first.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.instances import Instance
+    >>> seen, alone = (Instance(np.array([x, 0.0, x + 9, 40]), 0.6) for x in (0, 50))
+    >>> pose = Instance(np.array([0.0, 0, 9, 38]), 0.9)
+    >>> [round(one.confidence, 2) for one in with_pose_votes([alone, seen], [pose], looks=2)]
+    [0.7, 0.4]
+    """
+    free = list(posed)
+    voted = []
+    for one in sorted(detected, key=lambda one: -one.confidence):
+        ious = box_ious(one.box[None], np.array([pose.box for pose in free]).reshape(-1, 4))[0]
+        agrees = ious.size > 0 and ious.max() > _SAME_IOU
+        vote = free.pop(int(ious.argmax())).confidence if agrees else 0.0
+        voted.append(replace(one, confidence=(looks * one.confidence + vote) / (looks + 1)))
+    return tuple(sorted(voted, key=lambda one: -one.confidence))
 
 
 class NetworkLoader:
@@ -246,8 +305,12 @@ class NetworkLoader:
                 "this version comes without a cucumber detector",
                 remedy="name a YOLO ONNX export (measure --instances FILE, detect --model FILE)",
             )
-        detector = self.yolo(own.name if file is None and own is not None else file or "")
-        if pose is None and file is None and keypoints and own_pose is not None:
+        both = file is None and keypoints and own_pose is not None
+        # With a pose network's vote a find may come to more than the detector alone gives it.
+        least = self._confidence * (FLOOR_SHARE if both or pose is not None else 1)
+        chosen = own.name if file is None and own is not None else file or ""
+        detector = self.yolo(chosen, least)
+        if pose is None and both and own_pose is not None:
             pose = self.yolo(own_pose.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)

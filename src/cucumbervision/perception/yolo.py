@@ -398,6 +398,11 @@ class YoloDetector:
         return self._layout.task
 
     @property
+    def looks(self) -> int:
+        """At how many sizes it looks at a picture."""
+        return len(self._sizes_px)
+
+    @property
     def by_place(self) -> bool:
         """Whether its keypoints are ordered by where they lie, so that `ends` is needed."""
         return self._layout.by_place

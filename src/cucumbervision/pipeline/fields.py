@@ -185,7 +185,7 @@ FIELDS = (
     _text("capture", "capture.name", "capture's name"),
     _whole("frame", "capture.frame", "source's own number of the frame"),
     _whole("fruit", "number", "number of the fruit in the capture, from 1"),
-    _number("score", "", "fruit.instance.confidence", "detector's confidence, 0 to 1", 4),
+    _number("score", "", "fruit.instance.confidence", "confidence that it is a fruit, 0 to 1", 4),
     _text("method", "fruit.method", "method that the selector took"),
     _text("reason", "fruit.reason", "why that method, or why none"),
     _text("fallback", "fallback", "methods tried before, and why each gave nothing"),

@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.perception.input_sizes import FLOOR_SHARE
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
@@ -152,8 +153,14 @@ def detect_picture(
         return found
 
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
-    detected = segmented if networks.segment else None
-    kept = shipped(detected, posed, networks.confidence, color, depth_m)
+    kept = shipped(
+        segmented if networks.segment else None,
+        posed if networks.pose else None,
+        networks.confidence,
+        color,
+        depth_m,
+        looks=networks.segment.looks if networks.segment else 1,
+    )
     if networks.segmenter is not None and any(one.keypoints is not None for one in frame.true):
         kept = _placed(kept, networks.segmenter, color)
 
@@ -182,10 +189,12 @@ def _placed(
 
 def shipped(
     segmented: Sequence[Instance] | None,
-    posed: Sequence[Instance],
+    posed: Sequence[Instance] | None,
     confidence: float,
     color_rgb: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None = None,
+    *,
+    looks: int = 1,
 ) -> tuple[Instance, ...]:
     """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
@@ -193,21 +202,23 @@ def shipped(
     ----------
     segmented : sequence of Instance, optional
         Of the detector; without one the pose network's own are taken.
-    posed : sequence of Instance
-        Of the pose network.
+    posed : sequence of Instance, optional
+        Of the pose network; None without one.
     confidence : float
         A score must exceed it.
     color_rgb : ndarray of uint8, shape (H, W, 3)
         The picture.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
+    looks : int
+        At how many sizes the detector has looked.
     """
-    if segmented is None:
-        fruit = [one for one in posed if one.confidence > confidence]
-        return each_fruit_once(fruit, (), color_rgb, depth_m)
-    found = [one for one in segmented if one.confidence > confidence]
+    if segmented is None or posed is None:
+        found = posed if segmented is None else segmented
+        return each_fruit_once(found or (), None, color_rgb, depth_m, confidence=confidence)
+    detected = [one for one in segmented if one.confidence > confidence * FLOOR_SHARE]
     poses = [one for one in posed if one.confidence > min(confidence, POSE_CONFIDENCE)]
-    return each_fruit_once(found, poses, color_rgb, depth_m, confidence)
+    return each_fruit_once(detected, poses, color_rgb, depth_m, confidence=confidence, looks=looks)
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

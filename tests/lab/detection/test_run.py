@@ -358,7 +358,9 @@ def test_of_photos_only_figures_are_written(result: DetectionResult, tmp_path: P
 
 
 class Replay:
-    """A detector that has looked already."""
+    """A detector that has looked already, at one size."""
+
+    looks = 1
 
     def __init__(self, *found: Instance) -> None:
         self._found = found
@@ -376,7 +378,7 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
     pieces = [Instance(box_of_mask(m), 0.8, detector_mask=m) for m in (left, right, left)]
     pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)] * with_pose
     black = np.zeros((40, 120, 3), np.uint8)
-    ours = shipped(pieces, pose, 0.3, black)
+    ours = shipped(pieces, pose if with_pose else None, 0.3, black)
     loaded = [cast(YoloDetector, Replay(*found)) for found in (pieces, pose)]
     theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(black)
     assert len(ours) == len(theirs) == 1

@@ -39,7 +39,7 @@ def detect(
         SegmenterChoice, typer.Option(help="Who draws the masks; none keeps the detector's.")
     ] = "mobile-sam",
     prompt: Prompt = "box+point",
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write annotated pictures.")
     ] = True,

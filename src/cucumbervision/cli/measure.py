@@ -94,7 +94,7 @@ def measure(
     length: Length = LengthDefinition.THREAD,
     segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     intrinsics: Intrinsics = None,
     depth: DepthPicture = None,
     depth_unit: DepthUnit = None,

@@ -110,7 +110,7 @@ def add(
     ] = None,
     instances: Instances = "auto",
     length: Length = LengthDefinition.THREAD,
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     input_size: InputSize = "",
     calibration: Calibration = None,
     runtime: Runtime = "auto",

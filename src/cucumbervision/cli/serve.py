@@ -39,7 +39,7 @@ def serve(
     ] = 8,
     segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",

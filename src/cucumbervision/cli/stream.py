@@ -58,7 +58,7 @@ def stream(
     frames: Frames = None,
     instances: Instances = "auto",
     segmenter: Segmenter = None,
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     intrinsics: Intrinsics = None,
     calibration: Calibration = None,
     input_size: InputSize = "",

@@ -116,7 +116,7 @@ class Settings(BaseModel):
     profile: str = "long-cucumber"
     unit: Literal["cm", "in"] = "cm"
     burst: Annotated[int, Field(ge=1, le=15)] = 5
-    confidence: Share = 0.30
+    confidence: Share = 0.27
     input_sizes: Annotated[tuple[InputSize, ...], Field(max_length=2)] = ()
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.THREAD

@@ -30,7 +30,7 @@ STRIP_PX = (64, 192)
 SURE = 0.9
 """From this probability on a fruit's ends are said to be told apart."""
 
-BEYOND = 0.25  # of the fruit's length, that is shown beyond each end: the stalk
+_BEYOND = 0.25  # of the fruit's length, that is shown beyond each end: the stalk
 _HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
 _GREY = 114  # what stands for nothing in a network's input too
 
@@ -73,15 +73,15 @@ def straighten(
     first, last = (
         out / np.linalg.norm(out) for out in (points[0] - points[1], points[-1] - points[-2])
     )
-    further = 2 * BEYOND * length
+    further = 2 * _BEYOND * length
     line = np.vstack([points[0] + further * first, points, points[-1] + further * last])
-    shares = (np.linspace(-BEYOND, 1 + BEYOND, width) + 2 * BEYOND) / (1 + 4 * BEYOND)
+    shares = (np.linspace(-_BEYOND, 1 + _BEYOND, width) + 2 * _BEYOND) / (1 + 4 * _BEYOND)
     middle = points_along(line, shares)
     ahead = np.gradient(middle, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     aside = np.linspace(-_HALF_WIDTH, _HALF_WIDTH, height)[:, None, None] * length
     at = middle[None] + aside * np.column_stack([-ahead[:, 1], ahead[:, 0]])[None]
-    picture, corner, scale = _near(color_rgb, at, length * (1 + 2 * BEYOND) / width)
+    picture, corner, scale = _near(color_rgb, at, length * (1 + 2 * _BEYOND) / width)
     at = ((at - corner + 0.5) * scale - 0.5).astype(np.float32)
     strip = cv2.remap(
         picture,

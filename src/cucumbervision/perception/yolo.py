@@ -322,7 +322,7 @@ def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
-DEFAULT_CONFIDENCE = 0.30
+DEFAULT_CONFIDENCE = 0.27
 
 POSE_CONFIDENCE = 0.05
 """From which a pose gives its keypoints to a fruit that the detector is sure of."""

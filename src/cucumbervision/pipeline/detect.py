@@ -188,7 +188,7 @@ class DetectOptions:
     pose: Path | None = None
     segmenter: str = "mobile-sam"
     prompt: str = "box+point"
-    confidence: float = 0.30
+    confidence: float = 0.27
     input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"
     full_precision: bool = True

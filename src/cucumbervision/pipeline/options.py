@@ -66,7 +66,7 @@ class MeasureOptions:
     methods: tuple[Method, ...] = AVAILABLE
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.THREAD
-    confidence: float = 0.30
+    confidence: float = 0.27
     input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"
     full_precision: bool = True

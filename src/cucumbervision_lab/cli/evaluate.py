@@ -30,7 +30,7 @@ def evaluate_models(
         SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
     ] = "mobile-sam",
     runtime: Runtime = "auto",
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
     photos: Annotated[
@@ -84,7 +84,7 @@ def evaluate_photos(
     seg: Seg = None,
     pose: Pose = None,
     runtime: Runtime = "auto",
-    confidence: Confidence = 0.30,
+    confidence: Confidence = 0.27,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:

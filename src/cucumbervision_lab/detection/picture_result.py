@@ -85,7 +85,7 @@ def open_networks(
     segmenter: str | None,
     *,
     runtime: str = "auto",
-    confidence: float = 0.30,
+    confidence: float = 0.27,
     floor: float = FLOOR,
     input_sizes: tuple[int, ...] = (),
 ) -> Networks:

@@ -83,7 +83,7 @@ class DetectionPlan:
     pose: Path | None = None
     segmenter: str | None = "mobile-sam"
     runtime: str = "auto"
-    confidence: float = 0.30
+    confidence: float = 0.27
     split: str = "test"
     limit: int | None = None
     sam_limit: int = 40
@@ -235,7 +235,7 @@ def evaluate_real_photos(
     pose: Path | None = None,
     *,
     runtime: str = "auto",
-    confidence: float = 0.30,
+    confidence: float = 0.27,
     split: str = "test",
     input_sizes: tuple[int, ...] = (),
     report: Callable[[str, int, int], None] | None = None,

@@ -75,6 +75,7 @@ class Reader:
     """A detector that boxes what is not grey."""
 
     task = "detect"
+    looks = 1
 
     def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
         rows, columns = np.nonzero((color_rgb != 114).any(axis=2))

@@ -50,6 +50,9 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         "server.showEmailPrompt": "false",
         "server.fileWatcherType": "none",
         "server.maxUploadSize": 200,
+        # Streamlit names a large part that it has sent before by its hash; a page that no longer
+        # has it ends in "Cached ForwardMsg MISS". Beyond this size, in bytes, it would do so.
+        "global.minCachedMessageSize": 10**12,
         "browser.gatherUsageStats": "false",
         "browser.serverAddress": address,
         "client.toolbarMode": "minimal",

@@ -90,7 +90,7 @@ def distances_inside(mask: NDArray[Any]) -> NDArray[np.float32]:
     --------
     >>> mask = np.ones((3, 4), bool)
     >>> mask[0, 0] = False
-    >>> distances_inside(mask)[1:, 1:].round(2).tolist()
+    >>> distances_inside(mask)[1:, 1:].astype(float).round(2).tolist()
     [[1.41, 2.24, 3.16], [2.24, 2.83, 3.61]]
     """
     import cv2

@@ -24,16 +24,21 @@ LIMITS = {
     "M1 to M5, times the plain NumPy floor": 4.0,
     "M6, times the plain NumPy floor": 15.0,
     "a capture with given masks, times its reading alone": 4.0,
-    "cucumbervision --help, s": 0.5,
+    "cucumbervision --help, times Typer and NumPy alone": 3.5,
 }
 
 
-def help_seconds() -> float:
-    """Time the console script's help, start-up included."""
-    start = time.perf_counter()
-    code = "from cucumbervision.cli.app import main; main()"
-    subprocess.run([sys.executable, "-c", code, "--help"], check=True, capture_output=True)
-    return time.perf_counter() - start
+def help_times_its_libraries() -> float:
+    """Compare the console script's help with a start that loads what it cannot do without."""
+
+    def seconds(code: str) -> float:
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code, "--help"], check=True, capture_output=True)
+        return time.perf_counter() - start
+
+    program, libraries = "from cucumbervision.cli.app import main; main()", "import typer, numpy"
+    turns = [(seconds(program), seconds(libraries)) for _ in range(TRIES)]
+    return min(own for own, _ in turns) / min(alone for _, alone in turns)
 
 
 def times_its_reading() -> float:
@@ -59,7 +64,7 @@ def main() -> int:
         "a capture with given masks, times its reading alone": min(
             times_its_reading() for _ in range(TRIES)
         ),
-        "cucumbervision --help, s": min(help_seconds() for _ in range(TRIES)),
+        "cucumbervision --help, times Typer and NumPy alone": help_times_its_libraries(),
     }
     for name, value in found.items():
         verdict = "ok" if value <= LIMITS[name] else "TOO SLOW"

@@ -27,8 +27,9 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.perception.input_sizes import FLOOR_SHARE, merge_sizes, parse_input_sizes
-from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, POSE_CONFIDENCE, YoloDetector
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
+from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
+from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.detection.outcomes import (
     HIDDEN_SHARE,
     found_rows,

@@ -38,8 +38,9 @@ from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception.boxes import box_iou
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.resize import fit
-from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, YoloDetector
+from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos

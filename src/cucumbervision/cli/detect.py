@@ -16,6 +16,7 @@ from cucumbervision.cli.choices import (
     Runtime,
     SegmenterChoice,
 )
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 
 def detect(
@@ -39,7 +40,7 @@ def detect(
         SegmenterChoice, typer.Option(help="Who draws the masks; none keeps the detector's.")
     ] = "mobile-sam",
     prompt: Prompt = "box+point",
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write annotated pictures.")
     ] = True,

@@ -24,6 +24,7 @@ from cucumbervision.cli.choices import (
     Segmenter,
 )
 from cucumbervision.measurement.result import LengthDefinition, Selector
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 Inputs = Annotated[
     list[Path],
@@ -94,7 +95,7 @@ def measure(
     length: Length = LengthDefinition.THREAD,
     segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     intrinsics: Intrinsics = None,
     depth: DepthPicture = None,
     depth_unit: DepthUnit = None,

@@ -23,6 +23,7 @@ from cucumbervision.cli.choices import (
     StoreName,
 )
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -110,7 +111,7 @@ def add(
     ] = None,
     instances: Instances = "auto",
     length: Length = LengthDefinition.THREAD,
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
     calibration: Calibration = None,
     runtime: Runtime = "auto",

@@ -17,6 +17,7 @@ from cucumbervision.cli.choices import (
     Runtime,
     Segmenter,
 )
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 
 def serve(
@@ -39,7 +40,7 @@ def serve(
     ] = 8,
     segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     calibration: Calibration = None,
     input_size: InputSize = "",
     runtime: Runtime = "auto",

@@ -19,6 +19,7 @@ from cucumbervision.cli.choices import (
     Segmenter,
     Serial,
 )
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 Source = Annotated[
     str,
@@ -58,7 +59,7 @@ def stream(
     frames: Frames = None,
     instances: Instances = "auto",
     segmenter: Segmenter = None,
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     intrinsics: Intrinsics = None,
     calibration: Calibration = None,
     input_size: InputSize = "",

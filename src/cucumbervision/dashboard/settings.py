@@ -13,6 +13,7 @@ from cucumbervision.agronomy.picking import Rates
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import LengthDefinition, Selector
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.pipeline.options import MeasureOptions
 
 UNITS = {"cm": 100.0, "in": 1 / 0.0254}
@@ -116,7 +117,7 @@ class Settings(BaseModel):
     profile: str = "long-cucumber"
     unit: Literal["cm", "in"] = "cm"
     burst: Annotated[int, Field(ge=1, le=15)] = 5
-    confidence: Share = 0.27
+    confidence: Share = DEFAULT_CONFIDENCE
     input_sizes: Annotated[tuple[InputSize, ...], Field(max_length=2)] = ()
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.THREAD

@@ -14,9 +14,6 @@ from cucumbervision.perception.instances import Instance
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-FLOOR_SHARE = 1 / 3
-"""Of the confidence asked: what one of several input sizes finds below it is not looked at."""
-
 _SIZE_STEP_PX, _LARGEST_PX = 32, 4096
 
 
@@ -55,7 +52,8 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
     return tuple(sorted(sizes))
 
 
-_SAME_IOU = 0.5
+SAME_IOU = 0.5
+"""Two boxes that overlap by more are one find."""
 
 
 def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
@@ -96,7 +94,7 @@ def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
         firsts = [next(iter(group.values())) for group in free]
         ious = box_ious(one.box[None], np.array([first.box for first in firsts]).reshape(-1, 4))[0]
         ious *= [first.class_name == one.class_name for first in firsts]
-        if ious.size and ious.max() > _SAME_IOU:
+        if ious.size and ious.max() > SAME_IOU:
             free[int(ious.argmax())][size] = one
         else:
             groups.append({size: one})

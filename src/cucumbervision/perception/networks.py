@@ -9,13 +9,14 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_ious
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
 from cucumbervision.perception.ends import EndTeller
-from cucumbervision.perception.input_sizes import FLOOR_SHARE
+from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, each_once, merge_instances
 from cucumbervision.perception.pieces import join_across
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.sam import Segmenter
-from cucumbervision.perception.yolo import DEFAULT_CONFIDENCE, POSE_CONFIDENCE, YoloDetector
+from cucumbervision.perception.yolo import YoloDetector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,9 +121,6 @@ def each_fruit_once(
     return apart(each_once(found, posed, confidence) if posed and found else found, depth_m)
 
 
-_SAME_IOU = 0.5
-
-
 def with_pose_votes(
     detected: Sequence[Instance], posed: Sequence[Instance], looks: int = 1
 ) -> tuple[Instance, ...]:
@@ -159,7 +157,7 @@ def with_pose_votes(
     voted = []
     for one in sorted(detected, key=lambda one: -one.confidence):
         ious = box_ious(one.box[None], np.array([pose.box for pose in free]).reshape(-1, 4))[0]
-        agrees = ious.size > 0 and ious.max() > _SAME_IOU
+        agrees = ious.size > 0 and ious.max() > SAME_IOU
         vote = free.pop(int(ious.argmax())).confidence if agrees else 0.0
         voted.append(replace(one, confidence=(looks * one.confidence + vote) / (looks + 1)))
     return tuple(sorted(voted, key=lambda one: -one.confidence))

@@ -11,7 +11,8 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.boxes import suppress
-from cucumbervision.perception.input_sizes import FLOOR_SHARE, merge_sizes, parse_input_sizes
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE
+from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import Letterbox, fit
 from cucumbervision.perception.runtime import open_network
@@ -321,11 +322,6 @@ def choose_raw(
 def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
-
-DEFAULT_CONFIDENCE = 0.27
-
-POSE_CONFIDENCE = 0.05
-"""From which a pose gives its keypoints to a fruit that the detector is sure of."""
 
 _KEYPOINTS = 5
 

@@ -24,6 +24,7 @@ from cucumbervision.capture.files import (
 )
 from cucumbervision.capture.source import safe_name, unique_name
 from cucumbervision.errors import CaptureError, CucumberVisionError, naming_os_errors
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import encode_rle
@@ -188,7 +189,7 @@ class DetectOptions:
     pose: Path | None = None
     segmenter: str = "mobile-sam"
     prompt: str = "box+point"
-    confidence: float = 0.27
+    confidence: float = DEFAULT_CONFIDENCE
     input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"
     full_precision: bool = True

@@ -13,6 +13,7 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class MeasureOptions:
     methods: tuple[Method, ...] = AVAILABLE
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.THREAD
-    confidence: float = 0.27
+    confidence: float = DEFAULT_CONFIDENCE
     input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"
     full_precision: bool = True

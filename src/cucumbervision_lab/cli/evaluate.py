@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime, SegmenterChoice
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO .onnx that boxes and masks; else the package's own.")
@@ -30,7 +31,7 @@ def evaluate_models(
         SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
     ] = "mobile-sam",
     runtime: Runtime = "auto",
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
     photos: Annotated[
@@ -84,7 +85,7 @@ def evaluate_photos(
     seg: Seg = None,
     pose: Pose = None,
     runtime: Runtime = "auto",
-    confidence: Confidence = 0.27,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val or train.")] = "test",
 ) -> None:

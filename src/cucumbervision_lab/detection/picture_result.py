@@ -7,11 +7,10 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.perception.input_sizes import FLOOR_SHARE
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
-from cucumbervision.perception.yolo import POSE_CONFIDENCE
 from cucumbervision.pipeline.finders import dataset_instances
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit
@@ -85,7 +84,7 @@ def open_networks(
     segmenter: str | None,
     *,
     runtime: str = "auto",
-    confidence: float = 0.27,
+    confidence: float = DEFAULT_CONFIDENCE,
     floor: float = FLOOR,
     input_sizes: tuple[int, ...] = (),
 ) -> Networks:

@@ -12,6 +12,7 @@ import numpy as np
 from cucumbervision.capture.files import read_color
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import ModelError
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.masks import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.detection.lengths import length_records
@@ -83,7 +84,7 @@ class DetectionPlan:
     pose: Path | None = None
     segmenter: str | None = "mobile-sam"
     runtime: str = "auto"
-    confidence: float = 0.27
+    confidence: float = DEFAULT_CONFIDENCE
     split: str = "test"
     limit: int | None = None
     sam_limit: int = 40
@@ -235,7 +236,7 @@ def evaluate_real_photos(
     pose: Path | None = None,
     *,
     runtime: str = "auto",
-    confidence: float = 0.27,
+    confidence: float = DEFAULT_CONFIDENCE,
     split: str = "test",
     input_sizes: tuple[int, ...] = (),
     report: Callable[[str, int, int], None] | None = None,

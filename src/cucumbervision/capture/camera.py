@@ -179,7 +179,7 @@ class FolderCamera:
                     remedy="check the program that writes them",
                 )
             # A folder of many captures takes a while to list: most of the time is left to others.
-            self._sleep(max(POLL_S, 4 * (self._clock() - began_s)))
+            self._sleep(max(_POLL_S, 4 * (self._clock() - began_s)))
 
     def _refs(self) -> Iterator[CaptureRef]:
         try:
@@ -202,4 +202,4 @@ class FolderCamera:
         return capture
 
 
-POLL_S = 0.1
+_POLL_S = 0.1

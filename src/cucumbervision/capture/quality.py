@@ -12,10 +12,10 @@ from cucumbervision.capture.frames import valid_depth
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
-NEAR_M, FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z squared
-POOR_FILL = 0.60
+_NEAR_M, _FAR_M = 0.30, 1.00  # a D435 sees nothing under 0.28 m at 1280x720; noise grows as z²
+_POOR_FILL = 0.60
 NEAREST = 0.10
-STRIDE = 4
+_STRIDE = 4
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ def depth_quality(capture: Capture) -> DepthQuality:
     """
     height, width = capture.depth_m.shape
     middle = capture.depth_m[
-        height // 6 : height - height // 6 : STRIDE, width // 6 : width - width // 6 : STRIDE
+        height // 6 : height - height // 6 : _STRIDE, width // 6 : width - width // 6 : _STRIDE
     ]
     valid = middle[valid_depth(middle)]
     fill = valid.size / middle.size
     if not valid.size:
         return DepthQuality(0.0, None, "none", "No depth: too near, or the lens is covered")
     distance_m = float(np.quantile(valid, NEAREST / 2))
-    if distance_m < NEAR_M:
+    if distance_m < _NEAR_M:
         return DepthQuality(fill, distance_m, "too-near", "Too near: step back")
-    if distance_m > FAR_M:
+    if distance_m > _FAR_M:
         return DepthQuality(fill, distance_m, "too-far", "Too far: step closer")
-    if fill < POOR_FILL:
+    if fill < _POOR_FILL:
         return DepthQuality(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
     return DepthQuality(fill, distance_m, "good", "Good distance and depth")

@@ -391,7 +391,7 @@ class CameraConfig:
             raise ValueError("timeout_s must be positive")
 
 
-STALE_S, QUEUED = 0.5, 2  # after such a pause, so many frames are old ones of the SDK's queue
+_STALE_S, _QUEUED = 0.5, 2  # after such a pause, so many frames are old ones of the SDK's queue
 
 
 class RealSenseCamera(AlignedStream):
@@ -455,8 +455,8 @@ class RealSenseCamera(AlignedStream):
         DepthError
             If no pixel of the burst has a reading between 0.1 and 5 m.
         """
-        if self.config.playback is None and time.monotonic() - self._taken_s > STALE_S:
-            for _ in range(QUEUED):  # frames that waited here were taken before they were asked for
+        if self.config.playback is None and time.monotonic() - self._taken_s > _STALE_S:
+            for _ in range(_QUEUED):  # what waited here was taken before it was asked for
                 self._next_frame()
         frames = [self._next_frame() for _ in range(self.config.burst)]
         self._taken_s = time.monotonic()

@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
-SHORTEST = 10  # characters of a password
-FREE_ATTEMPTS = 3  # wrong passwords in a row before the first delay
-LONGEST_DELAY_S = 60.0
+_SHORTEST = 10  # characters of a password
+_FREE_ATTEMPTS = 3  # wrong passwords in a row before the first delay
+_LONGEST_DELAY_S = 60.0
 _FORGOTTEN_S = 15 * 60.0  # after this time without one, wrong passwords no longer count
 _MOST_NAMES = 10_000  # of accounts, real or invented, whose wrong passwords are remembered
-ACCOUNTS_VARIABLE = "CUCUMBERVISION_ACCOUNTS_FILE"
+_ACCOUNTS_VARIABLE = "CUCUMBERVISION_ACCOUNTS_FILE"
 _SET_UP = (
     "run `cucumbervision dashboard set-password NAME`, or set up [auth] in Streamlit's secrets.toml"
 )
@@ -208,7 +208,7 @@ def accounts_file(environment: Mapping[str, str] | None = None) -> Path:
 
     `CUCUMBERVISION_ACCOUNTS_FILE` names another than the user's own, as for a mounted secret.
     """
-    named = (os.environ if environment is None else environment).get(ACCOUNTS_VARIABLE)
+    named = (os.environ if environment is None else environment).get(_ACCOUNTS_VARIABLE)
     if named:
         return Path(named)
     from platformdirs import user_config_path
@@ -262,7 +262,7 @@ def set_password(path: Path, account: str, password: str) -> None:
     account : str
         1 to 64 letters, digits, '.', '-', '_' and '@'.
     password : str
-        At least `SHORTEST` characters.
+        At least `_SHORTEST` characters.
 
     Raises
     ------
@@ -273,10 +273,10 @@ def set_password(path: Path, account: str, password: str) -> None:
         raise AccessError(
             f"{account[:64]!r} cannot be an account's name", remedy="use letters and digits"
         )
-    if len(password) < SHORTEST:
+    if len(password) < _SHORTEST:
         raise AccessError(
             f"the password has {len(password)} characters",
-            remedy=f"use at least {SHORTEST}, for example four words",
+            remedy=f"use at least {_SHORTEST}, for example four words",
         )
     accounts = read_accounts(path) | {account: _HASHER.hash(password)}
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
@@ -313,8 +313,8 @@ class Session:
 class PasswordChecker:
     """Checks passwords for the whole server; any number of threads may use it.
 
-    After `FREE_ATTEMPTS` wrong passwords in a row an account takes no other for 1 s, then for 2 s,
-    4 s and so on up to `LONGEST_DELAY_S`, whoever tries. An attempt within that time is not looked
+    After `_FREE_ATTEMPTS` wrong passwords in a row an account takes no other for 1 s, then for 2 s,
+    4 s and so on up to `_LONGEST_DELAY_S`, whoever tries. An attempt within that time is not looked
     at and lengthens nothing, so that nobody can keep an account's owner out for long. The right
     password clears the count.
 
@@ -380,9 +380,9 @@ def delay_s(wrong: int) -> float:
     >>> [delay_s(wrong) for wrong in (0, 3, 4, 5, 6, 9, 10, 1000)]
     [0.0, 1.0, 2.0, 4.0, 8.0, 60.0, 60.0, 60.0]
     """
-    if wrong < FREE_ATTEMPTS:
+    if wrong < _FREE_ATTEMPTS:
         return 0.0
-    return min(2.0 ** min(wrong - FREE_ATTEMPTS, 30), LONGEST_DELAY_S)
+    return min(2.0 ** min(wrong - _FREE_ATTEMPTS, 30), _LONGEST_DELAY_S)
 
 
 def _verifies(password_hash: str, password: str) -> bool:

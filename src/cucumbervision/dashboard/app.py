@@ -39,11 +39,11 @@ if TYPE_CHECKING:
     from streamlit.navigation.page import StreamlitPage
 
 # Streamlit forgets the input of a page that is left; these are kept for its return.
-KEPT_INPUTS = (
+_KEPT_INPUTS = (
     "round",
     *("source", "fruit", "color_by", "list_page", "pick_row"),
 )
-SESSION_CHECK_S = 30.0
+_SESSION_CHECK_S = 30.0
 
 _STYLE = """<style>
 .stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
@@ -117,7 +117,7 @@ def _pages() -> list[StreamlitPage]:
 
 def keep_inputs() -> None:
     """Keep the input of pages that are not shown."""
-    for name in KEPT_INPUTS:
+    for name in _KEPT_INPUTS:
         if name in st.session_state:
             st.session_state[name] = st.session_state[name]
 
@@ -202,7 +202,7 @@ def _draw_log_out(login: Login) -> None:
     leave = st.logout if login is Login.OIDC else st.session_state.clear
     st.button("Log out", icon=":material/logout:", on_click=leave)
 
-    @st.fragment(run_every=SESSION_CHECK_S)
+    @st.fragment(run_every=_SESSION_CHECK_S)
     def _end_with_session() -> None:
         """Leave a page that stays open, such as the camera's, when the session ends."""
         if not _is_inside(login):

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.realsense_device import CameraSettings
 
 REACH_S = 0.15  # how far from its press a burst's frames may be: nobody walks far meanwhile
-HELD_S = 1.5  # how late a press may reach us: frames of so long are held
-UNWATCHED_S = 6.0  # viewers ask several times a second
+_HELD_S = 1.5  # how late a press may reach us: frames of so long are held
+_UNWATCHED_S = 6.0  # viewers ask several times a second
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
 
 
@@ -152,7 +152,7 @@ class CameraFeed:
     def __init__(
         self,
         config: CameraConfig | None = None,
-        unwatched_s: float = UNWATCHED_S,
+        unwatched_s: float = _UNWATCHED_S,
         *,
         paced: bool = False,
     ) -> None:
@@ -203,7 +203,7 @@ class CameraFeed:
         burst : int
             Frames at most, half of them before the moment: those that lie nearest to it.
         pressed_s : float
-            The moment, seconds since 1970: up to `HELD_S` ago.
+            The moment, seconds since 1970: up to `_HELD_S` ago.
         """
         with self._changed:
             self._begin_watched()
@@ -312,11 +312,11 @@ class CameraFeed:
         """Keep a frame for presses that are still on their way, and give it to open bursts."""
         own = capture.timestamp_s
         # The camera's own time where its clock is this machine's, else the time of arrival.
-        live = own is not None and 0 <= now - own < HELD_S
+        live = own is not None and 0 <= now - own < _HELD_S
         held = _Held(own if live and own is not None else now, capture)
         with self._changed:
             self._held.append(held)
-            while self._held and now - self._held[0].at_s > HELD_S:
+            while self._held and now - self._held[0].at_s > _HELD_S:
                 self._held.popleft()
             for grabbed in self._filling:
                 grabbed.offer(held)

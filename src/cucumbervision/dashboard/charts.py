@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 # all else that a page does; channels are named for the same reason, where a string would do.
 disable_debug_mode()
 
-MARKS = {"seen": "circle", "picked": "cross", "drawn": "diamond"}  # on the map
+_MARKS = {"seen": "circle", "picked": "cross", "drawn": "diamond"}  # on the map
 
 
-MANY = 40  # fruit from which narrow bars say more than they scatter
+_MANY = 40  # fruit from which narrow bars say more than they scatter
 
 
-GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
+_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 
 
-OTHERS = {
+_OTHERS = {
     "out of grade": "#E69F00",
     "too short": "#56B4E9",
     "too long": "#D55E00",
@@ -47,11 +47,11 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     {'domain': ['class I', 'out of grade'], 'range': ['#1B7837', '#E69F00']}
     """
     present = set(names)
-    classes = sorted(present - set(OTHERS))  # 'class I' before 'class II'
-    others = [name for name in OTHERS if name in present]
-    greens = [GREENS[min(k, len(GREENS) - 1)] for k in range(len(classes))]
+    classes = sorted(present - set(_OTHERS))  # 'class I' before 'class II'
+    others = [name for name in _OTHERS if name in present]
+    greens = [_GREENS[min(k, len(_GREENS) - 1)] for k in range(len(classes))]
     return alt.Scale(
-        domain=[*classes, *others], range=[*greens, *(OTHERS[name] for name in others)]
+        domain=[*classes, *others], range=[*greens, *(_OTHERS[name] for name in others)]
     )
 
 
@@ -63,7 +63,7 @@ def class_color(name: str) -> str:
     >>> class_color("class I"), class_color("too long")
     ('#1B7837', '#D55E00')
     """
-    return OTHERS.get(name) or GREENS[min(name.count("I"), len(GREENS)) - 1]
+    return _OTHERS.get(name) or _GREENS[min(name.count("I"), len(_GREENS)) - 1]
 
 
 def day_name(day: int) -> str:
@@ -79,7 +79,7 @@ def day_name(day: int) -> str:
 
 def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     """Return a histogram by class, with a line at the mean and a band of one standard deviation."""
-    step = (1.0 if len(lines) >= MANY else 2.0) / (1 if units.name == "cm" else 2)
+    step = (1.0 if len(lines) >= _MANY else 2.0) / (1 if units.name == "cm" else 2)
     lengths = np.array([line["length"] for line in lines], np.float64)
     mean, sd = float(lengths.mean()), float(lengths.std(ddof=1)) if len(lengths) > 1 else 0.0
     # Counted here: the browser is sent some dozen bars, however many fruit there are.
@@ -174,7 +174,7 @@ def map_chart(
             color=color,
             shape=alt.Shape(
                 "mark:N",
-                scale=alt.Scale(domain=list(MARKS), range=list(MARKS.values())),
+                scale=alt.Scale(domain=list(_MARKS), range=list(_MARKS.values())),
                 legend=None,
             ),
             tooltip=tooltip,
@@ -264,4 +264,4 @@ def name_of_class(name: str) -> str:
     >>> name_of_class("I"), name_of_class("too long")
     ('class I', 'too long')
     """
-    return name if name in OTHERS else f"class {name}"
+    return name if name in _OTHERS else f"class {name}"

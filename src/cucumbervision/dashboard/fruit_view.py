@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView
 
 # Okabe and Ito's palette, told apart by colour-blind people too.
-METHOD_COLORS = {
+_METHOD_COLORS = {
     "M1": "#56B4E9",
     "M2": "#CC79A7",
     "M3": "#E69F00",
@@ -38,19 +38,19 @@ METHOD_COLORS = {
     "M5": "#0072B2",
     "M6": "#FFFFFF",
 }
-MASK_COLOR, KEYPOINT_COLOR, BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
-QUALITY = 85
-MARKS = ("ruler", "point", "box", "stroke")
-THUMBNAIL_PX = 96
-RULER_PX = 7
-BAR_M = {"cm": 0.10, "in": 0.1016}
+_MASK_COLOR, _KEYPOINT_COLOR, _BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
+_QUALITY = 85
+_MARKS = ("ruler", "point", "box", "stroke")
+_THUMBNAIL_PX = 96
+_RULER_PX = 7
+_BAR_M = {"cm": 0.10, "in": 0.1016}
 
-POINTS = 3500
-RINGS, RING_POINTS = 16, 20
-MARGIN_PX = 12
-SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
+_POINTS = 3500
+_RINGS, _RING_POINTS = 16, 20
+_MARGIN_PX = 12
+_SLAB_M = 0.08  # what lies farther before or behind the fruit is left out
 CLOUD_HEIGHT_PX = 420
-RING_COLOR, AXIS_COLOR = (86, 180, 233), (255, 255, 255)
+_RING_COLOR, _AXIS_COLOR = (86, 180, 233), (255, 255, 255)
 
 
 def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
@@ -71,7 +71,7 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
         small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
         picture = cast("NDArray[np.uint8]", small)
     _, data = cv2.imencode(
-        ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+        ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
     )
     return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
 
@@ -121,17 +121,17 @@ def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, 
     if record.mask is not None:
         mask = decode_rle(record.mask, camera.height, camera.width)
         areas = [{"kind": "area", "points": line} for line in _mask_outline(mask)]
-        layers.append(layer("Mask", MASK_COLOR, True, areas))
-    layers.append(layer("Box", BOX_COLOR, record.mask is None, [_box_line(record)]))
+        layers.append(layer("Mask", _MASK_COLOR, True, areas))
+    layers.append(layer("Box", _BOX_COLOR, record.mask is None, [_box_line(record)]))
     if record.keypoints:
         seen = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
         dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in seen]
-        layers.append(layer("Keypoints", KEYPOINT_COLOR, False, dots))
+        layers.append(layer("Keypoints", _KEYPOINT_COLOR, False, dots))
     for method in record.methods:
         if shapes := _path_shapes(method, camera):
             name = f"{method.method} axis" if method.diameter_m else method.method
             chosen = method.method == record.method
-            layers.append(layer(name, METHOD_COLORS[method.method], chosen, shapes))
+            layers.append(layer(name, _METHOD_COLORS[method.method], chosen, shapes))
     return layers
 
 
@@ -215,7 +215,7 @@ def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dic
     """
     if not distance_m:
         return None
-    length_m = BAR_M[units.name]
+    length_m = _BAR_M[units.name]
     at = units.value(distance_m)
     label = f"{units.value(length_m):g} {units.name} at {at:.0f} {units.name} distance"
     return {"px": round(length_m * camera.fx_px / distance_m, 1), "label": label}
@@ -237,7 +237,7 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
     0.2
     """
     ends = np.array([a_px, b_px], np.float64)
-    z = window_depths(capture.depth_m, ends[:, 0], ends[:, 1], RULER_PX, None)
+    z = window_depths(capture.depth_m, ends[:, 0], ends[:, 1], _RULER_PX, None)
     if not np.isfinite(z).all():
         return None
     x, y = capture.intrinsics.rays(ends[:, 0], ends[:, 1])
@@ -249,7 +249,7 @@ def crop(
     thumbnail: NDArray[np.uint8],
     record: DetectionRecord,
     width_px: int,
-    side_px: int = THUMBNAIL_PX,
+    side_px: int = _THUMBNAIL_PX,
     half_share: float = 0.58,
 ) -> NDArray[np.uint8]:
     """Return a fruit cut out of its capture's picture, as a square.
@@ -355,7 +355,7 @@ def picture(
         "zooms": zooms,
     }
     # The page reads the values itself; a callback makes the component send them.
-    callbacks = {f"on_{name}_change": lambda: None for name in MARKS}
+    callbacks = {f"on_{name}_change": lambda: None for name in _MARKS}
     return component("picture")(key=key, data=data, **callbacks)
 
 
@@ -380,14 +380,14 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
         return None
     mask = decode_rle(record.mask, capture.height, capture.width)
     readings = valid_depth(capture.depth_m)
-    inside, window = mask & readings, mask_window(mask, MARGIN_PX)
+    inside, window = mask & readings, mask_window(mask, _MARGIN_PX)
     if window is None or not inside.any():
         return None
-    slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < SLAB_M
+    slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < _SLAB_M
     around = np.zeros_like(mask)
     around[window] = (readings & slab & ~mask)[window]
-    points, colors = _sample(capture, inside, POINTS)
-    near, near_colors = _sample(capture, around, POINTS // 3)
+    points, colors = _sample(capture, inside, _POINTS)
+    near, near_colors = _sample(capture, around, _POINTS // 3)
     middle = np.median(points, axis=0)
 
     def scene_mm(at_m: NDArray[np.float64]) -> list[list[float]]:
@@ -406,7 +406,7 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
     reach_mm = np.abs(np.array(scene_mm(points))).max(axis=0)
     below = -float(reach_mm[1]) - 15
     bar = [[-25.0, below, 0.0], [25.0, below, 0.0]]
-    lines.append({"path": bar, "color": AXIS_COLOR, "width": 2.0})
+    lines.append({"path": bar, "color": _AXIS_COLOR, "width": 2.0})
     return _scene([{"at": at, "color": color} for at, color in dots], lines, float(reach_mm.max()))
 
 
@@ -452,11 +452,11 @@ def _tube_lines(
         return []
     axis = np.array(tube.path_m, np.float64)
     rings = _tube_rings(axis, np.array(tube.diameter_m, np.float64))
-    return [*((ring, RING_COLOR, 0.5) for ring in rings), (axis, AXIS_COLOR, 1.5)]
+    return [*((ring, _RING_COLOR, 0.5) for ring in rings), (axis, _AXIS_COLOR, 1.5)]
 
 
 def _tube_rings(
-    axis_m: NDArray[np.float64], diameter_m: NDArray[np.float64], rings: int = RINGS
+    axis_m: NDArray[np.float64], diameter_m: NDArray[np.float64], rings: int = _RINGS
 ) -> list[NDArray[np.float64]]:
     """Return circles about an axis, as closed lines of points.
 
@@ -469,7 +469,7 @@ def _tube_rings(
 
     Returns
     -------
-    list of ndarray of float64, shape (RING_POINTS + 1, 3)
+    list of ndarray of float64, shape (_RING_POINTS + 1, 3)
 
     Examples
     --------
@@ -481,7 +481,7 @@ def _tube_rings(
     chosen = np.unique(np.linspace(0, len(axis_m) - 1, rings).round().astype(int))
     ahead = np.gradient(axis_m, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
-    turn = np.linspace(0, 2 * np.pi, RING_POINTS + 1)[:, None]
+    turn = np.linspace(0, 2 * np.pi, _RING_POINTS + 1)[:, None]
     found = []
     for k in chosen.tolist():
         # Any vector that is not along the axis serves to begin the circle.

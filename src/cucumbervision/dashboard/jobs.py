@@ -137,16 +137,16 @@ class Worker:
         self.close()
 
 
-GIVEN_UP_S = 0.001  # how long one thread may keep Python's lock from the others; 5 ms by default
-LESS_URGENT = 10  # steps of 'nice'
+_GIVEN_UP_S = 0.001  # how long one thread may keep Python's lock from the others; 5 ms by default
+_LESS_URGENT = 10  # steps of 'nice'
 
 
 def _give_way() -> None:
     """Let the camera's thread and the pages come first: a press cannot wait, measuring can."""
-    sys.setswitchinterval(GIVEN_UP_S)
+    sys.setswitchinterval(_GIVEN_UP_S)
     if sys.platform == "linux":  # where a thread has a priority of its own, and those it begins
         with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LESS_URGENT)
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LESS_URGENT)
 
 
 def _run(work: Work, job: Job) -> Any:

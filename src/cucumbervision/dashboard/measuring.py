@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionDetail
     from cucumbervision.store.waiting import WaitingCaptures
 
-SEGMENTER = "mobile-sam"
+_SEGMENTER = "mobile-sam"
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class SharedMeasurer:
             if self._segmenter is None:
                 from cucumbervision.perception.sam import Segmenter
 
-                files = self._registry.resolve(SEGMENTER)
+                files = self._registry.resolve(_SEGMENTER)
                 self._segmenter = Segmenter((files["encoder"], files["decoder"]), prompt="box")
             return self._segmenter
 
@@ -296,7 +296,7 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
     )
 
 
-COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit
+_COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit
 
 
 def _refuse_copy(
@@ -325,7 +325,7 @@ def _refuse_copy(
             continue
         other = decode_rle(rle, *mask.shape)
         shared, smaller = int((mask & other).sum()), min(int(mask.sum()), int(other.sum()))
-        if shared > COPY_SHARE * max(smaller, 1):
+        if shared > _COPY_SHARE * max(smaller, 1):
             raise InstancesError(
                 f"that is fruit {number}, which is there already",
                 remedy="tap the fruit itself, or delete one of the two",

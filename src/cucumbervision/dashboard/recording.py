@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture, Stop
     from cucumbervision.dashboard.camera_feed import Feed
 
-EVERY_S = 1.0
+_EVERY_S = 1.0
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Recorder:
         self._lock = threading.Lock()
         self.newest: Recording | None = None
 
-    def begin(self, feed: Feed, burst: int, walk: Walk, every_s: float = EVERY_S) -> Recording:
+    def begin(self, feed: Feed, burst: int, walk: Walk, every_s: float = _EVERY_S) -> Recording:
         """Begin to record a feed; what is being recorded already goes on instead."""
         with self._lock:
             if self.newest is None or not self.newest.running:

@@ -51,7 +51,7 @@ from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
-CUT_PX, CUT_SHARE = 320, 0.8
+_CUT_PX, _CUT_SHARE = 320, 0.8
 KEPT = 8  # rounds, forecasts or fruit that are held at once
 
 
@@ -336,7 +336,7 @@ def cutout_of(view: DetectionView) -> str | None:
     if taken.color is None:
         return None
     color = store().images.read_color(taken.color)
-    return as_data_url(crop(color, view.record, taken.width_px, CUT_PX, CUT_SHARE))
+    return as_data_url(crop(color, view.record, taken.width_px, _CUT_PX, _CUT_SHARE))
 
 
 @st.cache_resource(show_spinner=False)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView, StopView
 
 
-DOUBT = 0.45  # confidence under which a fruit that is seen once may be none
+_DOUBT = 0.45  # confidence under which a fruit that is seen once may be none
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def doubtful(views: Iterable[DetectionView]) -> list[DetectionView]:
     return [
         view
         for view in views
-        if view.views == 1 and view.verdict is None and view.record.score < DOUBT
+        if view.views == 1 and view.verdict is None and view.record.score < _DOUBT
     ]
 
 

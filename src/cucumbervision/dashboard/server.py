@@ -12,7 +12,7 @@ STORE_VARIABLE = "CUCUMBERVISION_STORE"
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
-APP = Path(__file__).with_name("guarded_app.py")
+_APP = Path(__file__).with_name("guarded_app.py")
 
 
 def default_store() -> str:
@@ -60,7 +60,7 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         "theme.primaryColor": "#1B7837",
         "theme.baseFontSize": 17,
     }
-    return ["run", str(APP), *(f"--{name}={value}" for name, value in options.items())]
+    return ["run", str(_APP), *(f"--{name}={value}" for name, value in options.items())]
 
 
 def serve(

@@ -16,7 +16,7 @@ from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.pipeline.options import MeasureOptions
 
-UNITS = {"cm": 100.0, "in": 1 / 0.0254}
+_UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Units:
         >>> Units("in").value(0.254)
         10.0
         """
-        return None if length_m is None else round(length_m * UNITS[self.name], 3)
+        return None if length_m is None else round(length_m * _UNITS[self.name], 3)
 
     def metres(self, value: float) -> float:
         """Return a value in this unit in metres.
@@ -54,7 +54,7 @@ class Units:
         >>> Units("cm").metres(25.0)
         0.25
         """
-        return value / UNITS[self.name]
+        return value / _UNITS[self.name]
 
     @property
     def digits(self) -> int:

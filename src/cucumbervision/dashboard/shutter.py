@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import StopView
     from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
-LATEST_S = 1.2  # frames are held so long: of an older press, which came late, the oldest are taken
-REMEMBERED = 200
+_LATEST_S = 1.2  # frames are held so long: of an older press, which came late, the oldest are taken
+_REMEMBERED = 200
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Shutter:
         name = (round_key, press.number)
         now = time.time()
         # Presses that come late together keep their order.
-        at_s = min(max(press.at_s, now - LATEST_S), now)
+        at_s = min(max(press.at_s, now - _LATEST_S), now)
         with self._lock:
             if name in self._pressed:
                 return False
@@ -119,7 +119,7 @@ class Shutter:
                 self._keep, grabbed, round_key, stop, Press(press.number, at_s)
             )
             self._pressed[name] = Pressed(stop, at_s, kept)
-            while len(self._pressed) > REMEMBERED:
+            while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
         return True
 

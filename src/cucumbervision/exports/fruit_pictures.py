@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LONG_SIDE_PX = 480
 _MARGIN, _NARROWEST = 0.12, 0.6  # of the fruit's longer side: around it, and the other side's least
 _BARS_M = (0.10, 0.05, 0.02, 0.01)
-QUALITY = 90
+_QUALITY = 90
 
 
 def fruit_pictures(
@@ -60,7 +60,7 @@ def _maker(
 ) -> Callable[[], bytes]:
     def make() -> bytes:
         drawn = draw_fruit(read(kept), record, capture)
-        _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        _, data = cv2.imencode(".jpg", drawn[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         return data.tobytes()
 
     return make

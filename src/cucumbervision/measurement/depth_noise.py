@@ -9,21 +9,21 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-DISPARITY_RMS_PX = 0.08  # within windows of 26 pixels
+_DISPARITY_RMS_PX = 0.08  # within windows of 26 pixels
 
-WAVES_RMS_PX = 0.17  # what goes on over longer ways: 0.19 pixels together
+_WAVES_RMS_PX = 0.17  # what goes on over longer ways: 0.19 pixels together
 
-WAVE_SIGMA_PX = 5.0  # of the Gaussian that makes them smooth, in the depth camera's pixels
+_WAVE_SIGMA_PX = 5.0  # of the Gaussian that makes them smooth, in the depth camera's pixels
 
-MOST_WAVES = 48
+_MOST_WAVES = 48
 
-EDGE_STEP_M, EDGE_SIGMA_PX = 0.2, 3.6  # what lies behind, and the blur of the matching window
+_EDGE_STEP_M, _EDGE_SIGMA_PX = 0.2, 3.6  # what lies behind, and the blur of the matching window
 
-KNOT_STEP = 1.4  # between knots, in sigmas
+_KNOT_STEP = 1.4  # between knots, in sigmas
 
-DEPTH_FOCAL_RATIO = 0.69  # of a D435's depth camera to its colour camera
+_DEPTH_FOCAL_RATIO = 0.69  # of a D435's depth camera to its colour camera
 
-BASELINE_M = 0.050
+_BASELINE_M = 0.050
 
 
 def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
@@ -41,7 +41,7 @@ def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float
     >>> bool(depth_noise(np.array(0.5), 924.0).round(5) == 0.00063)
     True
     """
-    return far_m**2 * (DISPARITY_RMS_PX / (focal_px * DEPTH_FOCAL_RATIO * BASELINE_M))
+    return far_m**2 * (_DISPARITY_RMS_PX / (focal_px * _DEPTH_FOCAL_RATIO * _BASELINE_M))
 
 
 def edge_error(inside_px: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -61,7 +61,7 @@ def edge_error(inside_px: NDArray[np.float32]) -> NDArray[np.float64]:
     """
     from scipy.special import ndtr
 
-    return np.asarray(EDGE_STEP_M * ndtr(-np.asarray(inside_px, np.float64) / EDGE_SIGMA_PX))
+    return np.asarray(_EDGE_STEP_M * ndtr(-np.asarray(inside_px, np.float64) / _EDGE_SIGMA_PX))
 
 
 def noise_waves(
@@ -86,29 +86,29 @@ def noise_waves(
     Returns
     -------
     ndarray of float64, shape (N, W)
-        Metres, for waves of standard deviation 1; about `MOST_WAVES` at most.
+        Metres, for waves of standard deviation 1; about `_MOST_WAVES` at most.
 
     Examples
     --------
     >>> v, u = (m.ravel() for m in np.indices((30, 60)))
     >>> waves = noise_waves(np.stack([u, v], axis=1), np.full(1800, 1.0), 924.0)
     >>> rms = np.sqrt((waves**2).sum(axis=1)).mean()
-    >>> bool(abs(rms / depth_noise(np.array(1.0), 924.0) - WAVES_RMS_PX / DISPARITY_RMS_PX) < 0.2)
+    >>> bool(abs(rms / depth_noise(np.array(1.0), 924.0) - _WAVES_RMS_PX / _DISPARITY_RMS_PX) < 0.2)
     True
     """
     if not len(pixels):
         return np.zeros((0, 0))
     low, high = pixels.min(axis=0), pixels.max(axis=0)
-    step = KNOT_STEP * WAVE_SIGMA_PX / DEPTH_FOCAL_RATIO
+    step = _KNOT_STEP * _WAVE_SIGMA_PX / _DEPTH_FOCAL_RATIO
     wide, tall = high - low + 2 * step
-    wider = max(1.0, float(np.sqrt(wide * tall / MOST_WAVES)) / step)
+    wider = max(1.0, float(np.sqrt(wide * tall / _MOST_WAVES)) / step)
     step *= wider
-    sigma = step / KNOT_STEP
+    sigma = step / _KNOT_STEP
     across, down = (
         np.exp(-0.5 * ((at[:, None] - np.arange(a - step / 2, b + step, step)) / sigma) ** 2)
         for at, a, b in zip(pixels.T, low, high, strict=True)
     )
     shape = (down[:, :, None] * across[:, None, :]).reshape(len(pixels), -1)
     shape = shape[:, shape.max(axis=0) > np.exp(-0.5 * (step / sigma) ** 2)]
-    strength = WAVES_RMS_PX / DISPARITY_RMS_PX / wider * KNOT_STEP / np.sqrt(np.pi)
+    strength = _WAVES_RMS_PX / _DISPARITY_RMS_PX / wider * _KNOT_STEP / np.sqrt(np.pi)
     return np.asarray(shape * (strength * depth_noise(far_m, focal_px))[:, None])

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import Measurement
 
-STEP_M, FARTHEST_M = 0.002, 0.40
-NEARER_M = 0.005  # what is nearer than the end by this covers it
-SEEN_SD, REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres
-LEVEL = 0.9
-GRID = 400
+_STEP_M, FARTHEST_M = 0.002, 0.40
+_NEARER_M = 0.005  # what is nearer than the end by this covers it
+_SEEN_SD, _REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres
+_LEVEL = 0.9
+_GRID = 400
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def covered_reach(
     tip = axis_m[end]
     inner = axis_m[len(axis_m) // 6] if end == 0 else axis_m[-1 - len(axis_m) // 6]
     ahead = (tip - inner) / max(float(np.linalg.norm(tip - inner)), 1e-9)
-    steps = np.arange(STEP_M, FARTHEST_M, STEP_M)
+    steps = np.arange(_STEP_M, FARTHEST_M, _STEP_M)
     points = tip + steps[:, None] * ahead
     front = points[:, 2] > 0.05
     columns, rows = np.rint(intrinsics.project(points[front])).astype(int).T
@@ -150,7 +150,7 @@ def covered_reach(
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     z = np.zeros(len(inside), np.float32)
     z[inside] = depth_m[rows[inside], columns[inside]]
-    open_ = inside & valid_depth(z) & (z > points[front, 2] - NEARER_M)
+    open_ = inside & valid_depth(z) & (z > points[front, 2] - _NEARER_M)
     first = np.flatnonzero(open_ | ~inside)
     if not len(first):
         return FARTHEST_M
@@ -182,13 +182,13 @@ def hidden_length(
     from scipy.special import ndtr
 
     lengths = np.exp(
-        np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * REACH_SD_M), GRID)
+        np.linspace(np.log(0.9 * seen_m), np.log(seen_m + reach_m + 4 * _REACH_SD_M), _GRID)
     )
     off = relation.beyond(1.0, diameter_m)  # of one metre
     by_girth = np.exp(-0.5 * (np.log(lengths) / relation.spread + off) ** 2)
-    beyond = ndtr(np.log(lengths / seen_m) / SEEN_SD)
-    before = ndtr((seen_m + reach_m - lengths) / REACH_SD_M)
+    beyond = ndtr(np.log(lengths / seen_m) / _SEEN_SD)
+    before = ndtr((seen_m + reach_m - lengths) / _REACH_SD_M)
     weight = (by_girth + 1e-6) * beyond * before
     total = np.cumsum(weight * np.gradient(lengths))
-    at = np.interp(np.array([0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2]) * total[-1], total, lengths)
+    at = np.interp(np.array([0.5 - _LEVEL / 2, 0.5, 0.5 + _LEVEL / 2]) * total[-1], total, lengths)
     return HiddenLength(seen_m, float(at[1]), float(at[0]), float(at[2]))

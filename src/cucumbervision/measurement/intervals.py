@@ -145,7 +145,7 @@ def _normal_quantile(level: float) -> float:
     return float(ndtri(0.5 + level / 2))
 
 
-STEEP_DEG = 35.0
+_STEEP_DEG = 35.0
 
 
 def tube_features(measurement: Measurement) -> dict[str, float]:
@@ -175,7 +175,7 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         "log_sd": float(np.log(max(fit.centreline_sd_m / tube.centreline_m, 1e-5))),
         "log_outline": float(np.log(max(fit.outline_rms_px, 0.05))),
         "tilt": tilt / 60.0,
-        "tilt_steep": max(0.0, tilt - STEEP_DEG) / 25.0,
+        "tilt_steep": max(0.0, tilt - _STEEP_DEG) / 25.0,
         "hidden": fit.hidden_share,
         "unexplained": 1.0 - fit.explained,
         "end_hidden": float(Flag.END_HIDDEN in fit.flags),

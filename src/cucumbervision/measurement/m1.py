@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-LINES = (0.25, 0.5, 0.75)
-SAMPLES = 13
+_LINES = (0.25, 0.5, 0.75)
+_SAMPLES = 13
 WINDOW_PX = 11
 GATE_M = 0.035
 
@@ -119,8 +119,8 @@ def sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
     # The longer side: 0 where the box is wide, 1 where it is high.
     side = int(box[3] - box[1] > box[2] - box[0])
     other = 1 - side
-    along = np.linspace(box[side], box[side + 2], SAMPLES)
-    across = box[other] + np.array(LINES)[:, None] * (box[other + 2] - box[other])
+    along = np.linspace(box[side], box[side + 2], _SAMPLES)
+    across = box[other] + np.array(_LINES)[:, None] * (box[other + 2] - box[other])
     grids = np.broadcast_arrays(along[None, :], across)
     return grids[side], grids[other]
 

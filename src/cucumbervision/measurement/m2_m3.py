@@ -75,7 +75,7 @@ def _principal_chord(cloud: AlignedCloud, method: Method) -> Measurement:
     return Measurement(method, high - low, LengthKind.SURFACE_CHORD, path_m=path)
 
 
-MIN_POINTS = 50
+_MIN_POINTS = 50
 
 
 def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
@@ -109,6 +109,6 @@ def measure_m3(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     >>> measure_m3(rod[:49]).reason
     <Reason.TOO_FEW_POINTS: 'too-few-points'>
     """
-    if len(mask_points_m) < MIN_POINTS:
+    if len(mask_points_m) < _MIN_POINTS:
         return Measurement(Method.M3, reason=Reason.TOO_FEW_POINTS)
     return _principal_chord(near or align_near(mask_points_m, GATE_M), Method.M3)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 MIN_VISIBILITY = np.array([0.50, 0.25, 0.25, 0.25, 0.50])
 WINDOW_PX = 5
-DEPTH_SPREAD_M = 0.08
-POLYLINE_FROM = 4
+_DEPTH_SPREAD_M = 0.08
+_POLYLINE_FROM = 4
 
 
 def endpoints_visible(keypoints: NDArray[np.float64] | None) -> bool:
@@ -90,10 +90,10 @@ def measure_m4(
     kept = (visibility >= MIN_VISIBILITY) & np.isfinite(z)
     if kept.any():
         with np.errstate(invalid="ignore"):
-            kept &= np.abs(z - np.median(z[kept])) <= DEPTH_SPREAD_M
+            kept &= np.abs(z - np.median(z[kept])) <= _DEPTH_SPREAD_M
     if not kept[0] or not kept[-1]:
         return Measurement(Method.M4, reason=Reason.ENDPOINT_MISSING)
     x, y = intrinsics.rays(u, v)
     points = np.stack([x * z, y * z, z], axis=1)[kept]
-    path = points if len(points) >= POLYLINE_FROM else points[[0, -1]]
+    path = points if len(points) >= _POLYLINE_FROM else points[[0, -1]]
     return Measurement(Method.M4, polyline_length(path), LengthKind.KEYPOINT_POLYLINE, path_m=path)

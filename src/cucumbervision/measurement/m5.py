@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MIN_POINTS = 100
-BINS = 25
-MIN_BIN_POINTS = 3
-TIP_POINTS = 5
-MIN_BINS = 2
-RANGE_M = (0.05, 0.80)
+_BINS = 25
+_MIN_BIN_POINTS = 3
+_TIP_POINTS = 5
+_MIN_BINS = 2
+_RANGE_M = (0.05, 0.80)
 
 
 def measure_m5(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) -> Measurement:
@@ -60,12 +60,12 @@ def measure_m5(mask_points_m: NDArray[Any], near: AlignedCloud | None = None) ->
     points, along = cloud.points_m, cloud.along_m
     if len(points) < MIN_POINTS:
         return Measurement(Method.M5, reason=Reason.TOO_FEW_POINTS)
-    spine = bin_centroids(points, along, BINS, MIN_BIN_POINTS)
-    if len(spine) < MIN_BINS:
+    spine = bin_centroids(points, along, _BINS, _MIN_BIN_POINTS)
+    if len(spine) < _MIN_BINS:
         return Measurement(Method.M5, reason=Reason.TOO_FEW_BINS)
-    low = points[np.argpartition(along, TIP_POINTS - 1)[:TIP_POINTS]].mean(axis=0)
-    high = points[np.argpartition(along, -TIP_POINTS)[-TIP_POINTS:]].mean(axis=0)
+    low = points[np.argpartition(along, _TIP_POINTS - 1)[:_TIP_POINTS]].mean(axis=0)
+    high = points[np.argpartition(along, -_TIP_POINTS)[-_TIP_POINTS:]].mean(axis=0)
     length, path = natural_spline(np.vstack([low, spine, high]))
-    if not RANGE_M[0] <= length <= RANGE_M[1]:
+    if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(Method.M5, reason=Reason.OUT_OF_RANGE)
     return Measurement(Method.M5, length, LengthKind.SURFACE_ARC, path_m=path)

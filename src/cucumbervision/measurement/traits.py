@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import LengthDefinition
 
-SMALLEST_RADIUS_M = 1e-4
+_SMALLEST_RADIUS_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) ->
     >>> round(traits.diameter_max_m, 4), round(traits.tilt_deg, 1), traits.inner_arc_m
     (0.04, 0.0, 0.0)
     """
-    radii = np.maximum(radii_m, SMALLEST_RADIUS_M)
+    radii = np.maximum(radii_m, _SMALLEST_RADIUS_M)
     axis = axis_path(centres_m, radii)
     outward = bending_direction(axis)
     ends = axis[[0, -1]]

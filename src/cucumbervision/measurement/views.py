@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from cucumbervision.geometry.tube_fit import TubeFitting
     from cucumbervision.measurement.m6 import TubeView
 
-SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
-ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
+_SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
+_ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def _middle(fitting: TubeFitting) -> NDArray[np.float64]:
 
 def _apart(view: FruitView, other: FruitView, fitting: TubeFitting) -> bool:
     away = float(np.linalg.norm(view.pose[:3, 3] - other.pose[:3, 3]))
-    return away > SAME_PLACE * float(np.linalg.norm(_middle(fitting)))
+    return away > _SAME_PLACE * float(np.linalg.norm(_middle(fitting)))
 
 
 def _relative(
@@ -135,7 +135,7 @@ def _relative(
     turn = view.pose[:3, :3].T @ first[0].pose[:3, :3]
     shift = view.pose[:3, :3].T @ (first[0].pose[:3, 3] - view.pose[:3, 3])
     off = _middle(fitting) - (turn @ _middle(first[2]) + shift)
-    sd = ALIGNED_SD_M
+    sd = _ALIGNED_SD_M
     if not (all(fitting.ends_seen) and all(first[2].ends_seen)):
         run = np.diff(fitting.shape.balls(2)[0], axis=0)[0]
         run /= np.linalg.norm(run)

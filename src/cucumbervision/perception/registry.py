@@ -127,7 +127,7 @@ class FileCheck:
     state: str
 
 
-FORMATS = ("onnx", "openvino")
+_FORMATS = ("onnx", "openvino")
 """What `Registry.export` writes."""
 
 _HERE = Path(__file__).parent
@@ -346,8 +346,8 @@ class Registry:
         UnknownModelError, ModelHashError, MissingExtraError
             From finding the files and from converting.
         """
-        if form not in FORMATS:
-            raise ModelError(f"no format {form!r}", remedy=f"choose one of {', '.join(FORMATS)}")
+        if form not in _FORMATS:
+            raise ModelError(f"no format {form!r}", remedy=f"choose one of {', '.join(_FORMATS)}")
         files = self.resolve(name).values()
         out.mkdir(parents=True, exist_ok=True)
         if form == "onnx":

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from scipy.sparse import csr_array
 
-SIDE = 1024
+_SIDE = 1024
 """Side of the square that SAM sees, in pixels."""
 
 _LOW = 256  # side of the masks that SAM's decoder gives
@@ -257,7 +257,7 @@ def scaled_size(height: int, width: int) -> tuple[int, int]:
     >>> scaled_size(720, 1280), scaled_size(640, 480)
     ((576, 1024), (1024, 768))
     """
-    scale = SIDE / max(height, width)
+    scale = _SIDE / max(height, width)
     return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
 
 
@@ -294,7 +294,7 @@ def prepare_picture(color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     ((1, 3, 1024, 1024), 2.249, 0.0)
     """
     height, width = scaled_size(*color_rgb.shape[:2])
-    square = np.zeros((1, 3, SIDE, SIDE), np.float32)
+    square = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
     for channel, plane in enumerate(_scaled_planes(color_rgb, height, width)):
         inside = square[0, channel, :height, :width]
         np.subtract(plane, _MEAN[channel], out=inside)
@@ -402,7 +402,7 @@ def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.b
     import cv2
 
     scaled_height, scaled_width = scaled_size(*mask.shape)
-    rows, columns = (max(round(n * _LOW / SIDE), 1) for n in (scaled_height, scaled_width))
+    rows, columns = (max(round(n * _LOW / _SIDE), 1) for n in (scaled_height, scaled_width))
     part = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
     small = np.zeros(shape, bool)
     small[:rows, :columns] = part[: shape[0], : shape[1]] > 0.5
@@ -418,7 +418,7 @@ def _span(flags: ArrayLike) -> slice:
 @lru_cache(maxsize=8)
 def _enlarging(scaled: int, size: int) -> NDArray[np.float32]:
     """Return the weights, shape (size, 256), of both bilinear steps along one axis."""
-    weights = _bilinear(scaled, size) @ _bilinear(_LOW, SIDE)[:scaled]
+    weights = _bilinear(scaled, size) @ _bilinear(_LOW, _SIDE)[:scaled]
     return weights.astype(np.float32)
 
 
@@ -445,7 +445,7 @@ def _scaled_planes(
 
     before_height, before_width = color_rgb.shape[:2]
     picture = np.ascontiguousarray(color_rgb)
-    if max(before_height, before_width) <= SIDE:
+    if max(before_height, before_width) <= _SIDE:
         enlarged = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
         return [np.asarray(plane, np.float32) for plane in cv2.split(enlarged)]
     # As Pillow: along the rows first, whole levels in between.

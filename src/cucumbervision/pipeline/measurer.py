@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.finders import Finder, Found
     from cucumbervision.pipeline.stages import Stage
 
-RANGE_MARGIN = 0.10
-WARM_UP_PX = (640, 480)
+_RANGE_MARGIN = 0.10
+_WARM_UP_PX = (640, 480)
 
 
 @dataclass(frozen=True)
@@ -243,8 +243,8 @@ class Measurer:
         instances = self.options.instances
         if instances not in ("auto", "models") and not instances.lower().endswith(".onnx"):
             return  # masks of a data set or a file need none
-        lens = Intrinsics(*WARM_UP_PX, float(WARM_UP_PX[0]), float(WARM_UP_PX[0]), 320.0, 240.0)
-        shape = WARM_UP_PX[::-1]
+        lens = Intrinsics(*_WARM_UP_PX, float(_WARM_UP_PX[0]), float(_WARM_UP_PX[0]), 320.0, 240.0)
+        shape = _WARM_UP_PX[::-1]
         color = np.full((*shape, 3), 90, np.uint8)
         finder.find(Capture(color, np.zeros(shape, np.float32), lens, "warm-up"))
 
@@ -407,7 +407,7 @@ def calibrated_fruit(
     length = raw if entry.form is Form.NONE else Length(value_m, entry.truth_kind)
     done = replace(fruit, calibration=site.tag, raw_length=raw, length=length)
     low_m, high_m = entry.raw_range_m
-    if not (1 - RANGE_MARGIN) * low_m <= raw.value_m <= (1 + RANGE_MARGIN) * high_m:
+    if not (1 - _RANGE_MARGIN) * low_m <= raw.value_m <= (1 + _RANGE_MARGIN) * high_m:
         return done.flagged(Flag.OUTSIDE_RANGE)
     half = entry.interval.half_width
     if half is None:

@@ -15,7 +15,7 @@ from cucumbervision.errors import CucumberVisionError, naming_os_errors
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-ASIDE = "earlier"
+_ASIDE = "earlier"
 """Where `put_aside` moves what a fresh run begins without."""
 
 
@@ -111,10 +111,10 @@ class OutputFolder:
         if not there:
             return None
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
-        aside, number = self.path / ASIDE / stamp, 1
+        aside, number = self.path / _ASIDE / stamp, 1
         while aside.exists():
             number += 1
-            aside = self.path / ASIDE / f"{stamp}-{number}"
+            aside = self.path / _ASIDE / f"{stamp}-{number}"
         with naming_os_errors("cannot be put aside", self.path):
             if not self.is_remote:
                 aside.mkdir(parents=True, exist_ok=True)

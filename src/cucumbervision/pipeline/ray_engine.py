@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.output import OutputFolder
     from cucumbervision.pipeline.work import Batch
 
-MEASURING = 0.75
+_MEASURING = 0.75
 """Share of the CPUs that the measuring actors claim together: actors that claim every core starve
 the readers, and the run hangs."""
 
-READING = 0.25  # of a CPU, a reading task
+_READING = 0.25  # of a CPU, a reading task
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class RayEngine:
         there = ray.cluster_resources()
         cpus, gpus = float(there.get("CPU", 1)), float(there.get("GPU", 0))
         workers = self.workers or max(1, int(cpus))
-        share = MEASURING * cpus / workers
+        share = _MEASURING * cpus / workers
         context = ray.data.DataContext.get_current()
         context.execution_options.preserve_order = True
         context.enable_progress_bars = False
@@ -102,7 +102,7 @@ class RayEngine:
             for one in listed
         ]
         dataset = ray.data.from_items(items, override_num_blocks=len(items))
-        dataset = dataset.map(_Reading(options, out), num_cpus=READING)
+        dataset = dataset.map(_Reading(options, out), num_cpus=_READING)
         return dataset.map(
             _Measuring,
             fn_constructor_args=(options, out, max(1, int(share))),

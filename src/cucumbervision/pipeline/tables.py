@@ -43,7 +43,7 @@ MOST_EXCEL_ROWS = 1_048_575
 PARQUET = "parquet"
 TABLES = ("measurements.csv", "measurements.json", "measurements.xlsx", "failures.csv", PARQUET)
 """What `write_reports` makes in an output folder."""
-PART_ROWS = 100_000
+_PART_ROWS = 100_000
 
 
 class CsvSink:
@@ -426,7 +426,7 @@ def _write_parts(
     pa, schema = import_arrow(), arrow_schema(FIELDS, provenance)
     names = set[str]()
     # Without any fruit there is one part, which tells the columns.
-    while (part := list(islice(rows, PART_ROWS))) or not names:
+    while (part := list(islice(rows, _PART_ROWS))) or not names:
         name = f"part-{len(names):05d}.parquet"
         with out.replacing(f"{PARQUET}/{name}") as path:
             pa.parquet.write_table(pa.Table.from_pylist(part, schema=schema), path)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 _REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
 LENGTH_Z = 1.6449  # of 90 % intervals
-UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
+_UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
 _DIAMETER_SD = 0.05
 _TUBE_KINDS = frozenset({"thread", "centreline", "chord"})
 
@@ -193,15 +193,15 @@ def _row(
 def _length(record: DetectionRecord) -> tuple[float, float]:
     """Return the length and its relative standard deviation."""
     if record.length_m is None or not record.length_m > 0:
-        return np.nan, UNKNOWN_SD
+        return np.nan, _UNKNOWN_SD
     low, high = record.interval_low_m, record.interval_high_m
-    sd = UNKNOWN_SD
+    sd = _UNKNOWN_SD
     if low and high and low < high:
         sd = float(np.log(high / low)) / (2 * LENGTH_Z)
     elif record.length_sd_m:
         sd = record.length_sd_m / record.length_m
     # Lengths of another kind may differ by more than any of them errs.
-    least = _LEAST_SD if record.length_kind in _TUBE_KINDS else UNKNOWN_SD
+    least = _LEAST_SD if record.length_kind in _TUBE_KINDS else _UNKNOWN_SD
     return record.length_m, max(sd, least)
 
 

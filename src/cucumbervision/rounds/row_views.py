@@ -126,7 +126,7 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     return i, j
 
 
-TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
+_TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors five times as large: ends unseen
 
 _UNSEEN_END, _UNSEEN_END_M = 0.15, 0.05  # share of ends that are hidden unknown, and their shift
 
@@ -191,8 +191,8 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> Floats:
     """
     spread = np.asarray(variance, np.float64)
     square = np.square(gap) / spread
-    core = (1 - TAIL) * np.exp(-0.5 * square)
-    tail = TAIL / _TAIL_FACTOR * np.exp(-0.5 * square / _TAIL_FACTOR**2)
+    core = (1 - _TAIL) * np.exp(-0.5 * square)
+    tail = _TAIL / _TAIL_FACTOR * np.exp(-0.5 * square / _TAIL_FACTOR**2)
     return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
 
 

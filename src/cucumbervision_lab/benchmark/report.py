@@ -53,7 +53,7 @@ _SUITE_INTRO = {
         "with wet leaves. Each is another fruit."
     ),
 }
-COVERED = {LengthDefinition.CENTRELINE: "M6", LengthDefinition.THREAD: "M6 thread"}
+_COVERED = {LengthDefinition.CENTRELINE: "M6", LengthDefinition.THREAD: "M6 thread"}
 """The readings whose intervals are judged."""
 
 _GLOSSARY = (
@@ -241,7 +241,7 @@ def _stress_plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Table
 
 def _coverage_entries(readings: pd.DataFrame, level: float) -> list[Table | Picture]:
     entries: list[Table | Picture] = []
-    for truth in COVERED:
+    for truth in _COVERED:
         groups = coverage_by_group(readings, truth, level)
         if groups.empty:
             continue
@@ -279,7 +279,7 @@ def coverage_by_group(
     """
     if "low_m" not in readings:
         return pd.DataFrame()
-    chosen = (readings["method"] == COVERED[truth]) & readings["low_m"].notna()
+    chosen = (readings["method"] == _COVERED[truth]) & readings["low_m"].notna()
     known = readings[chosen & readings[f"{truth}_m"].notna()]
     if known.empty:
         return pd.DataFrame()

@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView
 
-HOUSE_SHARES = (0.6, 0.2, 0.2)
+_HOUSE_SHARES = (0.6, 0.2, 0.2)
 """Of a house's places in train, val and test: they are few, and what is kept back must tell."""
 
-STRETCH_M = 1.0
+_STRETCH_M = 1.0
 """Stops of one row and stretch show the same plants, on whatever day and from either side."""
 
 
@@ -89,7 +89,7 @@ def dataset_from_store(
     store: Store,
     out: Path,
     *,
-    shares: Sequence[float] = HOUSE_SHARES,
+    shares: Sequence[float] = _HOUSE_SHARES,
     licence: str = "",
     link: bool = True,
 ) -> StoreSet:
@@ -138,7 +138,7 @@ def dataset_from_store(
     return StoreSet(dataset, judged, lost)
 
 
-def split_of_place(place: str, shares: Sequence[float] = HOUSE_SHARES) -> str:
+def split_of_place(place: str, shares: Sequence[float] = _HOUSE_SHARES) -> str:
     """Return the split of a place of a house: by its name's hash, whatever other places there are.
 
     Examples
@@ -155,7 +155,7 @@ def _place_of(house: str, stop: StopRecord) -> str:
     """Return what all stops have in common that show the same plants."""
     if stop.row is None or stop.position_m is None:
         return f"stop {stop.key}"
-    metre = np.floor(stop.position_m / STRETCH_M) * STRETCH_M
+    metre = np.floor(stop.position_m / _STRETCH_M) * _STRETCH_M
     return json.dumps([house, stop.row, float(metre)])
 
 
@@ -252,7 +252,7 @@ def _card(dataset: DataSet, judged: dict[str, JudgedFruit]) -> str:
             "Masks are SAM's, looked at by whoever accepted the fruit, or drawn anew at their tap "
             "or box. A rejected find is background; one that nobody judged is to be ignored. "
             "What was neither found nor added is taken for background: judge whole pictures. A "
-            f"scene is {STRETCH_M:g} m of a row, and its split follows from its name alone.",
+            f"scene is {_STRETCH_M:g} m of a row, and its split follows from its name alone.",
             "",
         ]
     )

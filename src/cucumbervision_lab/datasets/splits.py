@@ -201,7 +201,7 @@ def views_of_one_scene(
     return sorted(found)
 
 
-SHARES = (0.70, 0.15, 0.15)
+_SHARES = (0.70, 0.15, 0.15)
 """Of the pictures, in train, val and test: the paper's."""
 
 _EXPORTED = re.compile(r"\.rf\.[0-9a-f]+$", re.IGNORECASE)
@@ -331,7 +331,9 @@ def _joined(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
     return [int(k) for k in first[group]]
 
 
-def split_by_scene(dataset: DataSet, shares: Sequence[float] = SHARES, *, seed: int = 0) -> DataSet:
+def split_by_scene(
+    dataset: DataSet, shares: Sequence[float] = _SHARES, *, seed: int = 0
+) -> DataSet:
     """Put every picture in train, val or test, whole scenes together.
 
     Each source is split by itself, large scenes first, each to the split that lacks most of what

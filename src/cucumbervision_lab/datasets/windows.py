@@ -252,7 +252,7 @@ def _cut(
 
 
 _GRIDS = (2, 3)
-LEAST_PX = 24
+_LEAST_PX = 24
 """A fruit with fewer pixels than this is to be ignored."""
 
 
@@ -301,7 +301,7 @@ def shrunk_label(
     if label.mask is None:
         return moved
     mask = _placed(label.mask, scale, corner, side_px)
-    if np.count_nonzero(mask) < LEAST_PX:
+    if np.count_nonzero(mask) < _LEAST_PX:
         return replace(moved, ignore=True)
     fresh = Label.of_mask(mask)
     return replace(moved, box=fresh.box, mask_code=fresh.mask_code)

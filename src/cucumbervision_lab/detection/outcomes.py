@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _MIN_IOU = 0.5
 
-IN_IGNORED = 0.5
+_IN_IGNORED = 0.5
 """A detection of which at least this share lies in regions not to be judged is not counted."""
 
 
@@ -92,7 +92,7 @@ def match_boxes(
             taken[hit] = True
         if hit is not None and hit < count:
             pairs.append((hit, k))
-        elif hit is not None or inside[k] >= IN_IGNORED:
+        elif hit is not None or inside[k] >= _IN_IGNORED:
             neutral.append(k)
         else:
             false.append(k)

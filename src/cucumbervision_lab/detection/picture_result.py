@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _PROMPTS_COMPARED = ("box", "box+point")
 
-FLOOR = 0.001
+_FLOOR = 0.001
 """Least confidence for average precision, which judges the ranking of all detections."""
 
 MOST = 100
@@ -85,7 +85,7 @@ def open_networks(
     *,
     runtime: str = "auto",
     confidence: float = DEFAULT_CONFIDENCE,
-    floor: float = FLOOR,
+    floor: float = _FLOOR,
     input_sizes: tuple[int, ...] = (),
 ) -> Networks:
     """Load the networks.

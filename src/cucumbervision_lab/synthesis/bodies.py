@@ -13,7 +13,7 @@ from cucumbervision.geometry.curve import polyline_length
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
+_BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
 
 _CAP_POINTS = 400
 
@@ -136,7 +136,7 @@ def arc_tube(
     bend_radius_m: float = np.inf,
     *,
     neck: float = 0.0,
-    balls: int = BALLS,
+    balls: int = _BALLS,
 ) -> Tube:
     """Make a tube bent to a circular arc, centred on the origin, its chord along x.
 
@@ -347,7 +347,7 @@ def random_fruit(
     *,
     bend_radius_m: float | None = None,
     s_shape: bool | None = None,
-    balls: int = BALLS,
+    balls: int = _BALLS,
 ) -> Tube:
     """Sample one fruit of a length.
 

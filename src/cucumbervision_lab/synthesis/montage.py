@@ -27,7 +27,7 @@ _LEAST_GROUND_PX = 340
 _LENGTH_SHARE = (0.07, 0.75)  # of the picture's longer side
 _MOST_FRUIT = 10
 _HANGING = 0.6  # how often fruit hang
-HIDDEN = 0.6  # how often something in front is looked for
+_HIDDEN = 0.6  # how often something in front is looked for
 _MOST_HIDDEN = 0.55  # of a fruit, by what is brighter
 
 
@@ -145,7 +145,7 @@ def _behind(
 ) -> NDArray[np.float32]:
     """Give how much of each pixel something brighter in front covers, 0 to 1."""
     none = np.zeros_like(light)
-    if rng.random() > HIDDEN:
+    if rng.random() > _HIDDEN:
         return none
     amodal = fruit.amodal
     share = rng.uniform(0.05, _MOST_HIDDEN)

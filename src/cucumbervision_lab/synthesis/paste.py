@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 _MARGIN_PX = 4
 _LEAST_SIDE_PX = 40
-LEAST_PX = 60
+_LEAST_PX = 60
 _SOLID = 0.78
-LENGTH_SHARE = (0.10, 0.55)  # of the frame's longer side
+_LENGTH_SHARE = (0.10, 0.55)  # of the frame's longer side
 LEAST_SEEN = 0.12
 
 
@@ -148,7 +148,7 @@ def paste(
             cutouts[int(rng.integers(len(cutouts)))],
             picture.shape[:2],
             rng,
-            length_px=rng.uniform(*LENGTH_SHARE) * max(picture.shape[:2]),
+            length_px=rng.uniform(*_LENGTH_SHARE) * max(picture.shape[:2]),
             turn_deg=rng.uniform(0, 360),
         )
         if fruit is None:
@@ -242,7 +242,7 @@ def place_cutout(
     fruit = cv2.warpAffine(toned, matrix, (width, height), flags=cv2.INTER_LINEAR)
     soft = cv2.GaussianBlur(cutout.mask.astype(np.float32), (0, 0), max(0.6, 0.4 / scale))
     alpha = cv2.warpAffine(soft, matrix, (width, height), flags=cv2.INTER_LINEAR)
-    if (alpha > 0.5).sum() < LEAST_PX:
+    if (alpha > 0.5).sum() < _LEAST_PX:
         return None
     points = cutout.keypoints
     if points is not None:

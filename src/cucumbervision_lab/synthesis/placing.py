@@ -296,7 +296,7 @@ NEAREST_M = 0.24  # nothing is drawn nearer to the camera
 
 _EVERY = 8  # of a body's balls stand for it when it is laid
 
-TRIES = 12
+_TRIES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,7 +397,7 @@ def place_lying(
     lain: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for index, body in enumerate(bodies):
         best = None
-        for _ in range(TRIES if inner_m is None else TRIES // 3):
+        for _ in range(_TRIES if inner_m is None else _TRIES // 3):
             spot, turn = _spot(rng, camera, ground, body, inner_m)
             flat = body.centres_m[::_EVERY] @ turn.T + np.array([*spot, 0.0])
             height = _rest(flat, body.radii_m[::_EVERY], lain)

@@ -280,7 +280,7 @@ def _truth(tube: Tube, index: int, camera: Intrinsics, view: View) -> FruitTruth
     )
 
 
-GROWN_SHARE = 0.2
+_GROWN_SHARE = 0.2
 """Half the width of a stalk or a blossom, as a share of the fruit's largest radius."""
 
 
@@ -304,7 +304,7 @@ def _visibility(
         # or a blossom grows, the end is in sight all the same: as far as these reach.
         about = 1
         if k in (0, len(pixels) - 1):
-            about += int(np.ceil(GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6)))
+            about += int(np.ceil(_GROWN_SHARE * thick_m * camera.fx_px / max(points_m[k, 2], 1e-6)))
         near = np.s_[max(v - about, 0) : v + about + 1, max(u - about, 0) : u + about + 1]
         fruit = visible[near]
         behind = points_m[k, 2] - depth_m[near]

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
 _CONFIDENCE = 0.30
-GAIN, LOSS = 0.01, 0.02
+_GAIN, _LOSS = 0.01, 0.02
 """By how much F1 must rise on the house, and may fall on our tests."""
 
 _TASK = "seg"
@@ -377,11 +377,11 @@ def verdict(old: Sequence[Judged], new: Sequence[Judged]) -> tuple[bool, str]:
     """
     (house_old, *tests_old), (house_new, *tests_new) = old, new
     for before, after in zip(tests_old, tests_new, strict=True):
-        if after.f1 < before.f1 - LOSS:
+        if after.f1 < before.f1 - _LOSS:
             return False, f"on {after.test} F1 falls from {before.f1:.3f} to {after.f1:.3f}"
     words = f"from {house_old.f1:.3f} to {house_new.f1:.3f}"
-    if house_new.f1 < house_old.f1 + GAIN:
-        return False, f"on the house F1 goes {words}, which is no gain of {GAIN:g}"
+    if house_new.f1 < house_old.f1 + _GAIN:
+        return False, f"on the house F1 goes {words}, which is no gain of {_GAIN:g}"
     return True, f"on the house F1 rises {words}, and nothing is forgotten"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.plan import parse_plan
 
-KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets")
+_KINDS = ("photos", "set", "drawn", "montage", "windows", "sheets")
 """What a source can be made of; see `Source`."""
 
 ORIGINAL = ("photos", "set", "drawn")
@@ -164,7 +164,7 @@ def _typed(kind: type, table: dict[str, Any]) -> dict[str, Any]:
 def _check(sources: tuple[Source, ...]) -> None:
     known: set[str] = set()
     for source in sources:
-        if source.kind not in KINDS:
+        if source.kind not in _KINDS:
             raise ValueError(f"{source.name}: no kind is called {source.kind!r}")
         if source.name in known:
             raise ValueError(f"two sources are called {source.name!r}")

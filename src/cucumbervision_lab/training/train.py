@@ -27,7 +27,7 @@ from cucumbervision_lab.training.trainer import Course, make_trainer
 
 _SOUND_BATCH = 4
 
-DEFAULT_PLAN = "448x16000,640x4000"
+_DEFAULT_PLAN = "448x16000,640x4000"
 """The plan where none is given."""
 
 NETWORK = "network.pt"
@@ -161,7 +161,7 @@ def _begun(
         )
     if data is None:
         raise TrainingError("no data set is given", remedy="name its folder or its data.yaml")
-    wanted = parse_plan(plan or DEFAULT_PLAN, per_epoch)
+    wanted = parse_plan(plan or _DEFAULT_PLAN, per_epoch)
     weights = str(init or f"yolo26n-{task}.pt")
     place = None
     if weights.endswith(".pt"):

@@ -195,7 +195,7 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-LINES = 30
+_LINES = 30
 
 
 @page_elements.of_round
@@ -220,8 +220,8 @@ def page(one: RoundView) -> None:
 def _table(fruit: list[DetectionView], path: Path) -> None:
     units = resources.settings().units
     known = hand_lengths(path, fruit)
-    page_elements.choose_page(fruit, "hand_page", LINES)
-    shown = page_elements.page_of(fruit, "hand_page", LINES)
+    page_elements.choose_page(fruit, "hand_page", _LINES)
+    shown = page_elements.page_of(fruit, "hand_page", _LINES)
     kind = st.segmented_control(
         "Measured by hand",
         list(LengthDefinition),

@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.camera_feed import Preview
     from cucumbervision.store.views import RoundView, StopView
 
-PREVIEW_PX = 800
-PANEL_S = 1.0  # how often what waits is looked at
+_PREVIEW_PX = 800
+_PANEL_S = 1.0  # how often what waits is looked at
 
-INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
+_INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
 
 @page_elements.of_round
@@ -106,7 +106,7 @@ def _preview_is_drawn(kind: str) -> bool:
 def _panel(one: RoundView, home: str, kind: str) -> None:
     """Draw what a walker needs: the button, where the next stop is, what waits."""
 
-    @st.fragment(run_every=PANEL_S)
+    @st.fragment(run_every=_PANEL_S)
     def _draw() -> None:
         _begin_place(one.key, home)
         shutter, waits, place, record = (st.container() for _ in range(4))
@@ -276,8 +276,8 @@ def _record(kind: str) -> None:
             st.warning(plain(now.fault), icon=":material/error:")
 
 
-EXPOSURES = {None: "As the camera has it", "automatic": "Automatic", "fixed": "By hand"}
-USUAL_US = 8000.0  # a bright house
+_EXPOSURES = {None: "As the camera has it", "automatic": "Automatic", "fixed": "By hand"}
+_USUAL_US = 8000.0  # a bright house
 
 
 def _camera() -> None:
@@ -293,13 +293,13 @@ def _camera() -> None:
         known = None if now.exposure_us is None else "fixed" if now.exposure_us else "automatic"
         chosen = st.selectbox(
             "Exposure of the colour camera",
-            list(EXPOSURES),
-            list(EXPOSURES).index(known),
-            format_func=EXPOSURES.__getitem__,
+            list(_EXPOSURES),
+            list(_EXPOSURES).index(known),
+            format_func=_EXPOSURES.__getitem__,
         )
         exposure_us = None if chosen is None else 0.0
         if chosen == "fixed":
-            usual = now.exposure_us or USUAL_US
+            usual = now.exposure_us or _USUAL_US
             exposure_us = st.number_input("Microseconds", *EXPOSURE_US, usual, 500.0, "%.0f")
         resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
         resources.camera().configure(resources.settings().camera)
@@ -316,7 +316,7 @@ def _how() -> None:
             input_sizes=tuple(
                 st.multiselect(
                     "What the networks see, pixels (long side)",
-                    sorted({*INPUT_SIZES_PX, *now.input_sizes}),
+                    sorted({*_INPUT_SIZES_PX, *now.input_sizes}),
                     now.input_sizes,
                     placeholder="Their own size",
                     max_selections=2,
@@ -363,7 +363,7 @@ def _preview(kind: str) -> None:
         with color_at:
             picture(
                 f"preview_{kind}",
-                {"live": as_data_url(shown.color, PREVIEW_PX)},
+                {"live": as_data_url(shown.color, _PREVIEW_PX)},
                 (shown.width, shown.height),
                 bar=scale_bar(shown.intrinsics, near, resources.settings().units),
                 title="The camera's picture",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.records import DetectionRecord
     from cucumbervision.store.views import DetectionView, RoundView
 
-ABREAST = 4
+_ABREAST = 4
 
 
 def show_stops(one: RoundView, fruit: DetectionView) -> None:
@@ -32,8 +32,10 @@ def show_stops(one: RoundView, fruit: DetectionView) -> None:
     if len(views) < 2:
         return
     st.markdown(f"**Seen {len(views)} times**")
-    for first in range(0, len(views), ABREAST):
-        for column, view in zip(st.columns(ABREAST), views[first : first + ABREAST], strict=False):
+    for first in range(0, len(views), _ABREAST):
+        for column, view in zip(
+            st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
+        ):
             if (cut := resources.cutout_of(view)) is not None:
                 column.image(cut, width="stretch")
             stands = " · this one stands" if view.best else ""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import DetectionView, RoundView
 
-FORMATS = {
+_FORMATS = {
     ExportFormat.XLSX: "Excel",
     ExportFormat.CSV: "CSV",
     ExportFormat.HTML: "Page to print",
@@ -44,8 +44,8 @@ def _files(one: RoundView) -> None:
     """Draw the choice of formats, and the download once it is made."""
     chosen = st.pills(
         "Formats",
-        list(FORMATS),
-        format_func=FORMATS.__getitem__,
+        list(_FORMATS),
+        format_func=_FORMATS.__getitem__,
         selection_mode="multi",
         default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
         key="formats",
@@ -88,9 +88,9 @@ def _make(one: RoundView) -> None:
     page_elements.start_job(f"export_{one.key}", "Writing the files", work)
 
 
-LINES = 20
+_LINES = 20
 
-VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ deleted"}
+_VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ deleted"}
 
 
 @page_elements.of_round
@@ -204,7 +204,7 @@ def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
 
 def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
-    shown = page_elements.page_of(fruit, "list_page", LINES)
+    shown = page_elements.page_of(fruit, "list_page", _LINES)
     st.markdown(f"**{len(fruit)} fruit**: tick one to open it")
     chosen = st.dataframe(
         [_line(lists, view) for view in shown],
@@ -221,7 +221,7 @@ def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
             ),
         },
     )
-    page_elements.choose_page(fruit, "list_page", LINES)
+    page_elements.choose_page(fruit, "list_page", _LINES)
     if picked := chosen["selection"]["rows"]:
         st.session_state["fruit"] = shown[picked[0]].key
         st.rerun()
@@ -249,7 +249,7 @@ def _line(lists: RoundLists, view: DetectionView) -> dict[str, Any]:
         "Method": record.method or record.reason,
         "Kind": record.length_kind or "–",
         "Views": view.views,
-        "Checked": VERDICTS[view.verdict] + (", corrected" if view.corrected else ""),
+        "Checked": _VERDICTS[view.verdict] + (", corrected" if view.corrected else ""),
         "Drawn": "drawn" if view.simulated else "",
         "Remarks": tables.remarks(record, units),
     }

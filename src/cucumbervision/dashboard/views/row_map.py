@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.around import Around, OtherDay
     from cucumbervision.store.views import DetectionView, RoundView
 
-ROWS_AT_ONCE = 4
-ABREAST = 4
+_ROWS_AT_ONCE = 4
+_ABREAST = 4
 
 
 @page_elements.of_round
@@ -59,7 +59,7 @@ def _map(one: RoundView) -> None:
     st.session_state.setdefault("color_by", "Class")
     colored = by.segmented_control("Colour by", ["Class", "Length"], key="color_by", required=True)
     rows = sorted({line["row"] for line in lines})
-    chosen = where.multiselect("Rows and sides", rows, default=rows[:ROWS_AT_ONCE])
+    chosen = where.multiselect("Rows and sides", rows, default=rows[:_ROWS_AT_ONCE])
     if not chosen:
         st.info("Choose a row.", icon=":material/map:")
         return
@@ -178,8 +178,10 @@ def _pictures(
         return
     units = resources.settings().units
     st.markdown(f"**{title}**")
-    for first in range(0, len(views), ABREAST):
-        for column, view in zip(st.columns(ABREAST), views[first : first + ABREAST], strict=False):
+    for first in range(0, len(views), _ABREAST):
+        for column, view in zip(
+            st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
+        ):
             cut = resources.cutout_of(view)
             if cut is not None:
                 column.image(cut, width="stretch")

@@ -13,7 +13,7 @@ from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 
-FINDERS = {
+_FINDERS = {
     "auto": "The masks that come with a capture, else the networks",
     "models": "The networks",
     "dataset": "The masks that come with a capture",
@@ -79,9 +79,9 @@ def _measuring() -> None:
     )
     finder = st.selectbox(
         "Fruit are found by",
-        list(FINDERS),
-        index=list(FINDERS).index(now.fruit_from),
-        format_func=FINDERS.__getitem__,
+        list(_FINDERS),
+        index=list(_FINDERS).index(now.fruit_from),
+        format_func=_FINDERS.__getitem__,
     )
     exact = st.toggle("The same lengths on every machine (slower)", now.full_precision)
     calibration = st.text_input(

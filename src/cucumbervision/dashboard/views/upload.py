@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.store.views import RoundView
 
-ENDINGS = [
+_ENDINGS = [
     *("zip", "bag", "db3", "json", "csv", "raw"),
     *("png", "jpg", "jpeg", "tif", "tiff", "npy", "npz"),
 ]
@@ -30,7 +30,7 @@ def page(one: RoundView) -> None:
         "Zips of captures, RealSense recordings (.bag, .db3), or colour and depth pictures with "
         "matching names. Many at once."
     )
-    files = st.file_uploader("Files", type=ENDINGS, accept_multiple_files=True, key="uploads")
+    files = st.file_uploader("Files", type=_ENDINGS, accept_multiple_files=True, key="uploads")
     place = _place(one)
     camera = st.selectbox(
         "Pairs of pictures without intrinsics were taken by",

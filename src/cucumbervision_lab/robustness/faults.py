@@ -6,15 +6,14 @@ import logging
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from random import Random
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision_lab.robustness.round_kills import kill_rounds
 from cucumbervision_lab.robustness.trial import (
     MASKS,
     Outcome,
@@ -230,81 +229,6 @@ def _kill_measure(folder: Path) -> Outcome:
     return Outcome("`measure` itself is killed (kill -9)", "no tables yet", kept, lost)
 
 
-def _kill_rounds(
-    folder: Path, kills: int, seed: int = 1, tick: Callable[[int], None] | None = None
-) -> Outcome:
-    """Kill `round add` with signal 9 at random moments and begin it again, until it is through.
-
-    Parameters
-    ----------
-    folder : Path
-        Empty.
-    kills : int
-        How many; a new round is begun whenever one is through before.
-    seed : int
-        Of the moments.
-    tick : callable, optional
-        Called with 1 after each kill.
-    """
-    from cucumbervision.store.images import check_store
-    from cucumbervision.store.repository import open_store
-
-    random, source = Random(seed), captures(folder / "in", 8)
-    killed, rounds = 0, 0
-    lost: list[str] = []
-    while killed < kills and not lost:
-        rounds += 1
-        store = folder / f"house{rounds}.db"
-        command("round", "new", "walk", "--store", store)
-        there: list[str] = []
-        while len(there) < 8 and killed < kills:
-            killed += _killed_add(source, store, random)
-            if tick is not None:
-                tick(1)
-            now = stops_in(store)
-            if set(there) - set(now) or len(set(now)) != len(now):
-                lost.append(f"after {there} there was {now}")
-            there = now
-        command("round", "add", source, "--store", store, "--instances", "dataset")
-        if stops_in(store) != [f"c{k}" for k in range(8)]:
-            lost.append(f"at the end there was {stops_in(store)}")
-        with open_store(store, create=False) as opened:
-            report = check_store(opened, grace_s=0, remove=True)
-            if not check_store(opened, grace_s=0).sound:
-                lost.append(f"pictures: {report}")
-    kept = f"{rounds} rounds of 8 stops, each stop whole and once" if not lost else lost[0]
-    seen = "nothing; the same command again goes on"
-    return Outcome(f"`round add` killed {killed} times (kill -9)", seen, kept, bool(lost))
-
-
-def _killed_add(source: Path, store: Path, random: Random) -> int:
-    """Run `round add`, kill it within some stops after its first write, tell if it was killed."""
-    code = (
-        "from cucumbervision.store.repository import Store\nimport os, sys\n"
-        "save = Store.save_stop\n"
-        "def said(self, stop):\n    os.write(3, b'.')\n    return save(self, stop)\n"
-        "Store.save_stop = said\nfrom cucumbervision.cli.app import main\nmain()"
-    )
-    heard, said = os.pipe()
-    words = ("round", "add", source, "--store", store, "--instances", "dataset")
-    process = subprocess.Popen(
-        ["/bin/sh", "-c", f'exec "$@" 3>&{said}', "sh", sys.executable, "-c", code]
-        + [str(word) for word in words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        pass_fds=(said,),
-    )
-    os.close(said)
-    for _ in range(random.choice((1, 1, 2, 3))):
-        os.read(heard, 1)  # a stop is being written, or the program is through
-    # Most writes take some milliseconds: most kills fall into one.
-    time.sleep(random.choice((0.0, random.uniform(0, 0.02), random.uniform(0, 0.5))))
-    with suppress(ProcessLookupError):
-        process.send_signal(signal.SIGKILL)
-    os.close(heard)
-    return int(process.wait() == -signal.SIGKILL)
-
-
 _KEYS = {"AWS_ACCESS_KEY_ID": "house", "AWS_SECRET_ACCESS_KEY": "cucumber"}
 
 
@@ -446,7 +370,7 @@ def try_faults(
             tick(1)
     if kills:
         with tempfile.TemporaryDirectory(prefix="fault-") as tmp:
-            found.append(_kill_rounds(Path(tmp), kills, seed, tick))
+            found.append(kill_rounds(Path(tmp), kills, seed, tick))
     return found
 
 

@@ -52,9 +52,19 @@ class Ran:
 
     def line(self, word: str = "") -> str:
         """Return the last line with a word in it, without the folder of this trial."""
-        lines = [" ".join(line.split()) for line in self.said.splitlines() if line.strip()]
-        found = [line for line in lines if word in line] or lines or ["nothing"]
-        return found[-1]
+        return last_line(self.said, word)
+
+
+def last_line(said: str, word: str = "") -> str:
+    """Return the last line with a word in it; without such a one the last of all.
+
+    Examples
+    --------
+    >>> last_line("2 stops added.\n1   failed\n", "failed")
+    '1 failed'
+    """
+    lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
+    return ([line for line in lines if word in line] or lines or ["nothing"])[-1]
 
 
 def begin(
@@ -85,16 +95,16 @@ def command(
 
 
 def captures(folder: Path, count: int = 3) -> Path:
-    """Write some captures, all of them different."""
+    """Write some captures, all of them different, each at a stop of its own along the row."""
     from cucumbervision.capture.readers import open_source
     from cucumbervision.capture.readers.native import write_native
 
     one = next(iter(open_source(bundled_captures() / "simulated-row-b"))).load()
     for k in range(count):
         depth_m = one.depth_m + (one.depth_m > 0) * 0.001 * k
-        write_native(
-            replace(one, depth_m=depth_m.astype("float32"), name=f"c{k}"), folder / f"c{k}"
-        )
+        stop = replace(one.stop, position_m=0.8 + 0.4 * k, step=2 + k)
+        changed = replace(one, depth_m=depth_m.astype("float32"), name=f"c{k}", stop=stop)
+        write_native(changed, folder / f"c{k}")
     return folder
 
 

@@ -63,7 +63,7 @@ def fuzz(
         show(
             f"{log}: {together.runs} runs, {together.inputs:,} inputs, "
             f"{together.refused:,} refused by name, {together.finds} finds, "
-            f"{together.seconds / 60:.0f} min"
+            f"{together.seconds / 60:.0f} min; fewest: {together.fewest}"
         )
     if json_file is not None:
         json_file.write_text(as_json(result) + "\n", encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import multiprocessing
 import os
 import resource
@@ -14,17 +15,18 @@ import traceback
 import warnings
 from collections import Counter
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, cast
 
 from cucumbervision.errors import CucumberVisionError, InternalError, OutOfMemoryError
 from cucumbervision_lab.robustness.mutations import damaged
+from cucumbervision_lab.robustness.seed_folder import SeedFolder
 from cucumbervision_lab.robustness.targets import TARGETS, Target
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from multiprocessing.connection import Connection
 
 _CRASH = "crash.txt"  # where the process was when a signal ended it
@@ -165,18 +167,18 @@ def fuzz(
     """
     result, limits, began = FuzzResult(seed), limits or Limits(), time.monotonic()
     result.tried.update({target.name: 0 for target in targets})
-    with _workplace(targets) as place:
+    with _workplace(targets) as (place, folders):
         done = 0
         while done < inputs:
             if seconds is not None and time.monotonic() - began > seconds:
                 break
-            worker = _Worker(place, targets, seed, (done, inputs), limits)
+            worker = _Worker(place, folders, targets, seed, (done, inputs), limits)
             try:
                 done = worker.follow(result, out, tick, _until(began, seconds))
             finally:
                 worker.end()
-                for target in targets:  # one that ended by itself left a damaged file behind
-                    _tidy(place / target.name, everything=True)
+                for one in folders.values():  # one that ended by itself left a damaged file behind
+                    one.restore(everything=True)
     result.seconds = time.monotonic() - began
     return result
 
@@ -186,18 +188,19 @@ def _until(began: float, seconds: float | None) -> float:
 
 
 @contextmanager
-def _workplace(targets: Sequence[Target]) -> Iterator[Path]:
+def _workplace(targets: Sequence[Target]) -> Iterator[tuple[Path, dict[str, SeedFolder]]]:
     """Write every target's seeds into a folder, in memory where the system has one there."""
     memory = Path("/dev/shm")
     roomy = memory.is_dir() and shutil.disk_usage(memory).free > 256 * 1024**2
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory if roomy else None) as tmp:
+        folders = {}
         for target in targets:
             folder = Path(tmp) / target.name
             folder.mkdir()
             target.seed(folder)
-            _tidy(folder)
+            folders[target.name] = SeedFolder.of(folder)
         (Path(tmp) / _CRASH).touch()
-        yield Path(tmp)
+        yield Path(tmp), folders
 
 
 class _Worker:
@@ -206,6 +209,7 @@ class _Worker:
     def __init__(
         self,
         place: Path,
+        folders: Mapping[str, SeedFolder],
         targets: Sequence[Target],
         seed: int,
         span: tuple[int, int],
@@ -215,11 +219,9 @@ class _Worker:
         self._at = context.Value("q", -1, lock=False)
         self._here, there = context.Pipe()
         self._limits, self._seed, self._stop = limits, seed, span[1]
-        self._targets, self._place = targets, place
-        names = [target.name for target in targets]
-        self._process = context.Process(
-            target=_work, args=(there, self._at, str(place), names, seed, span, limits), daemon=True
-        )
+        self._targets, self._place, self._folders = targets, place, folders
+        given = (there, self._at, str(place), list(folders.values()), seed, span, limits)
+        self._process = context.Process(target=_work, args=given, daemon=True)
         self._process.start()
         there.close()
 
@@ -268,21 +270,20 @@ class _Worker:
         code = self._process.exitcode
         kind, how = ("time", "no end") if stuck else ("crash", f"exit {code}")
         find = Find(target.name, at, kind, how, f"the process ended: {how}\n{crashed}")
-        _tidy(self._place / target.name, everything=True)
         if result.note(find) and out is not None:
             self._keep(find, out)
         result.tried[target.name] += 1
         return at + 1
 
     def _keep(self, find: Find, out: Path) -> None:
-        target = next(d for d in self._targets if d.name == find.target)
         words = "".join(
             c if c.isalnum() else "-" for c in f"{find.target} {find.kind} {find.place}"
         )
         folder = out / words[:150] / str(find.number)
         shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(self._place / target.name, folder)
-        _damage(folder, self._seed, find.number)
+        copy = replace(self._folders[find.target], root=str(folder))
+        copy.restore(everything=True)
+        _damage(copy, self._seed, find.number)
         (folder / "traceback.txt").write_text(find.detail, encoding="utf-8")
 
     def end(self) -> None:
@@ -301,16 +302,16 @@ def replay(number: int, seed: int, folder: Path, targets: Sequence[Target] = TAR
     target = _target_of(targets, seed, number)
     folder.mkdir(parents=True)
     target.seed(folder)
-    _damage(folder, seed, number)
+    _damage(SeedFolder.of(folder), seed, number)
     return target
 
 
-def _damage(folder: Path, seed: int, number: int) -> tuple[Path, bytes]:
-    """Damage one file of a folder; return it and what it held."""
+def _damage(folder: SeedFolder, seed: int, number: int) -> str:
+    """Damage one file of a folder; return its name there."""
     random = Random(f"{seed}/{number}/damage")
-    files = sorted(p for p in folder.rglob("*") if p.is_file())
-    file = random.choice(files)
-    data = file.read_bytes()
+    names = list(folder.files)
+    name = random.choice(names)
+    file = Path(folder.root, name)
     how = random.random()
     if how < 0.01:
         file.unlink()
@@ -320,36 +321,38 @@ def _damage(folder: Path, seed: int, number: int) -> tuple[Path, bytes]:
     elif how < 0.03:
         file.rename(file.with_name("0" * random.choice((1, 200)) + "²3_" + file.name[-20:]))
     elif how < 0.05:
-        file.write_bytes(random.choice(files).read_bytes())
+        file.write_bytes(folder.files[random.choice(names)])
     else:
-        file.write_bytes(damaged(data, file.suffix.lstrip("."), random))
-    return file, data
+        file.write_bytes(damaged(folder.files[name], file.suffix.lstrip("."), random))
+    return name
 
 
 def _work(
     report: Connection,
     at: Any,
     place: str,
-    names: Sequence[str],
+    folders: Sequence[SeedFolder],
     seed: int,
     span: tuple[int, int],
     limits: Limits,
 ) -> None:
-    targets = [next(d for d in TARGETS if d.name == name) for name in names]
+    known = {target.name: target for target in TARGETS}
+    targets = [known[Path(folder.root).name] for folder in folders]
+    of = dict(zip(targets, folders, strict=True))
     signal.signal(signal.SIGPROF, _ring)
     faulthandler.enable((Path(place) / _CRASH).open("w"), all_threads=False)
     _silence()
     warnings.simplefilter("ignore")
-    _warm_up(targets, Path(place))
+    _warm_up(of)
     _limit_memory(limits.memory_bytes)
+    gc.freeze()  # what is loaded by now stays: it need not be looked through again and again
     tried: Counter[str] = Counter()
     refused: Counter[str] = Counter()
     for number in range(*span):
         at.value = number
         target = _target_of(targets, seed, number)
-        folder = Path(place) / target.name
         tried[target.name] += 1
-        find = _one(target, folder, seed, number, limits, refused)
+        find = _one(target, of[target], seed, number, limits, refused)
         if find is not None:
             report.send(find)
         if sum(tried.values()) >= _BATCH or number + 1 == span[1]:
@@ -373,48 +376,31 @@ def _limit_memory(most: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
-def _warm_up(targets: Sequence[Target], place: Path) -> None:
+def _warm_up(folders: Mapping[Target, SeedFolder]) -> None:
     """Read every seed once: all is imported before memory is limited, and seeds are valid."""
-    for target in targets:
+    for target, folder in folders.items():
         try:
-            target.read(place / target.name)
+            target.read(Path(folder.root), "")
         except CucumberVisionError:
             if target.whole:
                 raise
-        _tidy(place / target.name)
-
-
-_SEEDS: dict[Path, dict[Path, bytes]] = {}
-
-
-def _tidy(folder: Path, *, everything: bool = False) -> None:
-    """Put a folder back as its seeds were when it was first seen."""
-    if folder not in _SEEDS:
-        _SEEDS[folder] = {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-    wanted = _SEEDS[folder]
-    for path in sorted(folder.rglob("*"), reverse=True):
-        if path not in wanted and not path.is_dir():
-            path.unlink()
-        elif path in wanted and path.is_dir():
-            shutil.rmtree(path)
-        elif path.is_dir():
-            with suppress(OSError):  # one that is not empty stays
-                path.rmdir()
-    for path, data in wanted.items():
-        if everything or path.suffix == ".db" or not path.is_file():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+        folder.restore()
 
 
 def _one(
-    target: Target, folder: Path, seed: int, number: int, limits: Limits, refused: Counter[str]
+    target: Target,
+    folder: SeedFolder,
+    seed: int,
+    number: int,
+    limits: Limits,
+    refused: Counter[str],
 ) -> Find | None:
-    file, data = _damage(folder, seed, number)
+    name = _damage(folder, seed, number)
     kind, error = "", cast("BaseException | None", None)
     try:
         signal.setitimer(signal.ITIMER_PROF, limits.seconds)
         try:
-            target.read(folder)
+            target.read(Path(folder.root), name)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
     except _TooLongError as caught:
@@ -427,10 +413,7 @@ def _one(
         refused[target.name] += 1
     except BaseException as caught:
         kind, error = "unnamed", caught
-    if file.is_dir():
-        shutil.rmtree(file)
-    _tidy(folder)
-    file.write_bytes(data)
+    folder.restore(name)
     if error is None:
         return None
     detail = "".join(traceback.format_exception(error))

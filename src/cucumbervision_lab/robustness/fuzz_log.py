@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,8 @@ class LogSum:
         Counts; of runs with one seed and readers the longest counts alone.
     seconds : float
         Time taken.
+    readers : Counter of str
+        Inputs by reader.
     """
 
     runs: int
@@ -44,6 +47,19 @@ class LogSum:
     refused: int
     finds: int
     seconds: float
+    readers: Counter[str]
+
+    @property
+    def fewest(self) -> str:
+        """The three readers with the fewest inputs.
+
+        Examples
+        --------
+        >>> LogSum(1, 9, 0, 0, 1.0, Counter({"a": 4, "b": 1, "c": 2, "d": 2})).fewest
+        'b 1, c 2, d 2'
+        """
+        least = sorted(self.readers.items(), key=lambda one: one[1])[:3]
+        return ", ".join(f"{name} {count:,}" for name, count in least)
 
 
 def add_to_log(result: FuzzResult, log: Path) -> LogSum:
@@ -56,10 +72,14 @@ def add_to_log(result: FuzzResult, log: Path) -> LogSum:
         key = one["seed"], frozenset(one["doors"])
         if key not in runs or one["inputs"] > runs[key]["inputs"]:
             runs[key] = one
+    readers: Counter[str] = Counter()
+    for one in runs.values():
+        readers.update(one["doors"])
     return LogSum(
         len(runs),
         sum(one["inputs"] for one in runs.values()),
         sum(one["refused"] for one in runs.values()),
         sum(sum(one["finds"].values()) for one in runs.values()),
         sum(one["seconds"] for one in runs.values()),
+        readers,
     )

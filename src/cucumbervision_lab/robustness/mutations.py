@@ -299,7 +299,7 @@ def _change(tree: list[Any], random: Random) -> None:
     elif isinstance(node, dict):
         node[random.choice(("", "x" * 400, "unknown", "@digits"))] = deepcopy(node[key])
     else:
-        node[key:key] = [deepcopy(node[key]) for _ in range(random.choice((1, 2, 1000)))]
+        node[key:key] = [deepcopy(node[key])] * random.choice((1, 2, 1000))
 
 
 def _is_plain(value: Any) -> bool:

@@ -114,15 +114,16 @@ def camera_file(folder: Path) -> None:
 def pairs(folder: Path) -> None:
     """Write colour and depth by matching names, in every kind of file that depth may have."""
     for name, kind in (("a", "png"), ("b", "tif"), ("c", "npy"), ("d", "npz")):
-        file = folder / f"depth_{name}.{kind}"
-        _picture(folder / f"color_{name}.{'jpg' if name == 'a' else 'png'}", _color())
+        place = folder / ("pictures" if name in "ab" else "arrays")
+        file = place / f"depth_{name}.{kind}"
+        _picture(place / f"color_{name}.{'jpg' if name == 'a' else 'png'}", _color())
         if kind == "npy":
             np.save(file, _depth_mm())
         elif kind == "npz":
             np.savez_compressed(file, depth=_depth_mm().astype(np.float32) / 1000)
         else:
             _picture(file, _depth_mm())
-    _json(folder / "intrinsics.json", {"stream": "color", **_LENS})
+        _json(place / "intrinsics.json", {"stream": "color", **_LENS})
     np.savez(folder / "whole.npz", color=_color(), depth=_depth_mm(), matrix=CAMERA.matrix)
 
 

@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.robustness import seeds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
 
 @dataclass(frozen=True)
@@ -27,17 +28,19 @@ class Target:
     seed : callable
         Writes valid files into an empty folder.
     read : callable
-        Reads a folder as its commands do, up to the first use of what was read.
+        Reads a folder as its commands do, up to the first use of what was read. Also takes the
+        path of the file in it that was damaged: what does not read that one is left out. Of an
+        empty path everything is read.
     weight : int
-        How many inputs it gets for one of the slowest.
+        Its share of the inputs: what is read quickly gets more, and the slowest one 1.
     whole : bool
         Whether the valid files are read to the end; a network that is no detector is refused late.
     """
 
     name: str
     seed: Callable[[Path], None]
-    read: Callable[[Path], None]
-    weight: int = 100
+    read: Callable[[Path, str], None]
+    weight: int
     whole: bool = True
 
 
@@ -53,60 +56,70 @@ def _each(reads: Iterable[Callable[[], object]]) -> None:
         raise fault
 
 
+def _those_of(reads: Mapping[str, Callable[[], object]], name: str) -> None:
+    """Run the reads whose keys a damaged file's path begins with; all where it names none."""
+    _each([reads[key] for key in reads if name.startswith(key)] or reads.values())
+
+
 def _captures(path: Path, **options: Any) -> None:
     from cucumbervision.capture.readers import ReadOptions, open_source
 
     _each(ref.load for ref in open_source(path, ReadOptions(**options)))
 
 
-def _pairs(folder: Path) -> None:
-    whole = folder / "whole.npz"
-    _each((lambda: _captures(folder), lambda: _captures(whole)))
+def _capture_folders(folder: Path, name: str) -> None:
+    """Read the one of several folders, or files, that was damaged."""
+    inside = {p.name: partial(_captures, p) for p in sorted(folder.iterdir())}
+    _those_of(inside, name.partition("/")[0])
 
 
-def _viewer(folder: Path) -> None:
+def _scene(folder: Path, _name: str) -> None:
+    _captures(folder)
+
+
+def _viewer(folder: Path, _name: str) -> None:
     _captures(folder / "s", intrinsics=folder / "camera.json")
 
 
-def _camera_files(folder: Path) -> None:
+def _camera_files(folder: Path, name: str) -> None:
     from cucumbervision.capture.camera_file import read_camera_file
     from cucumbervision.capture.intrinsics import check_intrinsics
 
     def read(path: Path) -> None:
         check_intrinsics(read_camera_file(path).intrinsics, 64, 48, source=path)
 
-    _each(lambda p=p: read(p) for p in sorted(folder.glob("*.json")))  # type: ignore[misc]
+    _those_of({p.name: partial(read, p) for p in sorted(folder.glob("*.json"))}, name)
 
 
-def _instances(*names: str) -> Callable[[Path], None]:
-    def read(folder: Path) -> None:
+def _instances(*names: str) -> Callable[[Path, str], None]:
+    def read_one(path: Path) -> None:
         from cucumbervision.perception.instance_files import read_instances
 
-        _each(
-            lambda name=name: read_instances(folder / name).for_capture(["a.png"], 64, 48, frame=1)  # type: ignore[misc]
-            for name in names
-        )
+        read_instances(path).for_capture(["a.png"], 64, 48, frame=1)
+
+    def read(folder: Path, damaged: str) -> None:
+        _those_of({name: partial(read_one, folder / name) for name in names}, damaged)
 
     return read
 
 
-def _truth(folder: Path) -> None:
+def _truth(folder: Path, name: str) -> None:
     from cucumbervision.accuracy.truth import floor_of, read_bar_rows, read_truth
 
     def read(path: Path) -> None:
         floor_of(read_truth(path).lengths)
         read_bar_rows(path)
 
-    _each(lambda p=p: read(p) for p in sorted(folder.glob("*.csv")))  # type: ignore[misc]
+    _those_of({p.name: partial(read, p) for p in sorted(folder.glob("*.csv"))}, name)
 
 
-def _poses(folder: Path) -> None:
+def _poses(folder: Path, name: str) -> None:
     from cucumbervision.rounds.poses import read_poses
 
-    _each((lambda: read_poses(folder / "poses.csv"), lambda: read_poses(folder / "poses.json")))
+    _those_of({one: partial(read_poses, folder / one) for one in ("poses.csv", "poses.json")}, name)
 
 
-def _run(folder: Path) -> None:
+def _run(folder: Path, name: str) -> None:
     from cucumbervision.accuracy.measured import read_measured
     from cucumbervision.accuracy.own_truth import match_truth
     from cucumbervision.accuracy.truth import read_truth
@@ -120,10 +133,11 @@ def _run(folder: Path) -> None:
         match_truth(measured, true)
         calibrate_lengths(measured, true, "x")
 
-    _each((lambda: read_measured(folder / "measurements.csv"), calibrate))
+    reads = {"measurements.csv": partial(read_measured, folder / "measurements.csv")}
+    _those_of({**reads, "measurements.json": calibrate, "true.csv": calibrate}, name)
 
 
-def _calibration(folder: Path) -> None:
+def _calibration(folder: Path, _name: str) -> None:
     from cucumbervision.calibration.calibration_file import read_site_calibration
 
     site = read_site_calibration(folder / "site.json")
@@ -131,7 +145,7 @@ def _calibration(folder: Path) -> None:
     _ = site.tag, site.depth_divisor
 
 
-def _store(folder: Path) -> None:
+def _store(folder: Path, _name: str) -> None:
     from cucumbervision.store.images import check_store
     from cucumbervision.store.repository import open_store
 
@@ -155,7 +169,7 @@ def _read_round(store: Any, key: str) -> None:
     store.measurements(key), store.cameras(key), store.links(key), store.log(key)
 
 
-def _network(folder: Path) -> None:
+def _network(folder: Path, _name: str) -> None:
     import numpy as np
 
     from cucumbervision.perception.runtime import open_network
@@ -164,7 +178,7 @@ def _network(folder: Path) -> None:
     network.run({"images": np.ones((1, 3, 8, 8), np.float32)})
 
 
-def _registry(folder: Path) -> None:
+def _registry(folder: Path, _name: str) -> None:
     from cucumbervision.perception.registry import load_registry
 
     registry = load_registry(user=folder)
@@ -172,7 +186,7 @@ def _registry(folder: Path) -> None:
     registry.state("own")
 
 
-def _judgement(folder: Path) -> None:
+def _judgement(folder: Path, _name: str) -> None:
     from cucumbervision.perception.in_use import use_network
     from cucumbervision.perception.registry import load_registry
 
@@ -180,7 +194,7 @@ def _judgement(folder: Path) -> None:
         use_network(folder, registry=load_registry(user=Path(user)))
 
 
-def _settings(folder: Path) -> None:
+def _settings(folder: Path, name: str) -> None:
     from cucumbervision.dashboard.access import read_accounts, read_openid_connect
     from cucumbervision.dashboard.settings import read_settings
 
@@ -191,28 +205,32 @@ def _settings(folder: Path) -> None:
     accounts, secrets = folder / "accounts.txt", folder / "secrets.toml"
     with suppress(OSError):
         accounts.chmod(0o600)
-    _each((units, lambda: read_accounts(accounts), lambda: read_openid_connect((secrets,))))
+    reads = {
+        "house.settings.json": units,
+        "accounts.txt": partial(read_accounts, accounts),
+        "secrets.toml": partial(read_openid_connect, (secrets,)),
+    }
+    _those_of(reads, name)
 
 
-def _published(folder: Path) -> None:
+def _published(folder: Path, name: str) -> None:
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.measurement.intervals import read_interval_models
     from cucumbervision.perception.registry import load_registry
     from cucumbervision_lab.detection.photo_audit import read_audit
     from cucumbervision_lab.training.recipe import read_recipe
 
-    _each(
-        (
-            lambda: load_profile(folder / "long-cucumber.toml"),
-            lambda: load_registry(folder / "models.toml", folder / "none"),
-            lambda: read_interval_models(folder / "interval_models.json"),
-            lambda: read_recipe(folder / "recipe.toml"),
-            lambda: read_audit([folder / "audit.json"]),
-        )
-    )
+    reads = {
+        "long-cucumber.toml": load_profile,
+        "models.toml": partial(load_registry, user=folder / "none"),
+        "interval_models.json": read_interval_models,
+        "recipe.toml": read_recipe,
+        "audit.json": lambda path: read_audit([path]),
+    }
+    _those_of({one: partial(read, folder / one) for one, read in reads.items()}, name)
 
 
-def _data_set(folder: Path) -> None:
+def _data_set(folder: Path, _name: str) -> None:
     from cucumbervision_lab.datasets.card import dataset_card
     from cucumbervision_lab.datasets.checks import check_folder
     from cucumbervision_lab.datasets.coco import collect_fragments
@@ -226,30 +244,35 @@ def _data_set(folder: Path) -> None:
     dataset_card(data)
 
 
-def _records(folder: Path) -> None:
+def _records(folder: Path, _name: str) -> None:
     from cucumbervision.accuracy.records import read_records, readings_frame
 
     if found := read_records([folder / "records.jsonl"]):
         readings_frame(found)
 
 
-def _training(folder: Path) -> None:
+def _training(folder: Path, _name: str) -> None:
     from cucumbervision_lab.training.plan import RunState
 
     state = RunState.load(folder)
     _ = state.pictures, state.is_done, state.plan.text
 
 
-def _card(folder: Path) -> None:
+def _card(folder: Path, _name: str) -> None:
     from cucumbervision_lab.training.publish import card_markdown, read_card
 
     card_markdown(read_card(folder / "cucumber-ends.json"))
 
 
-def _uploads(folder: Path) -> None:
+def _uploads(folder: Path, name: str) -> None:
     from cucumbervision.intake.uploads import accept_uploads
 
     files = sorted(p for p in folder.iterdir() if p.is_file())
+    alone = [p for p in files if p.suffix in (".zip", ".npz")]
+    if (folder / name) in alone:
+        files = [folder / name]
+    elif name:  # a picture pair goes together
+        files = [p for p in files if p not in alone]
     out = folder / "in"
     try:
         got = accept_uploads([(p.name, p) for p in files], out)
@@ -266,35 +289,35 @@ def _uploads(folder: Path) -> None:
         shutil.rmtree(out, ignore_errors=True)
 
 
-def _recording(folder: Path) -> None:
+def _recording(folder: Path, _name: str) -> None:
     from cucumbervision.intake.recordings import open_guarded
 
     _each(ref.load for ref in open_guarded(folder / "walk.db3"))
 
 
 TARGETS: tuple[Target, ...] = (
-    Target("native captures", seeds.native, _captures),
-    Target("BOP scenes", seeds.bop, _captures),
-    Target("picture pairs, arrays", seeds.pairs, _pairs),
-    Target("Viewer exports", seeds.viewer, _viewer),
-    Target("camera files", seeds.camera_file, _camera_files, 200),
+    Target("native captures", seeds.native, _capture_folders, 150),
+    Target("BOP scenes", seeds.bop, _scene, 150),
+    Target("picture pairs, arrays", seeds.pairs, _capture_folders, 100),
+    Target("Viewer exports", seeds.viewer, _viewer, 100),
+    Target("camera files", seeds.camera_file, _camera_files, 400),
     Target("COCO instances", seeds.coco, _instances("coco.json", "results.json"), 200),
-    Target("YOLO labels", seeds.yolo, _instances("", "a.txt"), 200),
-    Target("truth tables", seeds.truth, _truth, 200),
-    Target("poses", seeds.poses, _poses, 200),
-    Target("runs", seeds.run, _run, 50),
-    Target("calibration", seeds.calibration, _calibration, 200),
-    Target("store files", seeds.store, _store, 3),
-    Target("ONNX", seeds.network, _network, 100),
+    Target("YOLO labels", seeds.yolo, _instances("", "a.txt"), 150),
+    Target("truth tables", seeds.truth, _truth, 400),
+    Target("poses", seeds.poses, _poses, 450),
+    Target("runs", seeds.run, _run, 200),
+    Target("calibration", seeds.calibration, _calibration, 450),
+    Target("store files", seeds.store, _store, 5),
+    Target("ONNX", seeds.network, _network, 300),
     Target("own networks", seeds.own_networks, _registry, 100),
-    Target("judged networks", seeds.judgement, _judgement, 50, whole=False),
-    Target("settings, accounts", seeds.settings, _settings, 100),
-    Target("profiles, registry, audit", seeds.published, _published, 50),
-    Target("COCO data sets", seeds.coco_set, _data_set, 50),
-    Target("YOLO data sets", seeds.yolo_set, _data_set, 50),
-    Target("benchmark records", seeds.records, _records, 50),
-    Target("trainings", seeds.training, _training, 100),
-    Target("model cards", seeds.model_card, _card, 100),
-    Target("uploads", seeds.uploads, _uploads, 15),
+    Target("judged networks", seeds.judgement, _judgement, 100, whole=False),
+    Target("settings, accounts", seeds.settings, _settings, 450),
+    Target("profiles, registry, audit", seeds.published, _published, 100),
+    Target("COCO data sets", seeds.coco_set, _data_set, 100),
+    Target("YOLO data sets", seeds.yolo_set, _data_set, 100),
+    Target("benchmark records", seeds.records, _records, 100),
+    Target("trainings", seeds.training, _training, 400),
+    Target("model cards", seeds.model_card, _card, 450),
+    Target("uploads", seeds.uploads, _uploads, 100),
     Target("recordings", seeds.recording, _recording, 1),
 )

@@ -56,7 +56,7 @@ class Ran:
 
 
 def last_line(said: str, word: str = "") -> str:
-    """Return the last line with a word in it; without such a one the last of all.
+    r"""Return the last line with a word in it; without such a one the last of all.
 
     Examples
     --------

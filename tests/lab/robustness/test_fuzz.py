@@ -9,10 +9,12 @@ from random import Random
 
 import pytest
 
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.robustness import fuzz as fuzzing
 from cucumbervision_lab.robustness.fuzz import Limits, find_targets, fuzz, replay
 from cucumbervision_lab.robustness.fuzz_log import add_to_log
 from cucumbervision_lab.robustness.mutations import damaged
+from cucumbervision_lab.robustness.seed_folder import SeedFolder
 from cucumbervision_lab.robustness.targets import TARGETS, Target
 
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
@@ -27,22 +29,22 @@ def test_every_reader_bears_a_short_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "target", [d for d in TARGETS if d.whole and d.weight > 3], ids=lambda d: d.name
+    "target", [d for d in TARGETS if d.whole and d.weight > 5], ids=lambda d: d.name
 )
 def test_seeds_are_valid(target: Target, tmp_path: Path) -> None:
     target.seed(tmp_path)
-    target.read(tmp_path)
+    target.read(tmp_path, "")
 
 
 def _fails(error: type[BaseException], when: bytes = b"") -> Target:
-    def read(folder: Path) -> None:
+    def read(folder: Path, _name: str) -> None:
         if (folder / "a.txt").read_bytes() != b"1 2 3\n":
             raise error("broken")
 
     def seed(folder: Path) -> None:
         (folder / "a.txt").write_text("1 2 3\n")
 
-    return Target("made here", seed, read)
+    return Target("made here", seed, read, 1)
 
 
 @pytest.mark.parametrize(
@@ -51,7 +53,8 @@ def _fails(error: type[BaseException], when: bytes = b"") -> Target:
 def test_what_has_no_name_is_a_find(error: type[BaseException], kind: str, tmp_path: Path) -> None:
     target = _fails(error)
     target.seed(tmp_path)
-    found = [fuzzing._one(target, tmp_path, 1, n, Limits(), Counter()) for n in range(20)]
+    folder = SeedFolder.of(tmp_path)
+    found = [fuzzing._one(target, folder, 1, n, Limits(), Counter()) for n in range(20)]
     kinds = {one.kind for one in found if one is not None}
     assert kinds == {kind}
     # Whatever was done to it, the folder is as it was.
@@ -114,17 +117,38 @@ def test_of_runs_with_one_seed_the_longest_counts_however_short_the_others(tmp_p
     assert (together.runs, together.inputs) == (1, 30)
 
 
-def test_a_crash_spoils_no_later_input(tmp_path: Path) -> None:
-    target = find_targets(["poses"])[0]
+def test_the_sum_says_which_readers_had_fewest_inputs(tmp_path: Path) -> None:
+    log, targets = tmp_path / "runs.jsonl", find_targets(["poses", "truth"])
+    add_to_log(fuzz(6, seed=1, targets=targets), log)
+    together = add_to_log(fuzz(6, seed=2, targets=targets), log)
+    assert sum(together.readers.values()) == 12
+    assert set(together.readers) == {"poses", "truth tables"}
+
+
+@pytest.mark.parametrize(
+    ("name", "damaged", "left"),
+    [
+        ("native captures", "one/depth_000000.png", "burst/capture.json"),
+        ("picture pairs, arrays", "arrays/depth_c.npy", "whole.npz"),
+        ("profiles, registry, audit", "recipe.toml", "models.toml"),
+        ("camera files", "bop.json", "matrix.json"),
+        ("uploads", "walk.npz", "walk.zip"),
+    ],
+)
+def test_only_what_reads_the_damaged_file_is_run(
+    name: str, damaged: str, left: str, tmp_path: Path
+) -> None:
+    target = find_targets([name.lower()])[0]
     target.seed(tmp_path)
-    fuzzing._tidy(tmp_path)
-    whole = {p: p.read_bytes() for p in tmp_path.iterdir()}
-    # As a process leaves it that ends while it reads a damaged file.
-    (tmp_path / "poses.csv").unlink()
-    (tmp_path / "poses.csv").mkdir()
-    (tmp_path / "poses.json").write_text("{")
-    fuzzing._tidy(tmp_path, everything=True)
-    assert {p: p.read_bytes() for p in tmp_path.iterdir()} == whole
+    (tmp_path / left).write_bytes(b"broken")
+    target.read(tmp_path, damaged)
+    with pytest.raises(CucumberVisionError):
+        target.read(tmp_path, left)
+    with pytest.raises(CucumberVisionError):
+        target.read(tmp_path, "")
+    (tmp_path / damaged).write_bytes(b"broken too")
+    with pytest.raises(CucumberVisionError):
+        target.read(tmp_path, damaged)
 
 
 def test_damage_does_not_depend_on_what_was_damaged_before() -> None:

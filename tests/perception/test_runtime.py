@@ -59,6 +59,13 @@ def determinant() -> bytes:
     return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
 
 
+def without_inputs() -> bytes:
+    """Give a network with a node that has lost its input: OpenVINO's reader crashes at it."""
+    model = onnx.load_from_string(determinant())
+    model.graph.node[0].input[:] = [""]
+    return bytes(model.SerializeToString())
+
+
 def run(network: Network) -> list[float]:
     feeds = {"a": np.array([[1.0, 2, 3]]), "b": np.array([[10, 20, 30]])}
     return [float(v) for v in network.run(feeds)["y"][0]]
@@ -162,6 +169,16 @@ def test_wrong_feeds_are_named(runtime: str) -> None:
         network.run({"a": np.zeros((1, 3))})
     with pytest.raises(ModelError, match=r"tiny: the network fails on a \(1, 4\)"):
         network.run({"a": np.zeros((1, 4)), "b": np.zeros((1, 4))})
+
+
+@pytest.mark.parametrize("runtime", ["auto", "openvino"])
+@pytest.mark.parametrize("as_file", [True, False])
+def test_a_broken_graph_never_reaches_openvino(runtime: str, as_file: bool, tmp_path: Path) -> None:
+    need("openvino")
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(without_inputs())
+    with pytest.raises(ModelError, match="ONNX Runtime cannot load it"):
+        open_network(path if as_file else path.read_bytes(), runtime)
 
 
 def test_auto_takes_openvino_first() -> None:

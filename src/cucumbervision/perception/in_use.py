@@ -61,7 +61,6 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
     path = _network_file(given, judgement)
     from cucumbervision.perception.yolo import YoloDetector
 
-    # ONNX Runtime checks the graph: OpenVINO crashes at a node without its inputs.
     task = YoloDetector(path, "onnxruntime").task
     sha256 = file_sha256(path)
     if not anyway:

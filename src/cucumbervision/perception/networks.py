@@ -245,6 +245,7 @@ class NetworkLoader:
             full_precision=self._full_precision,
             most=self._most,
             input_sizes=self._input_sizes,
+            vouched=isinstance(chosen, str),
         )
         if isinstance(chosen, str):
             self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)
@@ -329,6 +330,7 @@ class NetworkLoader:
                 self._runtime,
                 self._prompt,
                 full_precision=self._full_precision,
+                vouched=True,
             )
             known = self.registry.hashes(name)
             hashes = {role: known[file.name] for role, file in files.items()}

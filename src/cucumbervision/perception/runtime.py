@@ -140,6 +140,7 @@ def open_network(
     full_precision: bool = False,
     threads: int | None = None,
     name: str = "",
+    vouched: bool = False,
 ) -> Network:
     """Load an ONNX file.
 
@@ -158,6 +159,9 @@ def open_network(
         Most threads to use; what `limit_threads` says, or the runtime's own choice, if not given.
     name : str
         What errors call a network given as bytes.
+    vouched : bool
+        Whether its content is known, by a hash, to be sound. Any other is first checked by ONNX
+        Runtime, which refuses a broken graph: OpenVINO crashes at a node without its inputs.
 
     Returns
     -------
@@ -181,11 +185,14 @@ def open_network(
         if not path.is_file():
             raise ModelError("there is no such file", source=source, remedy="check the path")
     _check_kind(path, source)
+    for_openvino = runtime in ("auto", "openvino") and importlib.util.find_spec("openvino")
+    if for_openvino and not vouched:
+        _check_graph(path, source)
     if runtime == "openvino":
         return _open_openvino(path, source, full_precision, threads)
     if runtime != "auto":
         return _open_onnxruntime(path, source, runtime, full_precision, threads)
-    if importlib.util.find_spec("openvino") is None:
+    if not for_openvino:
         return _open_onnxruntime(path, source, "onnxruntime", full_precision, threads)
     try:
         return _open_openvino(path, source, full_precision, threads)
@@ -251,6 +258,25 @@ def _check_kind(path: Path | bytes, source: str) -> None:
     # Protobuf writes fields in order: ONNX's first is ir_version, field 1, a varint.
     if head[:1] != b"\x08":
         raise ModelError("this is no ONNX file", source=source, remedy="give an ONNX file")
+
+
+def _check_graph(path: Path | bytes, source: str) -> None:
+    """Refuse a network whose graph ONNX Runtime refuses; nothing of it is optimised or run."""
+    ort = import_onnxruntime()
+    options = ort.SessionOptions()
+    options.log_severity_level = 4
+    options.intra_op_num_threads = 1
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
+    options.add_session_config_entry("session.disable_prepacking", "1")
+    try:
+        ort.InferenceSession(
+            path if isinstance(path, bytes) else str(path),
+            options,
+            providers=list(_PROVIDERS["onnxruntime"]),
+        )
+    # Its classes derive from Exception alone.
+    except Exception as error:
+        raise _unreadable(source, "ONNX Runtime", error) from error
 
 
 def _first_line(error: Exception) -> str:

@@ -73,6 +73,8 @@ class Segmenter:
         One of `PROMPTS`.
     full_precision : bool
         Compute in float32 where results must reproduce.
+    vouched : bool
+        As for `open_network`; files of the registry, whose hashes it compares, always are.
 
     Raises
     ------
@@ -97,6 +99,8 @@ class Segmenter:
         runtime: str = "auto",
         prompt: str = "box+point",
         full_precision: bool = False,
+        *,
+        vouched: bool = False,
     ) -> None:
         if prompt not in PROMPTS:
             raise ModelError(
@@ -104,15 +108,20 @@ class Segmenter:
             )
         if isinstance(model, str):
             files = load_registry().resolve(model)
-            encoder, decoder = files["encoder"], files["decoder"]
+            encoder, decoder, vouched = files["encoder"], files["decoder"], True
         else:
             encoder, decoder = model
         self.prompt = prompt
-        self._encoder = open_network(encoder, runtime, full_precision=full_precision)
+        self._encoder = open_network(
+            encoder, runtime, full_precision=full_precision, vouched=vouched
+        )
         # The decoder takes coordinates: in bfloat16 they are off by pixels, and one mask in
         # twenty changes. In float32 ONNX Runtime is the faster one.
         self._decoder = open_network(
-            decoder, "onnxruntime" if runtime == "auto" else runtime, full_precision=True
+            decoder,
+            "onnxruntime" if runtime == "auto" else runtime,
+            full_precision=True,
+            vouched=vouched,
         )
 
         self._encoded: tuple[object, NDArray[np.float32] | None] = (None, None)

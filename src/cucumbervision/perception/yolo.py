@@ -350,6 +350,8 @@ class YoloDetector:
     input_sizes : tuple of int
         Long sides that the network sees, pixels, multiples of its stride; what it finds at several
         is merged (`merge_sizes`). Empty for the file's own.
+    vouched : bool
+        As for `open_network`.
 
     Raises
     ------
@@ -367,8 +369,10 @@ class YoloDetector:
         most: int | None = None,
         ends: EndTeller | None = None,
         input_sizes: tuple[int, ...] = (),
+        *,
+        vouched: bool = False,
     ) -> None:
-        self._network = open_network(path, runtime, full_precision=full_precision)
+        self._network = open_network(path, runtime, full_precision=full_precision, vouched=vouched)
         self._most, self.ends = most, ends
         self._layout = _read_layout(self._network)
         self._confidence = confidence

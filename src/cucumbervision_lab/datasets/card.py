@@ -54,7 +54,8 @@ def dataset_card(dataset: DataSet, title: str = "Data set") -> str:
     ]
     # Files of others may say anything there; a number is one.
     said = (x.extras.get("distance_m") for x in fruit)
-    distances = [float(x) for x in said if isinstance(x, int | float) and abs(x) < 1e6]
+    numbers = (x for x in said if isinstance(x, int | float) and not isinstance(x, bool))
+    distances = [float(x) for x in numbers if abs(x) < 1e6]
     return "\n".join(
         [
             f"# {title}",

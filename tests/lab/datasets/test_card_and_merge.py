@@ -43,6 +43,22 @@ def test_the_card_counts(make_set: MakeSet) -> None:
     assert f"{100 * np.hypot(45, 16) / 200:.2f}" in text
 
 
+def test_a_distance_that_is_no_number_is_none(make_set: MakeSet) -> None:
+    dataset = make_set()
+    first, *rest = dataset.pictures
+
+    def card(*distances: object) -> str:
+        labels = [replace(first.labels[0], extras={"distance_m": one}) for one in distances]
+        changed = replace(first, labels=tuple(labels))
+        return dataset_card(replace(dataset, pictures=(changed, *rest)))
+
+    measured = "|  | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 |"
+    assert measured in card(0.5)
+    # Files of others may say anything there.
+    assert measured in card(0.5, "0.7", "near", None, [0.7], 10**400)
+    assert measured in card(0.5, True, float("nan"), float("inf"), 1e300, {})
+
+
 def test_merged_sets_keep_source_split_and_truth(make_set: MakeSet, tmp_path: Path) -> None:
     one = make_set("train test", name="one")
     other = make_set("train val", name="other")

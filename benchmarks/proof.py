@@ -5,10 +5,10 @@
 
 The promises are in promises.toml. Each check's command runs in the repository's root; what it
 printed is kept as FOLDER/KEY.FORM.json, so that a long run can be made in parts, and the page is
-made of all that the folder holds, a full run before a quick one. --take keeps what a full command
-printed to a file earlier. A promise is kept if the command ended well, printed what it should, and
-its figure reaches the aim. With --page and without --only nothing is run. Exit code 1 if a check
-that ran did not reach its aim.
+made of all that the folder holds, a full run before a quick one; of what it does not hold, the
+page keeps what it had. --take keeps what a full command printed to a file earlier. A promise is
+kept if the command ended well, printed what it should, and its figure reaches the aim. With --page
+and without --only nothing is run. Exit code 1 if a check that ran did not reach its aim.
 """
 
 from __future__ import annotations
@@ -127,11 +127,16 @@ def check(promise: Promise, *, full: bool) -> Run:
             text=True,
             check=False,
         )
-        printed = done.stdout.replace(tmp, "OUT")
+        printed = without_places(done.stdout.replace(tmp, "OUT"))
     form = "full" if command == promise.command(full=True) else "quick"
     seconds = round(time.time() - begun, 1)
     code = done.returncode
     return Run(promise.key, form, command, printed, code, seconds, stamp(begun), where, commit())
+
+
+def without_places(printed: str) -> str:
+    """Return what was printed without where this repository lies."""
+    return printed.replace(f"{ROOT.resolve()}/", "")
 
 
 def take(words: str, known: dict[str, Promise]) -> Run:
@@ -139,7 +144,7 @@ def take(words: str, known: dict[str, Promise]) -> Run:
     key, _, rest = words.partition("=")
     file, _, at = rest.partition("@")
     path, where = Path(file), machine().split(", load")[0]
-    when, printed = stamp(path.stat().st_mtime), path.read_text(encoding="utf-8")
+    when, printed = stamp(path.stat().st_mtime), without_places(path.read_text(encoding="utf-8"))
     return Run(key, "full", known[key].full, printed, None, None, when, where, at or "an older one")
 
 
@@ -177,18 +182,33 @@ def quoted(promise: Promise, run: Run) -> str:
     return "\n".join(kept[-MOST_LINES - 1 :])
 
 
-def page(folder: Path) -> str:
-    """Write the page from what a folder holds."""
-    all_of_them, found = promises(), runs_in(folder)
-    rows, parts = [], []
+def earlier_of(text: str) -> dict[str, tuple[str, str, str]]:
+    """Return a page's line, part and verdict of each promise, by its key."""
+    parts = {part.split("\n", 1)[0]: f"## {part}" for part in f"\n{text}".split("\n## ")[1:]}
+    rows = re.finditer(r"^\| \[.*\]\(#([\w-]+)\) \| (.*?) \| .*\|$", text, re.MULTILINE)
+    return {row[1]: (row[0], parts[row[1]], row[2]) for row in rows if row[1] in parts}
+
+
+def page(folder: Path, before: str = "") -> str:
+    """Write the page from what a folder holds, and from the page before what it does not."""
+    all_of_them, found, earlier = promises(), runs_in(folder), earlier_of(before)
+    rows, parts, counts = [], [], []
     for promise in all_of_them:
         run = found.get(promise.key)
+        row, part, said = earlier.get(promise.key, ("", "", ""))
+        # What is promised now may be something else than what was checked.
+        if run is None and row.startswith(f"| [{promise.says}]("):
+            rows.append(row)
+            parts.append(f"{part.rstrip()}\n")
+            counts.append(said)
+            continue
         said = verdict(promise, run)
         answer = promise.answer(run.printed) if run else None
         figure = answer[1] if answer is not None and promise.aim else ""
         aim = f"{figure} (aim {promise.aim})" if figure else ""
         link = f"[{promise.says}](#{promise.key})" if run else promise.says
         rows.append(f"| {link} | {said} | {aim} |")
+        counts.append(said)
         if run is None:
             continue
         took = f", {run.seconds:g} s" if run.seconds is not None else ""
@@ -198,7 +218,6 @@ def page(folder: Path) -> str:
             f"{run.when}, {run.machine}, at {run.commit}{took}:\n\n"
             f"```text\n{quoted(promise, run)}\n```\n"
         )
-    counts = [verdict(one, found.get(one.key)) for one in all_of_them]
     kept, unchecked = counts.count("kept"), sum(one.startswith("not checked") for one in counts)
     return "\n".join(
         [
@@ -245,7 +264,8 @@ def main() -> None:
         missed |= verdict(promise, run) != "kept"
         print(f"{key:18} {verdict(promise, run)} ({run.seconds:g} s)", flush=True)
     if arguments.page:
-        arguments.page.write_text(page(arguments.runs), encoding="utf-8")
+        before = arguments.page.read_text("utf-8") if arguments.page.is_file() else ""
+        arguments.page.write_text(page(arguments.runs, before), encoding="utf-8")
     sys.exit(missed)
 
 

@@ -70,6 +70,38 @@ def test_the_page_is_made_of_what_a_folder_holds(proof: ModuleType, tmp_path: Pa
     assert "2026-01-02 03:04 UTC, 2 cores, at abc, 1.5 s:" in text
 
 
+def test_a_page_keeps_what_was_checked_before_and_nothing_else(
+    proof: ModuleType, tmp_path: Path
+) -> None:
+    first, second, *_ = proof.promises()
+    for one, printed in ((first, "beyond its networks | 9.5 |"), (second, "no answer")):
+        run_of(proof, printed, key=one.key, command=one.full).keep(tmp_path / "before")
+    before = proof.page(tmp_path / "before")
+    (tmp_path / "none").mkdir()
+    assert proof.page(tmp_path / "none", before) == before
+    # A new run takes the place of the old one, and the other check stays as it was.
+    run_of(proof, "pipeline beyond its networks | 7.5 |", key=first.key, command=first.full).keep(
+        tmp_path / "now"
+    )
+    both = proof.page(tmp_path / "now", before)
+    assert f"| [{first.says}](#{first.key}) | kept | 7.5 (aim <= 8) |" in both
+    assert "9.5" not in both
+    assert "```text\nno answer\n```" in both
+    assert "1 kept, 1 not reached or not shown" in both
+    # Of a promise that was changed nothing was shown.
+    changed = proof.page(tmp_path / "none", before.replace(first.says, "Something else"))
+    assert f"| {first.says} | not checked: no run |" in changed
+
+
+def test_no_place_of_this_machine_is_shown(proof: ModuleType, tmp_path: Path) -> None:
+    promise = proof.Promise("place", "Says where", "echo $PWD/runs/a.jsonl: 2 runs", shown="runs")
+    assert proof.check(promise, full=False).printed == "runs/a.jsonl: 2 runs\n"
+    printed = tmp_path / "printed.txt"
+    printed.write_text(f"{ROOT}/runs/a.jsonl: 3 runs\n")
+    taken = proof.take(f"place={printed}@abc", {"place": promise})
+    assert taken.printed == "runs/a.jsonl: 3 runs\n"
+
+
 def test_a_command_is_run_and_what_it_printed_is_kept(proof: ModuleType) -> None:
     promise = proof.Promise("echo", "It echoes", "echo times 2 {tmp}; exit 3", shown="times")
     run = proof.check(promise, full=False)

@@ -205,7 +205,7 @@ def _settings(folder: Path, name: str) -> None:
     accounts, secrets = folder / "accounts.txt", folder / "secrets.toml"
     with suppress(OSError):
         accounts.chmod(0o600)
-    reads = {
+    reads: dict[str, Callable[[], object]] = {
         "house.settings.json": units,
         "accounts.txt": partial(read_accounts, accounts),
         "secrets.toml": partial(read_openid_connect, (secrets,)),
@@ -220,7 +220,7 @@ def _published(folder: Path, name: str) -> None:
     from cucumbervision_lab.detection.photo_audit import read_audit
     from cucumbervision_lab.training.recipe import read_recipe
 
-    reads = {
+    reads: dict[str, Callable[..., object]] = {
         "long-cucumber.toml": load_profile,
         "models.toml": partial(load_registry, user=folder / "none"),
         "interval_models.json": read_interval_models,

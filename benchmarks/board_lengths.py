@@ -66,7 +66,7 @@ def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
 
 def lying_body(mask: NDArray[np.bool_], height_m: float, px_per_m: float) -> NDArray[np.float32]:
     """Return the depth of a round body lying on the board, from its mask."""
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inside = distances_inside(mask)
     radius = float(np.quantile(inside[mask], 0.98))
     part = np.minimum(inside, radius)
     rise = np.sqrt(part * (2 * radius - part)) / px_per_m  # of the surface over the axis' plane

@@ -16,7 +16,7 @@ from cucumbervision.measurement.result import Method, Selector
 from cucumbervision.measurement.selector import choose, measure_fruit
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, mask_iou
+from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_iou
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
 
@@ -74,10 +74,8 @@ def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDAr
     >>> int(np.flatnonzero(grown[20])[0])
     8
     """
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     # A pixel's centre is half a pixel from the border between it and its neighbour.
-    signed = np.where(mask, inside - 0.5, 0.5 - outside)
+    signed = np.where(mask, distances_inside(mask) - 0.5, 0.5 - distances_inside(~mask))
     return np.asarray(signed > -shift_px)
 
 

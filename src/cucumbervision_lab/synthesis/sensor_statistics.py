@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.perception.masks import distances_inside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -210,9 +211,7 @@ def edge_profile(
     """
     import cv2
 
-    out = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    signed = np.where(mask, 0.5 - inside, out - 0.5)
+    signed = np.where(mask, 0.5 - distances_inside(mask), distances_inside(~mask) - 0.5)
     slope_v, slope_u = np.gradient(cv2.GaussianBlur(signed.astype(np.float32), (0, 0), 2.0))
     faces = towards[0] * slope_u + towards[1] * slope_v
     facing = faces > np.cos(np.pi / 4) * np.hypot(slope_u, slope_v)

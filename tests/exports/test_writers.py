@@ -24,7 +24,8 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
-from cucumbervision.exports.writers import SHEETS, reading_table, render_sheet, write_exports
+from cucumbervision.exports.workbook import SHEETS, reading_table
+from cucumbervision.exports.writers import render_sheet, write_exports
 from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,

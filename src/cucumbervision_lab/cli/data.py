@@ -144,7 +144,7 @@ def split(
 
     from cucumbervision.cli.console import screen
     from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.coco import write_coco
+    from cucumbervision_lab.datasets.coco_writer import write_coco
     from cucumbervision_lab.datasets.labels import SPLITS
     from cucumbervision_lab.datasets.splits import (
         find_scenes,
@@ -185,7 +185,7 @@ def pseudo(
     """Draw masks by SAM where there are only boxes, marked as pseudo-labels; never in test."""
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.coco import write_coco
+    from cucumbervision_lab.datasets.coco_writer import write_coco
     from cucumbervision_lab.datasets.derive import add_pseudo_masks
 
     dataset = _open(folder, names)

@@ -12,7 +12,7 @@ from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import Rle
 from cucumbervision_lab.datasets.bop import write_bop
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import SPLITS, keep_classes, ticked
 from cucumbervision_lab.datasets.yolo_writer import write_yolo
 

@@ -21,7 +21,7 @@ from cucumbervision.perception.masks import Rle, box_of_mask
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.views import Verdict
 from cucumbervision_lab.datasets.card import dataset_card
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import (
     SPLITS,
     DataSet,

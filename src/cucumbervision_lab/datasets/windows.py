@@ -19,7 +19,7 @@ from cucumbervision.capture.files import read_color, write_jpeg
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.boxes import share_inside
 from cucumbervision.perception.masks import Rle, box_of_mask
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
 
 if TYPE_CHECKING:

@@ -428,7 +428,7 @@ def _data_set(folder: Path) -> Any:
 
 def coco_set(folder: Path) -> None:
     """Write a data set in the hub form, and its pictures' fragments."""
-    from cucumbervision_lab.datasets.coco import write_coco, write_fragment
+    from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment
 
     data = write_coco(_data_set(folder), folder)
     for k, picture in enumerate(data.pictures):

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 
 from cucumbervision.errors import CaptureError
+from cucumbervision_lab.synthesis.colors import jitter
 from cucumbervision_lab.synthesis.compose import Setting
 from cucumbervision_lab.synthesis.lighting import Light, random_light
 from cucumbervision_lab.synthesis.skin import LOOKS, Skin, random_skin
-from cucumbervision_lab.synthesis.textures import jitter, material_color
+from cucumbervision_lab.synthesis.textures import material_color
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.textures import to_srgb
+from cucumbervision_lab.synthesis.colors import to_srgb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,6 +21,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision_lab.synthesis.appearance import FAR, Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.color_camera import Exposure, expose
+from cucumbervision_lab.synthesis.colors import jitter
 from cucumbervision_lab.synthesis.compose import Setting
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.lighting import Light
@@ -29,7 +30,6 @@ from cucumbervision_lab.synthesis.raycast import Plane, Stem, scaled_camera
 from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 from cucumbervision_lab.synthesis.skin import random_skin
-from cucumbervision_lab.synthesis.textures import jitter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,12 +12,8 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color, write_jpeg, write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco import (
-    collect_fragments,
-    read_coco,
-    write_coco,
-    write_fragment,
-)
+from cucumbervision_lab.datasets.coco import collect_fragments, read_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
 from cucumbervision_lab.datasets.splits import parse_shares
 from cucumbervision_lab.processes import each_done

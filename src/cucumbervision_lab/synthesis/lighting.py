@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.textures import sample, smooth_noise, smoothstep, to_linear
+from cucumbervision_lab.synthesis.colors import sample, smooth_noise, smoothstep, to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from cucumbervision_lab.synthesis.appearance import FAR, Style
+from cucumbervision_lab.synthesis.colors import mix, sample, scale_colors, smooth_noise, to_linear
 from cucumbervision_lab.synthesis.lighting import (
     ambient_occlusion,
     dappled_shade,
@@ -27,11 +28,6 @@ from cucumbervision_lab.synthesis.textures import (
     leaf_texel,
     leaf_texture,
     material_tile,
-    mix,
-    sample,
-    scale_colors,
-    smooth_noise,
-    to_linear,
 )
 
 if TYPE_CHECKING:

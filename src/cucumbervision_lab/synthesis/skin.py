@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision_lab.synthesis.textures import (
+from cucumbervision_lab.synthesis.colors import (
     jitter,
     mix,
     scale_colors,

@@ -1,4 +1,4 @@
-"""Colour spaces and noise, and the textures of leaves, surfaces and far views."""
+"""Textures of leaves, surfaces and far views."""
 
 from __future__ import annotations
 
@@ -8,205 +8,21 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from cucumbervision_lab.synthesis.colors import (
+    jitter,
+    mix,
+    smooth_noise,
+    smoothstep,
+    to_linear,
+)
+
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     Grain = float | tuple[float, float]
     from collections.abc import Callable
 
     from cucumbervision_lab.synthesis.appearance import Assets
-
-_SRGB_LEVELS = 4096
-
-_ROW = 1024  # OpenCV's remap takes no row of 32767 pixels or more
-
-
-def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
-    """Convert sRGB of 0 to 255 to linear light of 0 to 1 (IEC 61966-2-1).
-
-    Examples
-    --------
-    >>> to_linear([0, 128, 255]).round(3).tolist()
-    [0.0, 0.2160000056028366, 1.0]
-    """
-    values = np.asarray(srgb)
-    if values.dtype == np.uint8:
-        return np.asarray(_linear(np.arange(256, dtype=np.float32) / 255)[values])
-    return _linear(values.astype(np.float32) / 255)
-
-
-def _linear(c: NDArray[Any]) -> NDArray[np.float32]:
-    bent = ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4
-    return np.where(c <= 0.04045, c / 12.92, bent).astype(np.float32)
-
-
-def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Convert linear light to sRGB, cut off at 0 and 1.
-
-    Parameters
-    ----------
-    linear : ndarray of float32
-        Any shape.
-
-    Returns
-    -------
-    ndarray of uint8
-        0 to 255, the same shape.
-
-    Examples
-    --------
-    >>> to_srgb(np.array([-1.0, 0.0, 0.216, 1.0, 9.0], np.float32)).tolist()
-    [0, 0, 128, 255, 255]
-    """
-    light = np.arange(_SRGB_LEVELS) / (_SRGB_LEVELS - 1)
-    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    table = np.rint(255 * curve).astype(np.uint8)
-    level = np.clip(linear * np.float32(_SRGB_LEVELS - 1) + np.float32(0.5), 0, _SRGB_LEVELS - 1)
-    return np.asarray(table[level.astype(np.uint16)])
-
-
-def mix(a: ArrayLike, b: ArrayLike, share: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mix colours: `a` where the share is 0, `b` where it is 1.
-
-    Parameters
-    ----------
-    a, b : array_like
-        One colour of shape (3,), or one for each place, shape (..., 3).
-    share : ndarray of float32, shape (...)
-        0 to 1.
-
-    Returns
-    -------
-    ndarray of float32, shape (..., 3)
-
-    Examples
-    --------
-    >>> mix((0, 0, 0), (4, 4, 8), np.array([0.0, 0.5], np.float32)).tolist()
-    [[0.0, 0.0, 0.0], [2.0, 2.0, 4.0]]
-    """
-    return _spread(a, 1 - share) + _spread(b, share)
-
-
-def _spread(color: ArrayLike, weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    values = np.asarray(color, np.float32)
-    if values.ndim > 1:
-        return scale_colors(values, weight)
-    return np.asarray(weight.reshape(-1, 1) @ values[None]).reshape(*weight.shape, 3)
-
-
-def scale_colors(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
-    """Multiply each colour of shape (..., 3) by its own factor, shape (...).
-
-    Examples
-    --------
-    >>> scale_colors(np.ones((1, 3), np.float32), np.array([0.5], np.float32)).tolist()
-    [[0.5, 0.5, 0.5]]
-    """
-    # NumPy would loop over three numbers at a time, which takes five times as long.
-    flat = factor.reshape(-1, 1)
-    threefold = cv2.merge([flat, flat, flat]).reshape(picture.shape)
-    return np.asarray(picture * threefold)
-
-
-def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
-    """Rise smoothly from 0 at `low` to 1 at `high`; falls where `high` is the lower.
-
-    Examples
-    --------
-    >>> smoothstep(0.0, 2.0, np.array([-1.0, 1.0, 3.0])).tolist()
-    [0.0, 0.5, 1.0]
-    """
-    t = np.clip((np.asarray(x, np.float32) - low) / (high - low), 0, 1)
-    return np.asarray(t * t * (3 - 2 * t))
-
-
-def jitter(
-    rng: np.random.Generator, color: ArrayLike, spread: float = 0.12
-) -> tuple[float, float, float]:
-    """Sample a colour near another: brightness and each channel vary by a factor.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Random generator.
-    color : array_like, shape (3,)
-        sRGB, 0 to 255.
-    spread : float
-        Standard deviation of the brightness; each channel's own is a third of it.
-    """
-    factor = 1 + spread * rng.standard_normal() + spread / 3 * rng.standard_normal(3)
-    red, green, blue = np.clip(np.asarray(color, float) * factor, 2, 253).tolist()
-    return red, green, blue
-
-
-def smooth_noise(
-    rng: np.random.Generator, shape: tuple[int, int], grain_px: Grain, *, wrap: bool = False
-) -> NDArray[np.float32]:
-    """Generate noise of mean 0 and a spread of about 0.7, smooth over `grain_px`.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Random generator.
-    shape : tuple of int
-        Rows and columns.
-    grain_px : float or tuple of float
-        Size of a grain in pixels, one for both directions or (along rows, along columns).
-    wrap : bool
-        Whether the last column goes over into the first.
-
-    Returns
-    -------
-    ndarray of float32, shape `shape`
-    """
-    down, right = (grain_px, grain_px) if isinstance(grain_px, int | float) else grain_px
-    rows = max(int(np.ceil(shape[0] / max(down, 1.0))), 2)
-    columns = max(int(np.ceil(shape[1] / max(right, 1.0))), 2)
-    small = rng.standard_normal((rows, columns), dtype=np.float32)
-    if not wrap:
-        return np.asarray(cv2.resize(small, shape[::-1], interpolation=cv2.INTER_CUBIC))
-    y = (np.arange(shape[0], dtype=np.float32) + 0.5) * rows / shape[0] - 0.5
-    x = (np.arange(shape[1], dtype=np.float32) + 0.5) * columns / shape[1] - 0.5
-    across, along = np.meshgrid(x, y)
-    noise = cv2.remap(small, across, along, cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
-    return np.asarray(noise)
-
-
-def sample(
-    texture: NDArray[np.float32], x_px: NDArray[np.float32], y_px: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Look up a texture between its pixels; beyond its borders it repeats.
-
-    Parameters
-    ----------
-    texture : ndarray of float32, shape (H, W) or (H, W, C)
-        C at most 4.
-    x_px, y_px : ndarray of float32, shape (N,)
-        Column and row.
-
-    Returns
-    -------
-    ndarray of float32, shape (N,) or (N, C)
-
-    Examples
-    --------
-    >>> row = np.array([[0.0, 2.0]], np.float32)
-    >>> sample(row, np.array([0.5, 1.5], np.float32), np.zeros(2, np.float32)).tolist()
-    [1.0, 1.0]
-    """
-    count = len(x_px)
-    size = -(-count // _ROW) * _ROW
-    x, y = (np.zeros(size, np.float32) for _ in range(2))
-    x[:count], y[:count] = x_px, y_px
-    found = cv2.remap(
-        texture,
-        x.reshape(-1, _ROW),
-        y.reshape(-1, _ROW),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_WRAP,
-    )
-    return np.asarray(found.reshape(size, *texture.shape[2:])[:count])
-
 
 LEAF_TEXTURES = 16  # as many there are to choose from
 

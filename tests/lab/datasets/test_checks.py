@@ -19,7 +19,7 @@ from cucumbervision_lab.datasets.checks import (
     check_folder,
     require_clean,
 )
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label
 from cucumbervision_lab.datasets.yolo_writer import write_yolo
 

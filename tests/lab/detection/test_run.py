@@ -29,7 +29,7 @@ from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.networks import Detectors
 from cucumbervision.perception.yolo import YoloDetector
-from cucumbervision_lab.datasets.coco import write_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.average_precision import Judged

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cucumbervision_lab.synthesis.color_camera import Exposure, expose, random_exposure
-from cucumbervision_lab.synthesis.textures import to_linear
+from cucumbervision_lab.synthesis.colors import to_linear
 
 CLEAN = Exposure(blur_px=0.0, shot=0.0, read=0.0, vignette=0.0, sharpen=0.0, quality=0)
 GREY = np.full((64, 96, 3), 0.5, np.float32)

@@ -8,10 +8,12 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, color_sources, sense
-from cucumbervision_lab.synthesis.raycast import Leaf, Plane
+from cucumbervision_lab.synthesis.depth_camera import D4xx, color_sources, sense
+from cucumbervision_lab.synthesis.leaves import Leaf
+from cucumbervision_lab.synthesis.raycast import Plane
 from cucumbervision_lab.synthesis.scene import Scene, render
 from cucumbervision_lab.synthesis.sensor_statistics import noise_split
+from cucumbervision_lab.synthesis.stereo_matching import Matcher
 
 COLOR = Intrinsics(640, 360, 462.0, 462.0, 320.0, 180.0)
 CAMERA = D4xx.like(COLOR)

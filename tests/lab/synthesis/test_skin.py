@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cucumbervision_lab.synthesis.appearance import Assets
+from cucumbervision_lab.synthesis.colors import to_srgb
 from cucumbervision_lab.synthesis.skin import LOOKS, Skin, SkinMaps, random_skin, skin_maps
-from cucumbervision_lab.synthesis.textures import to_srgb
 
 PLAIN = Skin((40.0, 90.0, 40.0), (150.0, 165.0, 80.0), (160.0, 190.0, 120.0), mottle=0.0, bloom=0.0)
 

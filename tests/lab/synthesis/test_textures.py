@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from cucumbervision_lab.synthesis.appearance import Assets
-from cucumbervision_lab.synthesis.textures import (
-    MATERIALS,
-    far_view,
+from cucumbervision_lab.synthesis.colors import (
     jitter,
-    leaf_level,
-    leaf_photo_texture,
-    leaf_texel,
-    leaf_texture,
-    material_color,
-    material_tile,
     mix,
     sample,
     scale_colors,
@@ -21,6 +13,16 @@ from cucumbervision_lab.synthesis.textures import (
     smoothstep,
     to_linear,
     to_srgb,
+)
+from cucumbervision_lab.synthesis.textures import (
+    MATERIALS,
+    far_view,
+    leaf_level,
+    leaf_photo_texture,
+    leaf_texel,
+    leaf_texture,
+    material_color,
+    material_tile,
 )
 
 

@@ -27,7 +27,7 @@ def test_pose_gets_the_tolerances(pose_set: Path, tmp_path: Path) -> None:
 
 
 def test_the_hubs_form_is_written_as_yolo(seg_set: Path, tmp_path: Path) -> None:
-    from cucumbervision_lab.datasets.coco import write_coco
+    from cucumbervision_lab.datasets.coco_writer import write_coco
     from cucumbervision_lab.datasets.yolo import read_yolo
 
     write_coco(read_yolo(seg_set), tmp_path / "hub")

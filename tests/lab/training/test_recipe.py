@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.datasets.coco import read_coco, write_coco
+from cucumbervision_lab.datasets.coco import read_coco
+from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.recipe import Recipe, Schedule, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe, write_mixture

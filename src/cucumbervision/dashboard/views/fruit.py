@@ -10,13 +10,12 @@ import numpy as np
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
+from cucumbervision.dashboard.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
 from cucumbervision.dashboard.fruit_view import (
-    CLOUD_HEIGHT_PX,
     as_data_url,
     depth_picture,
     fruit_layers,
     picture,
-    point_cloud,
     ruler_m,
     scale_bar,
 )

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import doctest
 import os
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -264,3 +265,26 @@ def one_box_detector(tmp_path: Path) -> Path:
     path = tmp_path / "one-box.onnx"
     path.write_bytes(model.SerializeToString())
     return path
+
+
+@pytest.fixture
+def run(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run the command in this process, as its console script does: exit code, what it printed."""
+
+    def run_here(*arguments: object) -> subprocess.CompletedProcess[str]:
+        from cucumbervision.cli.app import main
+
+        words = [str(one) for one in arguments]
+        monkeypatch.setattr("sys.argv", ["cucumbervision", *words])
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")  # main sets it: let it go again
+        capfd.readouterr()
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        return subprocess.CompletedProcess(words, code, *capfd.readouterr())
+
+    return run_here

@@ -3,27 +3,23 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from cucumbervision.capture.source import bundled_captures
 
-
-def run(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run the real command in a process of its own."""
-    code = "from cucumbervision.cli.app import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
-    done = run("measure", str(bundled_captures()), "--out", str(tmp_path))
+    code = "from cucumbervision.cli.app import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "measure", str(bundled_captures()), "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     assert (
         "8 of 8 fruit measured in 3 captures; masks by data set 8; simulated captures"
@@ -42,7 +38,7 @@ def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
     }
 
 
-def test_some_input_unread_is_exit_code_1(tmp_path: Path) -> None:
+def test_some_input_unread_is_exit_code_1(run: Run, tmp_path: Path) -> None:
     done = run("measure", "nowhere", str(bundled_captures()), "--out", str(tmp_path))
     assert done.returncode == 1
     assert "8 of 8 fruit measured" in done.stdout
@@ -60,7 +56,7 @@ def test_some_input_unread_is_exit_code_1(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_start_is_exit_code_2_in_plain_words(
-    tmp_path: Path, arguments: tuple[str, ...], text: str
+    run: Run, tmp_path: Path, arguments: tuple[str, ...], text: str
 ) -> None:
     done = run("measure", str(bundled_captures()), "--out", str(tmp_path), *arguments)
     assert done.returncode == 2
@@ -68,19 +64,19 @@ def test_what_cannot_start_is_exit_code_2_in_plain_words(
     assert "Traceback" not in done.stderr
 
 
-def test_json_mode_prints_rows_and_nothing_else(tmp_path: Path) -> None:
+def test_json_mode_prints_rows_and_nothing_else(run: Run, tmp_path: Path) -> None:
     done = run("measure", str(bundled_captures()), "--out", str(tmp_path), "--json")
     rows = json.loads(done.stdout)
     assert len(rows) == 8
     assert rows[0]["length_cm"] > 0
 
 
-def test_quiet_mode_prints_nothing(tmp_path: Path) -> None:
+def test_quiet_mode_prints_nothing(run: Run, tmp_path: Path) -> None:
     done = run("measure", str(bundled_captures()), "--out", str(tmp_path), "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_paper_selector_and_chosen_methods(tmp_path: Path) -> None:
+def test_paper_selector_and_chosen_methods(run: Run, tmp_path: Path) -> None:
     out = str(tmp_path)
     arguments = ("--selector", "paper", "--methods", "m1,m3", "--json")
     rows = json.loads(run("measure", str(bundled_captures()), "--out", out, *arguments).stdout)
@@ -88,7 +84,7 @@ def test_paper_selector_and_chosen_methods(tmp_path: Path) -> None:
     assert all(row["m5_cm"] is None and row["m1_cm"] for row in rows)
 
 
-def test_demo_measures_the_bundled_captures_with_mobile_sam(tmp_path: Path) -> None:
+def test_demo_measures_the_bundled_captures_with_mobile_sam(run: Run, tmp_path: Path) -> None:
     done = run("demo", "--out", str(tmp_path / "demo"))
     assert done.returncode == 0, done.stderr
     assert "8 of 8 fruit measured in 3 captures" in done.stdout
@@ -113,5 +109,5 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.strip().endswith("[]")
 
 
-def test_version() -> None:
+def test_version(run: Run) -> None:
     assert run("--version").stdout.startswith("cucumbervision 0.")

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -10,20 +10,11 @@ import numpy as np
 from cucumbervision.cli.console import summary_table
 from cucumbervision.pipeline.detect import DetectedPicture, DetectResult
 
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "from cucumbervision.cli.app import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "detect", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def test_detect_shows_a_summary_and_writes_its_files(
-    tmp_path: Path, one_box_detector: Path
+    run: Run, tmp_path: Path, one_box_detector: Path
 ) -> None:
     photos = tmp_path / "photos"
     photos.mkdir()
@@ -32,7 +23,7 @@ def test_detect_shows_a_summary_and_writes_its_files(
     (photos / "c.txt").write_text("")
     out = tmp_path / "out"
     common = ("--model", str(one_box_detector), "--segmenter", "none", "--out", str(out))
-    done = run(str(photos), *common)
+    done = run("detect", photos, *common)
     assert done.returncode == 1, done.stderr
     table = {line.split("│")[1].strip(): line.split("│")[2].strip()
              for line in done.stdout.splitlines() if line.startswith("│")}  # fmt: skip
@@ -46,12 +37,12 @@ def test_detect_shows_a_summary_and_writes_its_files(
         "failures.csv",
         "overlays",
     }
-    quiet = run(f"{photos}/a.*", *common, "--quiet", "--no-overlays", "--fast")
+    quiet = run("detect", f"{photos}/a.*", *common, "--quiet", "--no-overlays", "--fast")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
-def test_what_cannot_start_is_exit_code_2(tmp_path: Path) -> None:
-    done = run(str(tmp_path), "--out", str(tmp_path / "out"))
+def test_what_cannot_start_is_exit_code_2(run: Run, tmp_path: Path) -> None:
+    done = run("detect", tmp_path, "--out", str(tmp_path / "out"))
     assert done.returncode == 2
     assert "there are no pictures" in done.stderr
     assert "Traceback" not in done.stderr

@@ -3,34 +3,25 @@ from __future__ import annotations
 import csv
 import json
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from cucumbervision.capture.source import bundled_captures
+from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
 
-
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the real command in a process of its own."""
-    code = "from cucumbervision.cli.app import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run over the bundled captures by the paper's methods, and a table of their threads."""
     folder = tmp_path_factory.mktemp("truth")
-    done = run(
-        "measure", bundled_captures(), "--out", folder / "run", "--methods", "m3,m5", "--quiet"
-    )
-    assert done.returncode == 0, done.stderr
+    options = MeasureOptions(methods=(Method.M3, Method.M5))
+    assert measure_inputs([bundled_captures()], folder / "run", options).failures == []
     with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(["capture", "fruit", "length_1_cm", "length_2_cm", "kind", "specimen"])
@@ -42,7 +33,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_evaluate_prints_a_table_and_writes_the_report(folder: Path, tmp_path: Path) -> None:
+def test_evaluate_prints_a_table_and_writes_the_report(
+    run: Run, folder: Path, tmp_path: Path
+) -> None:
     pytest.importorskip("matplotlib")
     pytest.importorskip("jinja2")
     done = run("evaluate", "lengths", folder / "run", folder / "truth.csv", "--out", tmp_path)
@@ -60,7 +53,7 @@ def test_evaluate_prints_a_table_and_writes_the_report(folder: Path, tmp_path: P
     assert "Your own fruit" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_calibrate_and_measure_with_it(folder: Path, tmp_path: Path) -> None:
+def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -> None:
     site = tmp_path / "house-3.json"
     done = run("calibrate", folder / "run", folder / "truth.csv", "--out", site)
     assert done.returncode == 0, done.stderr
@@ -99,7 +92,7 @@ def test_calibrate_and_measure_with_it(folder: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_exit_code_2(
-    folder: Path, tmp_path: Path, arguments: tuple[str, ...], text: str
+    run: Run, folder: Path, tmp_path: Path, arguments: tuple[str, ...], text: str
 ) -> None:
     places = {"run": folder / "run", "truth": folder / "truth.csv", "tmp": tmp_path}
     done = run(*(argument.format(**places) for argument in arguments))

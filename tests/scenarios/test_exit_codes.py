@@ -16,7 +16,9 @@ import pytest
 from cucumbervision.capture.source import bundled_captures
 
 BENCH = bundled_captures() / "simulated-bench"
+QUICK = ("--instances", "dataset", "--methods", "m1")
 
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 # Plants a defect: the first capture's fruit cannot be measured.
 DEFECT = """
@@ -33,7 +35,7 @@ module.measure_fruit = broken
 def measure(
     *arguments: object, limit: Callable[[], None] | None = None, before: str = ""
 ) -> subprocess.CompletedProcess[str]:
-    command = ["measure", *map(str, arguments), "--instances", "dataset", "--methods", "m1"]
+    command = ["measure", *map(str, arguments), *QUICK]
     program = f"{before}\nfrom cucumbervision.cli.app import main; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *command],
@@ -60,21 +62,21 @@ def named(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_a_single_wrong_path_is_2(tmp_path: Path) -> None:
-    done = measure("nowhere", "--out", tmp_path)
+def test_a_single_wrong_path_is_2(run: Run, tmp_path: Path) -> None:
+    done = run("measure", "nowhere", *QUICK, "--out", tmp_path)
     assert done.returncode == 2
     assert "nowhere: does not exist" in done.stderr
 
 
-def test_a_wrong_path_among_others_is_1(tmp_path: Path) -> None:
-    done = measure("nowhere", BENCH, "--out", tmp_path)
+def test_a_wrong_path_among_others_is_1(run: Run, tmp_path: Path) -> None:
+    done = run("measure", "nowhere", BENCH, *QUICK, "--out", tmp_path)
     assert (done.returncode, rows(tmp_path)) == (1, 3)
 
 
-def test_a_name_of_300_characters_loses_nothing(tmp_path: Path) -> None:
+def test_a_name_of_300_characters_loses_nothing(run: Run, tmp_path: Path) -> None:
     manifest = json.loads((BENCH / "capture.json").read_text())
     long = named(tmp_path / "long", json.dumps({**manifest, "name": "x" * 300}))
-    done = measure(long, BENCH, "--out", tmp_path / "out")
+    done = run("measure", long, BENCH, *QUICK, "--out", tmp_path / "out")
     assert (done.returncode, rows(tmp_path / "out")) == (0, 6)
     pictures = [path.name for path in (tmp_path / "out").rglob("*.png")]
     assert len(pictures) == 2
@@ -122,15 +124,12 @@ def test_a_defect_outside_of_captures_is_70_with_its_traceback(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("command", [("measure",), ("detect",), ("demo",), ("round", "add")])
-def test_help_names_the_codes(command: tuple[str, ...]) -> None:
-    program = "from cucumbervision.cli.app import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", program, *command, "--help"],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"COLUMNS": "120", "PYTHONPATH": ":".join(sys.path)},
-    )
+def test_help_names_the_codes(
+    run: Run, command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    done = run(*command, "--help")
+    assert done.returncode == 0
     said = " ".join(done.stdout.replace("│", " ").split())
     assert "Exit codes: 0 everything was read" in said
     assert "70 a defect of the software" in said

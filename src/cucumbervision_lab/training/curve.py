@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cucumbervision.capture.files import read_color
 from cucumbervision_lab.detection.average_precision import Judged, average_precision
@@ -18,9 +17,6 @@ from cucumbervision_lab.detection.picture_result import Networks, detect_picture
 from cucumbervision_lab.detection.pictures import Stage, frame_of, read_held_out
 from cucumbervision_lab.training.export import export_yolo
 from cucumbervision_lab.training.tables import read_rows, write_rows
-
-if TYPE_CHECKING:
-    pass
 
 _CONFIDENCE = 0.30
 _DRAWN = ("photos all", "half all: recall", "drawn")  # of the columns, as lines

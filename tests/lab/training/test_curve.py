@@ -54,9 +54,14 @@ def test_a_network_is_judged_as_it_would_be_shipped(
     monkeypatch.setattr(Curve, "_audited", [photo])
     ultralytics = import_ultralytics()
     ultralytics.YOLO("yolo26n-seg.yaml").save(tmp_path / "new.pt")
-    for pictures in (800, 400, 800):
-        point = curve.judge(tmp_path / "new.pt", pictures)
+    # A point that is there already is judged anew, and stands in its order.
+    write_rows(tmp_path / "curve.csv", [{"pictures": 800}, {"pictures": 400}])
+    point = curve.judge(tmp_path / "new.pt", 800)
     # A network with random weights is never sure.
     assert point["photos all: recall"] == point["half first audit: recall"] == 0.0
     assert 0.0 <= point["drawn_map50_95"] <= point["drawn_map50"] < 0.2
-    assert [row["pictures"] for row in read_rows(tmp_path / "curve.csv")] == ["400", "800"]
+    rows = read_rows(tmp_path / "curve.csv")
+    assert [(row["pictures"], row["photos all: recall"]) for row in rows] == [
+        ("400", ""),
+        ("800", "0.0000"),
+    ]

@@ -31,28 +31,28 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
 
-DEPTH_POINTS = 500
+_DEPTH_POINTS = 500
 
-OUTLINE_POINTS = 200
+_OUTLINE_POINTS = 200
 
-GRID_POINTS = 800
+_GRID_POINTS = 800
 
-MARGIN_PX = 8
+_MARGIN_PX = 8
 
-RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
+_RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
 
-MIN_PIECE = 0.02  # pieces of the mask below this share of it are specks
+_MIN_PIECE = 0.02  # pieces of the mask below this share of it are specks
 
-QUANTUM_M = 0.001
+_QUANTUM_M = 0.001
 
 # Stereo noise and outline errors are smooth over some pixels: how many count as one reading.
-POINT_AREA_PX = 100.0
+_POINT_AREA_PX = 100.0
 
-OUTLINE_RUN_PX = 6.0
+_OUTLINE_RUN_PX = 6.0
 
-CRACKS_A_PIXEL = 4 / np.pi  # of outline, averaged over its directions
+_CRACKS_A_PIXEL = 4 / np.pi  # of outline, averaged over its directions
 
-NEARER_M, NEARER_SD = 0.003, 2.0  # what across the outline is an occluder, and no noise
+_NEARER_M, _NEARER_SD = 0.003, 2.0  # what across the outline is an occluder, and no noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class TubeView:
     @property
     def sparse(self) -> bool:
         """Whether most of the mask has no depth."""
-        return self.fill < SPARSE_FILL
+        return self.fill < _SPARSE_FILL
 
     @property
     def surface_m(self) -> NDArray[np.float64]:
@@ -127,7 +127,7 @@ def view_tube(
     TubeView or None
         None for an empty mask.
     """
-    window = mask_window(mask, MARGIN_PX)
+    window = mask_window(mask, _MARGIN_PX)
     if window is None:
         return None
     part, z = _without_specks(mask[window]), depth_m[window]
@@ -139,13 +139,13 @@ def view_tube(
     noise = np.hypot(noise, edge_error(_from_rim(part)[pixels[:, 1], pixels[:, 0]]))
     waves = noise_waves(pixels, far, intrinsics.fx_px)
     rays, rays_share = _rays(z, part, lens)
-    step = max(1, int(np.sqrt(part.size / GRID_POINTS)))
+    step = max(1, int(np.sqrt(part.size / _GRID_POINTS)))
     v, u = (m.ravel() * step for m in np.indices(part[::step, ::step].shape))
     evidence = Evidence(
         points,
-        np.hypot(noise, QUANTUM_M / np.sqrt(12)),
+        np.hypot(noise, _QUANTUM_M / np.sqrt(12)),
         rays,
-        OUTLINE_SD_PX / intrinsics.fx_px,
+        _OUTLINE_SD_PX / intrinsics.fx_px,
         1 / intrinsics.fx_px,
         points_share,
         rays_share,
@@ -187,7 +187,7 @@ def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if count <= 2:
         return part
     areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
-    kept = areas >= min(MIN_PIECE * areas[1:].sum(), areas[1:].max())
+    kept = areas >= min(_MIN_PIECE * areas[1:].sum(), areas[1:].max())
     kept[0] = False
     return np.asarray(kept[np.asarray(labels)])
 
@@ -197,18 +197,18 @@ def _points(
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
     import cv2
 
-    size = 2 * RIM_PX + 1
+    size = 2 * _RIM_PX + 1
     # The picture's edge is no outline: pixels there are as good as any.
     kernel = np.ones((size, size), np.uint8)
     core = (cv2.erode(part.astype(np.uint8), kernel, borderValue=1) > 0) & (z > 0)
     area = int(np.count_nonzero(core))
-    step = max(1, int(np.sqrt(area / DEPTH_POINTS)))
+    step = max(1, int(np.sqrt(area / _DEPTH_POINTS)))
     v, u = np.nonzero(core[::step, ::step])
-    some = np.linspace(0, len(u) - 1, min(len(u), DEPTH_POINTS)).astype(np.intp)
+    some = np.linspace(0, len(u) - 1, min(len(u), _DEPTH_POINTS)).astype(np.intp)
     u, v = u[some] * step, v[some] * step
     rays = lens.rays(u, v)
     points = rays * (z[v, u] / rays[:, 2])[:, None]
-    return points, np.stack([u, v], axis=1), min(1.0, area / POINT_AREA_PX / max(len(points), 1))
+    return points, np.stack([u, v], axis=1), min(1.0, area / _POINT_AREA_PX / max(len(points), 1))
 
 
 def _rays(
@@ -218,32 +218,32 @@ def _rays(
     inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
     noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
     # Comparisons with NaN are False: without a reading on both sides nothing is known to cover.
-    kept = points[~(outside < inside - NEARER_M - NEARER_SD * noise)]
-    long_px = len(kept) / CRACKS_A_PIXEL
-    some = np.linspace(0, len(kept) - 1, min(len(kept), OUTLINE_POINTS)).astype(np.intp)
+    kept = points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)]
+    long_px = len(kept) / _CRACKS_A_PIXEL
+    some = np.linspace(0, len(kept) - 1, min(len(kept), _OUTLINE_POINTS)).astype(np.intp)
     rays = lens.rays(kept[some, 0], kept[some, 1])
-    return rays, min(1.0, long_px / OUTLINE_RUN_PX / max(len(rays), 1))
+    return rays, min(1.0, long_px / _OUTLINE_RUN_PX / max(len(rays), 1))
 
 
-MIN_POINTS = 30
-MIN_RAYS = 20
-BALLS = 128
-RANGE_M = (0.02, 1.0)
-OUTLINE_SD_PX = 0.7
-MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
-GOOD_EXPLAINED, GOOD_OUTLINE = 0.9, 0.1
-ON_SURFACE_SD, ON_SURFACE_M, GOOD_ON_SURFACE = 4.0, 0.002, 0.8
-MAY_BE_FRUIT, CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
-GOOD_OVERLAP, UNSURE_M, FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
-LEAST_SEEN = 6  # readings that such a start needs
-SPARSE_FILL = 0.5  # below it most of the depth is missing: the fruit is nearer than the sensor sees
+_MIN_POINTS = 30
+_MIN_RAYS = 20
+_BALLS = 128
+_RANGE_M = (0.02, 1.0)
+_OUTLINE_SD_PX = 0.7
+_MIN_EXPLAINED = 0.5  # share of the mask that a tube must cover to be the fruit's
+_GOOD_EXPLAINED, _GOOD_OUTLINE = 0.9, 0.1
+_ON_SURFACE_SD, _ON_SURFACE_M, _GOOD_ON_SURFACE = 4.0, 0.002, 0.8
+_MAY_BE_FRUIT, _CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
+_GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
+_LEAST_SEEN = 6  # readings that such a start needs
+_SPARSE_FILL = 0.5  # below it most depth is missing: the fruit is nearer than the sensor sees
 
 # Then a few wrong readings make the misfit, and they decide less: shares of it, of the silhouette.
-SPARSE_ALIKE, SPARSE_BETTER = 0.1, 0.05
-END_ON_DEG = 70.0
-STEEP, TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
-BEYOND, BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
-PART_HIDDEN, UNCERTAIN = 0.1, 0.05
+_SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
+_END_ON_DEG = 70.0
+_STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
+_BEYOND, _BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
+_PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
 
 
 def measure_m6(
@@ -296,9 +296,9 @@ def measure_m6(
 
 def fit_view(view: TubeView) -> TubeFitting | Reason:
     """Return the tube that fits a view best, or why there is none."""
-    if len(view.evidence.points_m) < MIN_POINTS:
+    if len(view.evidence.points_m) < _MIN_POINTS:
         return Reason.TOO_FEW_POINTS
-    if len(view.evidence.rays) < MIN_RAYS:
+    if len(view.evidence.rays) < _MIN_RAYS:
         return Reason.OUTLINE_TOO_SHORT
     try:
         fitting = _best_fit(view)
@@ -314,13 +314,13 @@ def _best_fit(view: TubeView) -> TubeFitting:
     surface, evidence = view.surface_m, view.evidence
     fits = [fit_shape(evidence, guess_shape(surface))]
     # What lies off the plane is background, or the far part of a hook.
-    if 1.0 - float(near_depths(surface).mean()) >= MAY_BE_FRUIT:
+    if 1.0 - float(near_depths(surface).mean()) >= _MAY_BE_FRUIT:
         fits.append(fit_shape(evidence, guess_shape(surface, gated=False)))
     first = fits[0]
     seen = view.grid_mask & (view.grid_depth_m > 0)
-    if np.count_nonzero(seen) >= LEAST_SEEN and (
-        _coverage(view, first.shape)[2] < GOOD_OVERLAP
-        or first.centreline_sd_m > UNSURE_M
+    if np.count_nonzero(seen) >= _LEAST_SEEN and (
+        _coverage(view, first.shape)[2] < _GOOD_OVERLAP
+        or first.centreline_sd_m > _UNSURE_M
         or _end_on(first.shape.balls()[0])
         or view.sparse
     ):
@@ -335,11 +335,11 @@ def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
     # alike the flatter one, which is what a hanging fruit is, or where most depth is missing the
     # one that is more evenly thick.
     overlap = [_coverage(view, fit.shape)[2] for fit in fits]
-    least_overlap = max(overlap) - (SPARSE_BETTER if view.sparse else CLEARLY_BETTER)
+    least_overlap = max(overlap) - (_SPARSE_BETTER if view.sparse else _CLEARLY_BETTER)
     covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
     covering = [f for f in covering if not _runs_away(f)] or covering
     least = min(fit.misfit for fit in covering)
-    alike = SPARSE_ALIKE * least if view.sparse else FITS_ALIKE
+    alike = _SPARSE_ALIKE * least if view.sparse else _FITS_ALIKE
     of_these = [f for f in covering if f.misfit <= least + alike]
     return min(of_these, key=_unevenness if view.sparse else _depth_share)
 
@@ -352,10 +352,10 @@ def _unevenness(fit: TubeFitting) -> float:
 def _runs_away(fit: TubeFitting) -> bool:
     # Along the view, where the outline says nothing of the length, readings of what lies behind
     # draw a body out; then only its girth tells that it is too long.
-    if _depth_share(fit) < STEEP:
+    if _depth_share(fit) < _STEEP:
         return False
     _, radii = fit.shape.balls()
-    return DRAWN_KINDS.beyond(fit.shape.length_m, 2.0 * float(radii.max())) > TOO_LONG_SD
+    return DRAWN_KINDS.beyond(fit.shape.length_m, 2.0 * float(radii.max())) > _TOO_LONG_SD
 
 
 def _depth_share(fit: TubeFitting) -> float:
@@ -384,13 +384,13 @@ def judged_fit(view: TubeView, fitting: TubeFitting, *, views: int = 1) -> Measu
     views : int
         How many views it was fitted to; of several `fitting` says itself which ends they show.
     """
-    traits = tube_traits(*fitting.shape.balls(BALLS))
+    traits = tube_traits(*fitting.shape.balls(_BALLS))
     length = traits.lengths.centreline_m
-    if not RANGE_M[0] <= length <= RANGE_M[1]:
+    if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)
     covered = _covered_ends(view, fitting.shape) if views == 1 else (False, False)
     fit = _fit(view, fitting, traits, covered)
-    if fit.explained < MIN_EXPLAINED:
+    if fit.explained < _MIN_EXPLAINED:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
     return Measurement(Method.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
 
@@ -409,14 +409,14 @@ def _fit(
         flags.append(Flag.END_HIDDEN)
     if _end_on(traits.axis_m):
         flags.append(Flag.END_ON)
-    if hidden > PART_HIDDEN:
+    if hidden > _PART_HIDDEN:
         flags.append(Flag.PART_HIDDEN)
     rough = outline_px * float(np.median(far)) / view.focal_px / traits.diameter_max_m
     on_it = _on_surface(view, fitting)
-    if explained < GOOD_EXPLAINED or rough > GOOD_OUTLINE or on_it < GOOD_ON_SURFACE:
+    if explained < _GOOD_EXPLAINED or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE:
         flags.append(Flag.POOR_FIT)
     sd = fitting.centreline_sd_m
-    if sd > UNCERTAIN * traits.lengths.centreline_m:
+    if sd > _UNCERTAIN * traits.lengths.centreline_m:
         flags.append(Flag.UNCERTAIN)
     return TubeFit(
         traits,
@@ -460,7 +460,7 @@ def _covered_ends(view: TubeView, shape: TubeShape) -> tuple[bool, bool]:
         ahead -= (ahead @ ray) * ray
         ahead /= max(float(np.linalg.norm(ahead)), 1e-12)
         off = beside * far - centres[tip]
-        reach = BEYOND * max(float(radii[tip]), 0.0) + BEYOND_PX * far / view.focal_px
+        reach = _BEYOND * max(float(radii[tip]), 0.0) + _BEYOND_PX * far / view.focal_px
         beyond = (off @ ahead > 0) & (np.linalg.norm(off, axis=1) < reach)
         z = depth[beyond]
         covered.append(len(z) > 1 and float(np.median(z)) < centres[tip, 2])
@@ -470,7 +470,7 @@ def _covered_ends(view: TubeView, shape: TubeShape) -> tuple[bool, bool]:
 def _on_surface(view: TubeView, fitting: TubeFitting) -> float:
     # Share of the depth points that lie on the tube, within what the sensor may err.
     within = (
-        np.abs(fitting.points.gap_m) <= ON_SURFACE_SD * view.evidence.points_sd_m + ON_SURFACE_M
+        np.abs(fitting.points.gap_m) <= _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M
     )
     return float(within.mean())
 
@@ -479,6 +479,6 @@ def _end_on(axis_m: NDArray[np.float64]) -> bool:
     for tip, inner in ((0, 1), (-1, -2)):
         step = axis_m[tip] - axis_m[inner]
         view = axis_m[tip] / np.linalg.norm(axis_m[tip])
-        if float(step @ view) > np.sin(np.deg2rad(END_ON_DEG)) * float(np.linalg.norm(step)):
+        if float(step @ view) > np.sin(np.deg2rad(_END_ON_DEG)) * float(np.linalg.norm(step)):
             return True
     return False

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
 
 # Below M4's own 0.50: the package's pose network is less sure than that of ends in full sight.
-IN_SIGHT = 0.40
+_IN_SIGHT = 0.40
 
-BEYOND = 0.10  # of the fruit's length: some times what a pose network errs by at an end
+_BEYOND = 0.10  # of the fruit's length: some times what a pose network errs by at an end
 
 
 def end_flags(
@@ -76,10 +76,10 @@ def end_flags(
     """
     if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
         return ()
-    hidden = bool((keypoints[[0, -1], 2] < IN_SIGHT).any())
+    hidden = bool((keypoints[[0, -1], 2] < _IN_SIGHT).any())
     reaches = _reaches(mask, keypoints[:, :2])
-    hidden |= any(reach < -BEYOND for reach in reaches)
-    disagree = any(reach > BEYOND for reach in reaches)
+    hidden |= any(reach < -_BEYOND for reach in reaches)
+    disagree = any(reach > _BEYOND for reach in reaches)
     named = {Flag.END_HIDDEN: hidden, Flag.ENDS_DISAGREE: disagree}
     return tuple(flag for flag, holds in named.items() if holds)
 
@@ -104,9 +104,9 @@ def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[
     return reaches
 
 
-ELONGATED = 1.8
+_ELONGATED = 1.8
 
-EDGE_PX = 1.0
+_EDGE_PX = 1.0
 
 
 def choose(
@@ -169,7 +169,7 @@ def choose(
 
 def _order(mask_points: int | None, box: NDArray[np.float64]) -> tuple[Choice, list[Method]]:
     width, height = float(box[2] - box[0]), float(box[3] - box[1])
-    elongated = max(width, height) >= ELONGATED * min(width, height)
+    elongated = max(width, height) >= _ELONGATED * min(width, height)
     by_box = [Method.M1, Method.M2] if elongated else [Method.M2, Method.M1]
     if mask_points is None:
         return (Choice.ELONGATED_BOX if elongated else Choice.COMPACT_BOX), by_box
@@ -303,9 +303,9 @@ def _cut_by_frame(
         return any(bool(edge.any()) for edge in edges)
     # The picture's own edges lie at -0.5 and size - 0.5; a box within a pixel of one is cut.
     return bool(
-        min(box[0], box[1]) < EDGE_PX - 0.5
-        or box[2] > width - 0.5 - EDGE_PX
-        or box[3] > height - 0.5 - EDGE_PX
+        min(box[0], box[1]) < _EDGE_PX - 0.5
+        or box[2] > width - 0.5 - _EDGE_PX
+        or box[3] > height - 0.5 - _EDGE_PX
     )
 
 

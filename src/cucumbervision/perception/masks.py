@@ -147,7 +147,7 @@ def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
 _SWALLOWED = 0.5  # share of the smaller mask in the larger: then the larger has swallowed it
 _ONE_IOU = 0.8  # two masks of one thing, which is nobody's neighbour
 _BESIDE_PX = 8
-NEARER = 0.01  # of the distance: what tells by depth which of two lies in front
+_NEARER = 0.01  # of the distance: what tells by depth which of two lies in front
 
 
 def disjoint_masks(
@@ -218,7 +218,7 @@ def _loser(
     far_m = _distances(shared, pair, depth_m)
     if all(far_m):
         off = [abs(one - far_m[0]) for one in far_m[1:]]
-        if abs(off[0] - off[1]) > NEARER * far_m[0]:
+        if abs(off[0] - off[1]) > _NEARER * far_m[0]:
             return int(off[1] > off[0])
     return int(scores[1] <= scores[0])
 

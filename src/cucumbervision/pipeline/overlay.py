@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette, told apart by colour-blind people too (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
 
-WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 
-TINT = 0.30
+_TINT = 0.30
 
-BAR_M = 0.10
+_BAR_M = 0.10
 
-FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw_overlay(capture: Capture, fruit: Sequence[FruitMeasurement]) -> NDArray[np.uint8]:
@@ -97,7 +97,7 @@ def _tint_mask(
     if window is None:
         return
     part, own = picture[window], inside[window]
-    part[own] = ((1 - TINT) * part[own] + TINT * np.array(color)).astype(np.uint8)
+    part[own] = ((1 - _TINT) * part[own] + _TINT * np.array(color)).astype(np.uint8)
     outline, _ = cv2.findContours(
         own.astype(np.uint8),
         cv2.RETR_EXTERNAL,
@@ -142,11 +142,11 @@ def draw_line(
 ) -> None:
     """Draw a line (points of shape (N, 2)) with its tips in a colour, in place."""
     pixels = np.rint(points_px).astype(np.int32)
-    cv2.polylines(picture, [pixels], False, BLACK, max(2, round(4 * size)), cv2.LINE_AA)
-    cv2.polylines(picture, [pixels], False, WHITE, max(1, round(2 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [pixels], False, _BLACK, max(2, round(4 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [pixels], False, _WHITE, max(1, round(2 * size)), cv2.LINE_AA)
     for tip in (pixels[0], pixels[-1]):
         at = (int(tip[0]), int(tip[1]))
-        cv2.circle(picture, at, max(3, round(6 * size)), BLACK, -1, cv2.LINE_AA)
+        cv2.circle(picture, at, max(3, round(6 * size)), _BLACK, -1, cv2.LINE_AA)
         cv2.circle(picture, at, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
 
 
@@ -163,7 +163,7 @@ def _draw_label(
     picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
 ) -> None:
     """Write a label above a box, or below where there is no room, in place."""
-    (width, height), _ = cv2.getTextSize(label, FONT, 0.65 * size, max(1, round(2 * size)))
+    (width, height), _ = cv2.getTextSize(label, _FONT, 0.65 * size, max(1, round(2 * size)))
     x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
     above = box[1] - 10 * size
     y = above if above > height + 6 else min(box[3] + height + 12 * size, picture.shape[0] - 8)
@@ -173,12 +173,12 @@ def _draw_label(
 def draw_text(picture: NDArray[np.uint8], text: str, at: tuple[int, int], size: float) -> None:
     """Write white letters on a darkened plate, their lower left corner at a pixel, in place."""
     scale, thin = 0.65 * size, max(1, round(1.6 * size))
-    (width, height), below = cv2.getTextSize(text, FONT, scale, thin)
+    (width, height), below = cv2.getTextSize(text, _FONT, scale, thin)
     pad = max(3, round(5 * size))
     top, left = max(at[1] - height - pad, 0), max(at[0] - pad, 0)
     plate = picture[top : at[1] + below + pad, left : at[0] + width + pad]
     plate[:] = (0.35 * plate).astype(np.uint8)
-    cv2.putText(picture, text, at, FONT, scale, WHITE, thin, cv2.LINE_AA)
+    cv2.putText(picture, text, at, _FONT, scale, _WHITE, thin, cv2.LINE_AA)
 
 
 def _draw_scale(
@@ -188,15 +188,15 @@ def _draw_scale(
     if not depths:
         return
     depth = float(np.median(depths))
-    length_px = BAR_M * capture.intrinsics.fx_px / depth
-    draw_bar(picture, length_px, f"{100 * BAR_M:.0f} cm at {100 * depth:.0f} cm distance", size)
+    length_px = _BAR_M * capture.intrinsics.fx_px / depth
+    draw_bar(picture, length_px, f"{100 * _BAR_M:.0f} cm at {100 * depth:.0f} cm distance", size)
 
 
 def draw_bar(picture: NDArray[np.uint8], length_px: float, text: str, size: float) -> None:
     """Draw a scale bar with its text into the lower left corner, in place."""
     left, y = round(16 * size), picture.shape[0] - round(20 * size)
     right = left + round(length_px)
-    for color, thick in ((BLACK, round(8 * size)), (WHITE, round(4 * size))):
+    for color, thick in ((_BLACK, round(8 * size)), (_WHITE, round(4 * size))):
         cv2.line(picture, (left, y), (right, y), color, max(2, thick), cv2.LINE_AA)
     draw_text(picture, text, (left, y - round(14 * size)), size)
 
@@ -258,14 +258,14 @@ def _draw_keypoints(
     size: float,
 ) -> None:
     points = np.rint(keypoints[:, :2]).astype(np.int32)
-    cv2.polylines(picture, [points], False, BLACK, max(2, round(3 * size)), cv2.LINE_AA)
-    cv2.polylines(picture, [points], False, WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [points], False, _BLACK, max(2, round(3 * size)), cv2.LINE_AA)
+    cv2.polylines(picture, [points], False, _WHITE, max(1, round(1.5 * size)), cv2.LINE_AA)
     seen = keypoints[:, 2] >= MIN_VISIBILITY
     last = len(points) - 1
     for k, ((u, v), visible) in enumerate(zip(points.tolist(), seen.tolist(), strict=True)):
         radius = max(3, round((7 if k in (0, last) else 4) * size))
-        for reach, shade in ((radius, BLACK), (radius - max(1, round(2 * size)), color)):
-            width = -1 if visible or shade == BLACK else max(1, round(size))
+        for reach, shade in ((radius, _BLACK), (radius - max(1, round(2 * size)), color)):
+            width = -1 if visible or shade == _BLACK else max(1, round(size))
             if k == last:
                 corners = (u - reach, v - reach), (u + reach, v + reach)
                 cv2.rectangle(picture, *corners, shade, width, cv2.LINE_AA)

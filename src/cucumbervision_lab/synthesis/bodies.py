@@ -190,32 +190,6 @@ def arc_tube(
     return Tube(np.stack([x, y, np.zeros_like(x)], axis=1), radii, np.array([0.0, -1.0, 0.0]))
 
 
-def helix_tube(
-    radius_m: float, helix_radius_m: float, pitch_m: float, turns: float, balls: int = 2000
-) -> Tube:
-    """Make a tube wound on a helix about x: a curve whose length is known by hand.
-
-    The centres' arc length is turns * sqrt((2 pi helix_radius)^2 + pitch^2).
-
-    Examples
-    --------
-    >>> tube = helix_tube(0.01, 0.03, 0.2, 1.0)
-    >>> by_hand = np.hypot(2 * np.pi * 0.03, 0.2) + 2 * 0.01
-    >>> bool(abs(tube.centreline_m - by_hand) < 1e-6)
-    True
-    """
-    angle = np.linspace(-np.pi * turns, np.pi * turns, balls)
-    centres = np.stack(
-        [
-            pitch_m * angle / (2 * np.pi),
-            helix_radius_m * np.cos(angle),
-            helix_radius_m * np.sin(angle),
-        ],
-        axis=1,
-    )
-    return Tube(centres, np.full(balls, radius_m), np.array([0.0, 1.0, 0.0]))
-
-
 def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0) -> NDArray[Any]:
     """Return a 3x3 rotation: spin about the fruit's axis x, tilt to the camera, then roll.
 

@@ -8,7 +8,6 @@ from cucumbervision_lab.synthesis.bodies import (
     Variety,
     arc_tube,
     bent_tube,
-    helix_tube,
     random_fruit,
     rotation,
 )
@@ -148,7 +147,10 @@ def test_moving_changes_no_length() -> None:
 
 
 def test_helix_by_hand() -> None:
-    tube = helix_tube(0.008, 0.02, 0.15, 1.5)
+    turn = np.linspace(-1.5 * np.pi, 1.5 * np.pi, 2000)
+    along, across, off = 0.15 * turn / (2 * np.pi), 0.02 * np.cos(turn), 0.02 * np.sin(turn)
+    centres = np.stack([along, across, off], axis=1)
+    tube = Tube(centres, np.full(2000, 0.008), np.array([0.0, 1.0, 0.0]))
     by_hand = 1.5 * np.hypot(2 * np.pi * 0.02, 0.15) + 2 * 0.008
     assert tube.centreline_m == pytest.approx(by_hand, rel=1e-5)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cucumbervision.perception.masks import encode_rle
+from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.images import DEPTH_UNIT_M, ImageStore
 from cucumbervision.store.records import (
     ArtifactRecord,

@@ -29,7 +29,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.boxes import box_iou
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures

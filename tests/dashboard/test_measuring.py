@@ -13,7 +13,7 @@ from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, key_of

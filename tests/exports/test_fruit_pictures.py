@@ -12,7 +12,7 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.fruit_pictures import draw_fruit
-from cucumbervision.perception.masks import encode_rle
+from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,

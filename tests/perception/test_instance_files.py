@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instance_files import FileInstances, read_instances
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.masks import decode_rle, fill_polygon
+from cucumbervision.perception.mask_codes import decode_rle, fill_polygon
 
 WIDTH, HEIGHT = 20, 10
 

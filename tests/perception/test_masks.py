@@ -9,13 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
+from cucumbervision.perception.mask_codes import Rle, decode_rle, encode_rle
 from cucumbervision.perception.masks import (
-    Rle,
     box_of_mask,
-    decode_rle,
     disjoint_masks,
     distances_inside,
-    encode_rle,
     mask_iou,
     mask_pixels,
     mask_window,

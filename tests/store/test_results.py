@@ -13,7 +13,7 @@ from cucumbervision.errors import CaptureError
 from cucumbervision.measurement.result import Flag, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions

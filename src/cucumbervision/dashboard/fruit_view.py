@@ -14,7 +14,7 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.dashboard.charts import class_color
 from cucumbervision.dashboard.round_tables import length_words
 from cucumbervision.measurement.m1 import window_depths
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,7 +14,8 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit

@@ -15,7 +15,8 @@ import numpy as np
 from cucumbervision.capture.files import read_json, read_text
 from cucumbervision.errors import InstancesError, refusing
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, mask_of_segmentation, polygon_points
+from cucumbervision.perception.mask_codes import mask_of_segmentation, polygon_points
+from cucumbervision.perception.masks import box_of_mask
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

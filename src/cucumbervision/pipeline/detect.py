@@ -27,7 +27,7 @@ from cucumbervision.errors import CaptureError, CucumberVisionError, naming_os_e
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.masks import encode_rle
+from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
 from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
 

@@ -15,7 +15,7 @@ from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Stop
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag, LengthDefinition
-from cucumbervision.perception.masks import encode_rle
+from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.pipeline.fields import si_values
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import (

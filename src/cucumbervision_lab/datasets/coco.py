@@ -16,7 +16,8 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError, refusing
 from cucumbervision.perception.instances import KEYPOINT_NAMES
-from cucumbervision.perception.masks import Rle, box_of_mask, mask_of_segmentation
+from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
     DataSet,
     Label,

@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.masks import Rle
+from cucumbervision.perception.mask_codes import Rle
 from cucumbervision_lab.datasets.coco import ANNOTATIONS
 from cucumbervision_lab.datasets.labels import (
     DataSet,

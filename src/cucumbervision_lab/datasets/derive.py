@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import Instance
-from cucumbervision.perception.masks import Rle
+from cucumbervision.perception.mask_codes import Rle
 from cucumbervision_lab.datasets.bop import write_bop
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import SPLITS, keep_classes, ticked

@@ -17,7 +17,8 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.masks import Rle, box_of_mask
+from cucumbervision.perception.mask_codes import Rle
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.views import Verdict
 from cucumbervision_lab.datasets.card import dataset_card

@@ -14,7 +14,8 @@ import numpy as np
 from cucumbervision.capture.files import COLOR_SUFFIXES, read_bytes, read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
-from cucumbervision.perception.masks import Rle, box_of_mask
+from cucumbervision.perception.mask_codes import Rle
+from cucumbervision.perception.masks import box_of_mask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

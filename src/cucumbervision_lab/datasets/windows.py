@@ -18,7 +18,8 @@ import numpy as np
 from cucumbervision.capture.files import read_color, write_jpeg
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.boxes import share_inside
-from cucumbervision.perception.masks import Rle, box_of_mask
+from cucumbervision.perception.mask_codes import Rle
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
 

@@ -16,7 +16,8 @@ from cucumbervision.errors import (
     refusing,
 )
 from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.masks import Rle, box_of_mask, mask_of_segmentation
+from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
     DataSet,
     Label,

@@ -13,7 +13,8 @@ from cucumbervision.accuracy.statistics import Estimate, estimate, score
 from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.masks import box_of_mask, decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths, noted
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision_lab.detection.pictures import Stage
 
 if TYPE_CHECKING:

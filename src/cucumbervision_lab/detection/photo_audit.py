@@ -20,7 +20,7 @@ from cucumbervision.capture.files import read_json
 from cucumbervision.errors import DataSetError, refusing
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.masks import fill_polygon
+from cucumbervision.perception.mask_codes import fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.accuracy.plots import as_png, new_figure
 from cucumbervision.capture.files import read_color
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import DRAWN, Stage
 

@@ -13,7 +13,7 @@ from cucumbervision.capture.files import read_color
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.masks import decode_rle
+from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.detection.lengths import length_records
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos

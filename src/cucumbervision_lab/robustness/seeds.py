@@ -17,7 +17,7 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.geometry.camera import Distortion
-from cucumbervision.perception.masks import encode_rle
+from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,

@@ -16,7 +16,8 @@ pytest.importorskip("streamlit")
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.dashboard.access import set_password
-from cucumbervision.perception.masks import decode_rle, mask_iou
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import mask_iou
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.views import DetectionDetail, Verdict

@@ -12,7 +12,7 @@ import pytest
 
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.masks import Rle
+from cucumbervision.perception.mask_codes import Rle
 from cucumbervision_lab.datasets.checks import (
     Finding,
     check_dataset,

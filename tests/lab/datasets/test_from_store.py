@@ -11,7 +11,7 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import read_color
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import DataSetError
-from cucumbervision.perception.masks import encode_rle
+from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,

@@ -1,4 +1,4 @@
-"""One fruit: its picture with measurements, depth, 3D, ruler; accept, reject, correct."""
+"""One fruit: its picture, measurements, 3D, ruler, all its views; accept, reject, correct."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ from cucumbervision.dashboard.round_tables import (
     figure_lines,
     grade_name,
     interval_words,
+    length_words,
     remarks,
 )
-from cucumbervision.dashboard.views.fruit_stops import show_stops
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
-from cucumbervision.perception.masks import decode_rle, painted_mask
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import painted_mask
 from cucumbervision.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -42,8 +43,9 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.dashboard.settings import Units
     from cucumbervision.store.records import DetectionRecord, MethodRecord, StopRecord
-    from cucumbervision.store.views import RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 
 def show(one: RoundView, lists: RoundLists, key: str) -> None:
@@ -56,7 +58,7 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
         _verdict(one, detail)
     with left:
         _pictures(detail)
-    show_stops(one, detail.view)
+    _show_stops(one, detail.view)
     _methods(detail)
 
 
@@ -337,3 +339,40 @@ def _remark(method: MethodRecord, record: DetectionRecord) -> str:
         f"measured by {method.measured_by} instead" if method.measured_by else "",
     ]
     return ", ".join(filter(None, remarks))
+
+
+_ABREAST = 4
+
+
+def _show_stops(one: RoundView, fruit: DetectionView) -> None:
+    """Draw the views of a fruit, the one that stands first; nothing where there is only one.
+
+    Parameters
+    ----------
+    one : RoundView
+        Its round.
+    fruit : DetectionView
+        Any of its views.
+    """
+    content, units = resources.content_of(one), resources.settings().units
+    views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
+    if len(views) < 2:
+        return
+    st.markdown(f"**Seen {len(views)} times**")
+    for first in range(0, len(views), _ABREAST):
+        for column, view in zip(
+            st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
+        ):
+            if (cut := resources.cutout_of(view)) is not None:
+                column.image(cut, width="stretch")
+            stands = " · this one stands" if view.best else ""
+            column.caption(f"Stop {view.step or '?'}: {_length(view.record, units)}{stands}")
+    together = next((x.view for x in resources.fruit_of(one) if x.view.group == fruit.group), None)
+    if together is not None:
+        st.caption(f"All that show it whole, together: {_length(together.record, units)}")
+
+
+def _length(record: DetectionRecord, units: Units) -> str:
+    words = length_words(record, units)
+    interval = None if record.partial else interval_words(record, units)
+    return f"{words} ({interval})" if interval else words

@@ -1,0 +1,251 @@
+"""Masks as files hold them: COCO's run lengths and polygons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> NDArray[np.bool_]:
+    """Decode COCO run lengths, compressed (a string) or not (numbers).
+
+    Runs go down the columns and begin with background. The string holds six bits a character,
+    lowest first, each run from the third on as the difference to the last but one
+    (`rleFrString` in pycocotools' `maskApi.c`).
+
+    Parameters
+    ----------
+    counts : str, bytes or sequence of int
+        The run lengths.
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+
+    Raises
+    ------
+    ValueError
+        If the runs do not fill the picture exactly.
+
+    Examples
+    --------
+    >>> decode_rle([1, 2, 3], 2, 3).astype(int).tolist()
+    [[0, 1, 0], [1, 0, 0]]
+    >>> bool((decode_rle("123", 2, 3) == decode_rle([1, 2, 3], 2, 3)).all())
+    True
+    """
+    if isinstance(counts, bytes):
+        counts = counts.decode("ascii")
+    runs = _unpack(counts) if isinstance(counts, str) else list(counts)
+    # Python's integers have no bound: none reaches NumPy that could overflow there.
+    size = height * width
+    if not all(0 <= run <= size and run % 1 == 0 for run in runs) or sum(runs) != size:
+        raise ValueError(f"the run lengths do not fill {width}x{height} pixels")
+    values = np.arange(len(runs)) % 2 == 1
+    return np.repeat(values, np.array(runs, np.int64)).reshape(width, height).T.copy()
+
+
+def encode_rle(mask: NDArray[np.bool_]) -> str:
+    """Write a mask as COCO's compressed run lengths, the inverse of `decode_rle`.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (height, width)
+
+    Returns
+    -------
+    str
+        As `rleToString` in pycocotools' `maskApi.c` writes them.
+
+    Examples
+    --------
+    >>> encode_rle(np.array([[0, 1, 0], [1, 0, 0]], bool))
+    '123'
+    """
+    pixels = np.asarray(mask, bool).T.ravel()
+    changes = np.flatnonzero(pixels[1:] != pixels[:-1]) + 1
+    # Runs begin with background: a first run of nothing where the first pixel is set.
+    starts = [0, 0] if pixels[:1].any() else [0]
+    runs = np.diff(np.concatenate([starts, changes, [pixels.size]])).tolist()
+    return "".join(_pack(n - runs[k - 2] if k > 2 else n) for k, n in enumerate(runs))
+
+
+def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
+    """Set the pixels whose centres lie inside a polygon (even-odd rule).
+
+    Parameters
+    ----------
+    points : ndarray, shape (K, 2)
+        x, y in pixels from the picture's corner: the first pixel's centre is (0.5, 0.5).
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+
+    Examples
+    --------
+    >>> square = np.array([[1.0, 0], [3, 0], [3, 1], [1, 1]])
+    >>> fill_polygon(square, 2, 4).astype(int).tolist()
+    [[0, 1, 1, 0], [0, 0, 0, 0]]
+    """
+    x1, y1 = np.asarray(points, np.float64).T
+    x2, y2 = np.roll(x1, -1), np.roll(y1, -1)
+    centres = np.arange(height)[:, None] + 0.5
+    crossed = (y1 <= centres) != (y2 <= centres)
+    rows, edges = np.nonzero(crossed)
+    # An edge that is passed there and back (a bridge between parts) must cross a row at the same
+    # number both times, to the last bit: counted from its lower end.
+    low = np.where(y1 <= y2, [x1, y1], [x2, y2])[:, edges]
+    high = np.where(y1 <= y2, [x2, y2], [x1, y1])[:, edges]
+    at = low[0] + (centres[rows, 0] - low[1]) * ((high[0] - low[0]) / (high[1] - low[1]))
+    # Everything from the first pixel centre at or right of a crossing changes sides.
+    first = np.clip(np.ceil(at - 0.5), 0, width).astype(int)
+    changes = np.zeros((height, width + 1), np.int32)
+    np.add.at(changes, (rows, first), 1)
+    return np.asarray(changes[:, :width].cumsum(axis=1) % 2 == 1)
+
+
+def polygon_points(values: Any) -> NDArray[np.float64]:
+    """Return the points, shape (K, 2), of a polygon written x1, y1, x2, y2, ...
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three points, or a number is not finite.
+    """
+    numbers = np.array(values, np.float64)
+    if numbers.ndim != 1 or len(numbers) < 6 or len(numbers) % 2:
+        raise ValueError("has a polygon of fewer than three points")
+    if not np.isfinite(numbers).all():
+        raise ValueError("has a number that is not finite")
+    return numbers.reshape(-1, 2)
+
+
+def mask_of_segmentation(shape: Any, height: int, width: int) -> NDArray[np.bool_]:
+    """Return the mask that COCO's 'segmentation' says.
+
+    Parameters
+    ----------
+    shape : mapping or sequence
+        Run lengths (`size` and `counts`), or polygons x1, y1, x2, y2, ... from the corner.
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+        At least one pixel is set.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError, OverflowError
+        If it is neither, of another size, or covers no pixel.
+
+    Examples
+    --------
+    >>> mask_of_segmentation([[1, 0, 3, 0, 3, 1, 1, 1]], 2, 4).astype(int).tolist()
+    [[0, 1, 1, 0], [0, 0, 0, 0]]
+    """
+    if isinstance(shape, Mapping):
+        rows, columns = (int(n) for n in shape["size"])
+        if (rows, columns) != (height, width):
+            raise ValueError(f"has a mask of {columns}x{rows}, the picture is {width}x{height}")
+        mask = decode_rle(shape["counts"], height, width)
+    else:
+        parts = [fill_polygon(polygon_points(part), height, width) for part in shape]
+        mask = np.logical_or.reduce(parts)
+    if not mask.any():
+        raise ValueError("its mask covers no pixel of the picture")
+    return mask
+
+
+_RUN_BITS = 60  # reading a number of a million digits would take minutes
+
+
+def _pack(value: int) -> str:
+    text = ""
+    while True:
+        low, value = value & 0x1F, value >> 5
+        # The last character's sign bit must say the sign of the whole.
+        more = value != (-1 if low & 0x10 else 0)
+        text += chr((low | (0x20 if more else 0)) + 48)
+        if not more:
+            return text
+
+
+def _unpack(text: str) -> list[int]:
+    runs: list[int] = []
+    at = 0
+    while at < len(text):
+        value, shift, more = 0, 0, True
+        while more:
+            if at == len(text):
+                raise ValueError("the run lengths end within a number")
+            if shift > _RUN_BITS:
+                raise ValueError("a run length has more digits than any picture needs")
+            code = ord(text[at]) - 48
+            if not 0 <= code < 64:
+                raise ValueError(f"{text[at]!r} is no run length")
+            value |= (code & 0x1F) << shift
+            more = bool(code & 0x20)
+            at, shift = at + 1, shift + 5
+            if not more and code & 0x10:
+                value |= -1 << shift
+        runs.append(value + runs[-2] if len(runs) > 2 else value)
+    return runs
+
+
+@dataclass(frozen=True)
+class Rle:
+    """One mask in run lengths.
+
+    Parameters
+    ----------
+    height, width : int
+        The picture's size in pixels.
+    counts : str
+        COCO's compressed run lengths, as `encode_rle` gives them.
+
+    Examples
+    --------
+    >>> mask = np.array([[0, 1, 0], [1, 0, 0]], bool)
+    >>> code = Rle.of(mask)
+    >>> code.counts, code.area_px, bool((code.decode() == mask).all())
+    ('123', 2, True)
+    """
+
+    height: int
+    width: int
+    counts: str
+
+    @classmethod
+    def of(cls, mask: NDArray[np.bool_]) -> Rle:
+        """Return the code of a mask of shape (H, W)."""
+        return cls(mask.shape[0], mask.shape[1], encode_rle(mask))
+
+    def decode(self) -> NDArray[np.bool_]:
+        """Return the mask, bool, shape (height, width).
+
+        Raises
+        ------
+        ValueError
+            If the runs do not fill the picture exactly.
+        """
+        return decode_rle(self.counts, self.height, self.width)
+
+    @property
+    def area_px(self) -> int:
+        """Number of pixels set."""
+        return int(np.count_nonzero(self.decode()))

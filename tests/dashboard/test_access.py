@@ -5,6 +5,7 @@ import os
 import stat
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,20 @@ from cucumbervision.errors import AccessError
 from cucumbervision.service.settings import is_loopback
 
 WORDS = "grüne gurken im haus"
+HASHER = access._HASHER  # as it ships
 AUTH = '[auth]\nredirect_uri = "https://a/oauth2callback"\ncookie_secret = "x"\n'
 CLIENT = 'client_id = "a"\nclient_secret = "b"\nserver_metadata_url = "https://c"\n'
 ADMITTED = '[cucumbervision]\nadmitted = ["Anna@example.org", "248289761001"]\n'
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick_hashes() -> Iterator[None]:
+    """Hash as little as Argon2 allows: how dear a guess is, is a test of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(access, "_HASHER", argon2.PasswordHasher(1, 8, 1))
+        access._hash_of_nothing.cache_clear()
+        yield
+    access._hash_of_nothing.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +73,10 @@ def test_other_addresses_require_a_login(address: str) -> None:
     assert decide_login(address, oidc=True, accounts=True) is Login.OIDC
 
 
-def test_only_argon2_hashes_are_stored_for_their_owner(tmp_path: Path) -> None:
+def test_only_argon2_hashes_are_stored_for_their_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(access, "_HASHER", HASHER)
     path = tmp_path / "new" / "accounts"
     assert read_accounts(path) == {}
     set_password(path, "anna", WORDS)

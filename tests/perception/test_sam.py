@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.runtime import Network
 from cucumbervision.perception.sam import PROMPTS, Segmenter, _mask_fault
 
 Mask = NDArray[np.bool_]
@@ -51,9 +52,29 @@ LEFT = [(80, 120), (150, 150), (220, 160), (300, 150)]
 RIGHT = [(480, 100), (500, 200), (490, 300), (460, 380)]
 
 
+class Remembered:
+    """An encoder that looks at each picture once, however many tests show it."""
+
+    def __init__(self, encoder: Network) -> None:
+        self.inputs, self.runtime, self._encoder = encoder.inputs, encoder.runtime, encoder
+        self._known: dict[bytes, dict[str, NDArray[Any]]] = {}
+
+    def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        key = feeds["image"].tobytes()
+        if key not in self._known:
+            self._known[key] = dict(self._encoder.run(feeds))
+        return self._known[key]
+
+
+def remembering(segmenter: Segmenter) -> Segmenter:
+    segmenter._encoder = cast(Network, Remembered(segmenter._encoder))
+    return segmenter
+
+
 @pytest.fixture(scope="module")
 def segmenter() -> Segmenter:
-    return Segmenter("mobile-sam", runtime="onnxruntime", full_precision=True)
+    one = Segmenter("mobile-sam", runtime="onnxruntime", full_precision=True)
+    return remembering(one)
 
 
 def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
@@ -103,15 +124,24 @@ def test_several_fruit_equal_one_by_one(segmenter: Segmenter) -> None:
     assert iou(alone[1].mask, tube(480, 640, RIGHT)) > 0.9
 
 
-@pytest.mark.parametrize("prompt", PROMPTS)
-def test_runtimes_agree(prompt: str) -> None:
+@pytest.fixture(scope="module")
+def as_shipped() -> list[Segmenter]:
+    """One of each runtime, in the precision that users get."""
     pytest.importorskip("openvino")
+    runtimes = ("onnxruntime", "openvino")
+    return [remembering(Segmenter("mobile-sam", runtime=runtime)) for runtime in runtimes]
+
+
+@pytest.mark.parametrize("prompt", PROMPTS)
+def test_runtimes_agree(
+    prompt: str, as_shipped: list[Segmenter], monkeypatch: pytest.MonkeyPatch
+) -> None:
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
-    one, two = (
-        Segmenter("mobile-sam", runtime=runtime, prompt=prompt).segment(picture, [fruit])[0]
-        for runtime in ("onnxruntime", "openvino")
-    )
-    assert iou(one.mask, two.mask) > 0.99
+    found: list[Instance] = []
+    for one in as_shipped:
+        monkeypatch.setattr(one, "prompt", prompt)
+        found += one.segment(picture, [fruit])
+    assert iou(found[0].mask, found[1].mask) > 0.99
 
 
 def test_auto_takes_openvino_where_it_is() -> None:

@@ -94,7 +94,9 @@ def test_fruit_are_as_long_as_their_cases_say() -> None:
 
 def test_whole_fruit_fit_into_the_picture() -> None:
     assert nearest_m(0.2, 0) == pytest.approx(0.2 * 910.22 / (0.86 * 1280))
-    cut = [simulate(case).truth.cut_off for case in (*validation_cases(), *stress_cases(10))]
+    cut = [
+        simulate(case, frames=1).truth.cut_off for case in (*validation_cases(), *stress_cases(10))
+    ]
     assert sum(cut) <= 1
     assert CAMERA.width == 1280
 
@@ -109,7 +111,9 @@ def test_the_protocol_is_the_papers() -> None:
 def test_hiding_leaves_hide_about_what_was_asked() -> None:
     hidden = [c for c in stress_cases(60) if c.hidden_share > 0.1][:8]
     for case in hidden:
-        assert simulate(case).truth.hidden_share == pytest.approx(case.hidden_share, abs=0.2)
+        assert simulate(case, frames=1).truth.hidden_share == pytest.approx(
+            case.hidden_share, abs=0.2
+        )
 
 
 def test_a_killed_run_resumes_and_a_foreign_file_is_refused(tmp_path: Path) -> None:
@@ -141,7 +145,7 @@ def test_perceived_masks_need_a_finder() -> None:
 
 def test_perceived_fruit_are_what_was_found_where_the_fruit_is() -> None:
     case, options = paper_cases(6)[5], CaseOptions((Masks.PERCEIVED,))
-    mask = simulate(case).truth.visible
+    mask = simulate(case, frames=1).truth.visible
     own, beside = Instance(box_of_mask(mask), mask=mask), Instance(box_of_mask(mask) + 400)
 
     (found,) = measure_case(case, options, lambda capture: [beside, own])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cucumbervision.accuracy.records import Masks
+from cucumbervision.accuracy.records import Masks, read_records
 from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
 from cucumbervision.perception.instances import Instance, MaskSource
@@ -41,15 +42,24 @@ class TruthFinder:
         return SimpleNamespace(instances=tuple(found))
 
 
-@pytest.fixture
-def finder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TruthFinder:
-    finder = TruthFinder(tmp_path / "set")
-    monkeypatch.setattr(learn_intervals, "_finder", lambda: finder)
-    return finder
+@pytest.fixture(scope="module")
+def finder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TruthFinder]:
+    finder = TruthFinder(tmp_path_factory.mktemp("drawn") / "set")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learn_intervals, "_finder", lambda: finder)
+        yield finder
 
 
-def test_the_same_mask_reads_the_same_whoever_drew_it(tmp_path: Path, finder: TruthFinder) -> None:
-    records = set_records(finder.data.folder, "all", tmp_path / "records.jsonl")
+@pytest.fixture(scope="module")
+def kept(finder: TruthFinder, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The records of the whole set, in a file."""
+    file = tmp_path_factory.mktemp("kept") / "records.jsonl"
+    set_records(finder.data.folder, "all", file)
+    return file
+
+
+def test_the_same_mask_reads_the_same_whoever_drew_it(kept: Path) -> None:
+    records = read_records([kept])
     by_masks = {kind: [r for r in records if r.masks is kind] for kind in Masks}
     given, perceived = by_masks[Masks.EXACT], by_masks[Masks.PERCEIVED]
     assert len(given) == len(perceived) > 2
@@ -63,13 +73,15 @@ def test_the_same_mask_reads_the_same_whoever_drew_it(tmp_path: Path, finder: Tr
     assert abs(np.median(errors)) < 0.05
 
 
-def test_a_second_run_measures_what_is_missing(tmp_path: Path, finder: TruthFinder) -> None:
+def test_a_second_run_measures_what_is_missing(
+    kept: Path, finder: TruthFinder, tmp_path: Path
+) -> None:
     file = tmp_path / "records.jsonl"
-    every = set_records(finder.data.folder, "all", file)
-    lines = file.read_text().splitlines(keepends=True)
+    every = read_records([kept])
+    lines = kept.read_text().splitlines(keepends=True)
     last = [r.case.partition("#")[0] for r in every][-1]
-    kept = [s for s, r in zip(lines, every, strict=True) if not r.case.startswith(last)]
-    file.write_text("".join(kept))
+    left = [s for s, r in zip(lines, every, strict=True) if not r.case.startswith(last)]
+    file.write_text("".join(left))
     finder.seen.clear()
     again = set_records(finder.data.folder, "all", file)
     assert Path(last).stem in finder.seen

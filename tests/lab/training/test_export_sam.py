@@ -105,6 +105,16 @@ def answers_of_onnx(files: dict[str, Path], picture: Array, points: Array, label
     return [embedding, answer["logits"], answer["ious"]]
 
 
+@pytest.fixture
+def _three_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ViT-B with three of its twelve blocks: two that see windows and one that sees all."""
+    import_ultralytics()
+    from ultralytics.models.sam import build
+
+    monkeypatch.setattr(build, "build_sam_vit_b", lambda: build._build_sam(768, 3, 12, [2]))
+
+
+@pytest.mark.usefixtures("_three_blocks")
 @pytest.mark.parametrize("architecture", ["mobile_sam", "sam_vit_b"])
 def test_the_true_architecture_is_pulled_and_agrees_with_torch(
     tmp_path: Path, architecture: str

@@ -32,7 +32,7 @@ class Dashboard:
     page: Any
     address: str
     store: Path
-    artefacts: Path
+    artefacts: Path | None
     hosts: set[str]
     faults: list[str]
 
@@ -56,7 +56,9 @@ class Dashboard:
             return sum(one.stops for one in store.rounds())
 
     def shot(self, name: str) -> None:
-        """Keep a picture of the whole page, at both ways of holding a tablet."""
+        """Keep a picture of the whole page, at both ways of holding a tablet, where asked to."""
+        if self.artefacts is None:
+            return
         for way, size in (("wide", TABLET), ("upright", UPRIGHT)):
             self.page.set_viewport_size(size)
             self.page.wait_for_timeout(400)
@@ -71,8 +73,10 @@ def served(
     new_page: Callable[[], Any],
 ) -> Dashboard:
     folder = tmp_path_factory.mktemp("browser")
-    artefacts = Path(os.environ.get("CUCUMBERVISION_ARTEFACTS") or folder)
-    artefacts.mkdir(parents=True, exist_ok=True)
+    named = os.environ.get("CUCUMBERVISION_ARTEFACTS")
+    artefacts = Path(named) if named else None
+    if artefacts is not None:
+        artefacts.mkdir(parents=True, exist_ok=True)
     store, replay = folder / "house.db", bundled_captures()
     address = start_server(folder, "--store", str(store), "--replay", str(replay))
     page, hosts, faults = new_page(), set[str](), list[str]()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.geometry.tube import TubeShape, guess_shape, shape_from_curve
+from cucumbervision.geometry.tube import TubeShape, guess_shape, near_depths, shape_from_curve
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import fit_shape
 
@@ -67,7 +67,7 @@ def test_flying_pixels_and_stray_outline_have_little_say() -> None:
     stray = points[rng.choice(len(points), 12)] * (1, 0.3, 1)
     stray /= np.linalg.norm(stray, axis=1)[:, None]
     seen = evidence(np.vstack([points, flying]), np.vstack([rays, stray]))
-    fitting = fit_shape(seen, guess_shape(seen.points_m))
+    fitting = fit_shape(seen, guess_shape(seen.points_m, near_depths(seen.points_m)))
     along = np.ptp(fitting.shape.balls(9)[0][:, 0])
     assert along + 2 * RADIUS == pytest.approx(LONG + 2 * RADIUS, rel=0.01)
 

@@ -150,15 +150,15 @@ def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     return near
 
 
-def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeShape:
+def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None = None) -> TubeShape:
     """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
 
     Parameters
     ----------
     points_m : ndarray of float64, shape (N, 3)
         Points of the visible surface, camera coordinates, metres.
-    gated : bool
-        Whether to leave out what `near_depths` does.
+    level : ndarray of bool, shape (N,), optional
+        Which points may be the fruit's: what `near_depths` says; all points without.
 
     Returns
     -------
@@ -173,7 +173,8 @@ def guess_shape(points_m: NDArray[np.float64], *, gated: bool = True) -> TubeSha
     >>> bool(abs(centres[1, 2] - 0.5) < 0.005), bool(abs(radii[1] - 0.02) < 0.005)
     (True, True)
     """
-    level = near_depths(points_m) if gated else np.ones(len(points_m), dtype=bool)
+    if level is None:
+        level = np.ones(len(points_m), dtype=bool)
     near = level
     for _ in range(_ROUNDS):
         centroid, axis = principal_axis(points_m[near])

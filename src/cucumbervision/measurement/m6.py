@@ -312,10 +312,11 @@ def fit_view(view: TubeView) -> TubeFitting | Reason:
 
 def _best_fit(view: TubeView) -> TubeFitting:
     surface, evidence = view.surface_m, view.evidence
-    fits = [fit_shape(evidence, guess_shape(surface))]
+    level = near_depths(surface)
+    fits = [fit_shape(evidence, guess_shape(surface, level))]
     # What lies off the plane is background, or the far part of a hook.
-    if 1.0 - float(near_depths(surface).mean()) >= _MAY_BE_FRUIT:
-        fits.append(fit_shape(evidence, guess_shape(surface, gated=False)))
+    if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT:
+        fits.append(fit_shape(evidence, guess_shape(surface)))
     first = fits[0]
     seen = view.grid_mask & (view.grid_depth_m > 0)
     if np.count_nonzero(seen) >= _LEAST_SEEN and (

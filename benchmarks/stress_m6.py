@@ -70,14 +70,17 @@ def error_table(rows: pd.DataFrame) -> Table:
     table = Table(title="M6 on the stress set: errors of the centreline, %")
     for head in ERROR_HEADS:
         table.add_column(head, justify="right")
+    doubt = {Flag.END_HIDDEN, Flag.END_ON, Flag.POOR_FIT, Flag.UNCERTAIN}
     for masks, own in rows.groupby("masks", sort=False):
         seen = own[own["ends"]]
+        sure = seen["flags"].map(lambda flags: doubt.isdisjoint(map(Flag, flags)))
         groups = {
             "all": own,
             "ends seen": seen,
             "of these even numbers": seen[seen["number"] % 2 == 0],
             "odd numbers": seen[seen["number"] % 2 == 1],
             "no end taken for hidden": seen[~seen["flags"].map(lambda f: Flag.END_HIDDEN in f)],
+            "M6 doubts nothing": seen[sure & seen["error"].notna()],
             "tilt below 15": seen[seen["tilt"] < 15],
             "tilt 15 to 30": seen[seen["tilt"].between(15, 30)],
             "tilt 30 to 60": seen[seen["tilt"] > 30],

@@ -73,6 +73,20 @@ def test_another_file_is_refused(tmp_path: Path, change: dict[str, object], text
         read_site_calibration(path)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("escaped", [True, False])
+def test_half_of_a_pair_is_no_text_in_any_encoding(
+    tmp_path: Path, encoding: str, escaped: bool
+) -> None:
+    given = json.loads(SITE.as_text())
+    given["measured_with"]["models"] = [{"name": "\ud800"}]
+    text = json.dumps(given, ensure_ascii=escaped)
+    path = tmp_path / "site.json"
+    path.write_bytes(text.encode(encoding, errors="surrogatepass"))
+    with pytest.raises(CalibrationError, match="is no JSON text"):
+        read_site_calibration(path)
+
+
 def test_what_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="the file is missing; make it with"):
         read_site_calibration(tmp_path / "none.json")

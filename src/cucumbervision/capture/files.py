@@ -352,8 +352,10 @@ def read_json(
     """
     data = read_bytes(path, error, remedy)
     try:
-        value = json.loads(data)
-        if b"\\ud" in data.lower():
+        # Decoded here: given bytes, json lets halves of pairs pass, and UTF-16 hides their escapes.
+        text = data.decode(json.detect_encoding(data))
+        value = json.loads(text)
+        if "\\ud" in text.lower():
             # Half of a pair that stands for one letter: no file and no page could take it.
             json.dumps(value, ensure_ascii=False).encode()
         return value

@@ -337,8 +337,8 @@ def _coco_crossings(path: Path) -> Iterator[Finding]:
             for part in shape if isinstance(shape, list) else []:
                 try:
                     points = np.array(part, np.float64).reshape(-1, 2)
-                except ValueError:
-                    continue
+                except (TypeError, ValueError, OverflowError):
+                    continue  # the reader has refused it
                 if len(points) > 2 and np.isfinite(points).all() and crosses_itself(points):
                     yield _crossing(f"{file.name}, annotation {item.get('id', i)}")
 

@@ -114,6 +114,19 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     assert findings[-1].where == "annotations.json, annotation 1"
 
 
+@pytest.mark.parametrize("part", [{}, {"a": 1}, "x", [[1, 2], [3]], [None, 1], [10**400, 1], [1]])
+def test_an_outline_of_anything_is_no_crossing(make_set: MakeSet, part: object) -> None:
+    dataset = make_set()
+    write_coco(dataset, dataset.folder)
+    file = dataset.folder / "annotations.json"
+    data = json.loads(file.read_text())
+    # Of labels to ignore the reader takes the box alone.
+    data["annotations"][0] |= {"segmentation": [part], "ignore": 1, "iscrowd": 1}
+    file.write_text(json.dumps(data))
+    _, findings = check_folder(dataset.folder)
+    assert [one for one in findings if one.kind == "polygon"] == []
+
+
 @pytest.mark.parametrize(
     ("label", "fault"),
     [

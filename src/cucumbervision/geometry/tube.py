@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12
 BALLS = 64
-CAP_STEPS = 40
-SWALLOWED_M = 1e-5
+_CAP_STEPS = 40
+_SWALLOWED_M = 1e-5
 
 _ROUNDS = 4
 _DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
@@ -353,13 +353,13 @@ def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArr
     last = len(radii) - 1
     caps = []
     for end, sign, angle in ((0, -1.0, np.arccos(slope[0])), (last, 1.0, np.arccos(-slope[-1]))):
-        turn = np.linspace(0.0, angle, CAP_STEPS)[:, None]
+        turn = np.linspace(0.0, angle, _CAP_STEPS)[:, None]
         step = sign * np.cos(turn) * tangents[end] + np.sin(turn) * across[end]
         caps.append(centres[end] + radii[end] * step)
     line = np.vstack([caps[0], contact[1:-1], caps[1][::-1]])
     # Where a ball is swallowed by others its contact lies inside the body: no thread runs there.
     gap = np.sqrt(_squared_distances(line, centres)) - radii
-    line = line[gap.min(axis=1) > -SWALLOWED_M]
+    line = line[gap.min(axis=1) > -_SWALLOWED_M]
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) if len(line) > 1 else 0.0
 
 

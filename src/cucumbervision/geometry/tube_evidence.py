@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SLIPS = 3  # of the whole outline: along x and y, and outward
-BENDS = 3 * (BEND_SEGMENTS + 3)
-SHAPE = BENDS + WIDTH_SEGMENTS + 3
+_BENDS = 3 * (BEND_SEGMENTS + 3)
+SHAPE = _BENDS + WIDTH_SEGMENTS + 3
 BODY = SHAPE + SLIPS  # unknowns of body and outline
-TUKEY, CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
-TIP_COSINE, TIP_RAYS = 0.7, 2
-GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: warts, ribs
-ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
-MISFIT_SD = 5.0
+_TUKEY, _CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
+_TIP_COSINE, _TIP_RAYS = 0.7, 2
+_GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: warts, ribs
+_ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
+_MISFIT_SD = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +103,9 @@ class Readings:
     slope: NDArray[np.float64]
 
     def misfit(self, share: float) -> float:
-        """Return the sum of squared gaps in their own errors, each up to `MISFIT_SD`."""
+        """Return the sum of squared gaps in their own errors, each up to `_MISFIT_SD`."""
         return share * float(
-            (np.minimum(np.abs(self.found.gap_m / self.sd_m), MISFIT_SD) ** 2).sum()
+            (np.minimum(np.abs(self.found.gap_m / self.sd_m), _MISFIT_SD) ** 2).sum()
         )
 
     def scatter(self, limits: tuple[float, float]) -> float:
@@ -132,8 +132,8 @@ def point_readings(evidence: Evidence, shape: TubeShape, beside: NDArray[np.floa
         The outline's slips, which do not matter here, and the strength of each wave.
     """
     found, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
-    across = ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
-    sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + GROUND_M**2)
+    across = _ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
+    sd = np.sqrt((evidence.points_sd_m * facing) ** 2 + across**2 + _GROUND_M**2)
     slope = _slope(found, evidence.waves)
     slope[:, SHAPE:BODY] = 0.0
     if evidence.waves_m is None:
@@ -157,7 +157,7 @@ def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float6
     """
     found = gaps(shape, evidence.rays, rays=True)
     far = np.sqrt(np.einsum("ij,ij->i", found.centres_m, found.centres_m))
-    sd = np.hypot(evidence.rays_sd_rad * far, GROUND_M)
+    sd = np.hypot(evidence.rays_sd_rad * far, _GROUND_M)
     slope = _slope(found, 0)
     by_far = far / evidence.far_m
     slope[:, SHAPE : BODY - 1] = by_far[:, None] * found.away[:, :2]
@@ -171,8 +171,8 @@ def _slope(found: Gaps, waves: int) -> NDArray[np.float64]:
     slope = np.empty((len(found.gap_m), BODY + waves))
     for axis in range(3):
         away = found.away[:, axis : axis + 1]
-        np.multiply(found.bend_basis, away, out=slope[:, axis:BENDS:3])
-    np.negative(found.width_basis, out=slope[:, BENDS:SHAPE])
+        np.multiply(found.bend_basis, away, out=slope[:, axis:_BENDS:3])
+    np.negative(found.width_basis, out=slope[:, _BENDS:SHAPE])
     return slope
 
 
@@ -235,12 +235,12 @@ def median_of(values: NDArray[np.float64]) -> float:
 
 
 def _tukey(u: NDArray[np.float64]) -> NDArray[np.float64]:
-    inside = np.maximum(1 - (u / TUKEY) ** 2, 0.0)
+    inside = np.maximum(1 - (u / _TUKEY) ** 2, 0.0)
     return inside * inside
 
 
 def _cauchy(u: NDArray[np.float64]) -> NDArray[np.float64]:
-    return 1 / (1 + (u / CAUCHY) ** 2)
+    return 1 / (1 + (u / _CAUCHY) ** 2)
 
 
 def ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
@@ -265,6 +265,6 @@ def ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple
         ray = rays[at_end]
         ahead = tangent - (ray @ tangent)[:, None] * ray
         ahead /= np.maximum(np.linalg.norm(ahead, axis=1), 1e-12)[:, None]
-        touching = -np.einsum("ij,ij->i", ahead, found.away[at_end]) > TIP_COSINE
-        seen.append(int(np.count_nonzero(touching)) >= TIP_RAYS)
+        touching = -np.einsum("ij,ij->i", ahead, found.away[at_end]) > _TIP_COSINE
+        seen.append(int(np.count_nonzero(touching)) >= _TIP_RAYS)
     return seen[0], seen[1]

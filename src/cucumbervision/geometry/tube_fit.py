@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from cucumbervision.geometry.tube_gaps import Gaps
 
 # How much larger than its own each reading's error is taken to be, step by step.
-SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
-MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
-STILL_M, STILL_SHARE = 1e-4, 3e-4
-SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
-LEAST_WIDTH = 0.15  # of the middle radius
-LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
+_SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
+_MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
+_STILL_M, _STILL_SHARE = 1e-4, 3e-4
+_SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
+_LEAST_WIDTH = 0.15  # of the middle radius
+_LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
 SCATTER_POINTS, SCATTER_RAYS = (0.7, 3.0), (0.5, 2.0)
 
 
@@ -52,7 +52,7 @@ class TubeFitting:
     ends_seen : tuple of bool
         Whether the outline goes round the curve's first and last end.
     misfit : float
-        Squared gaps in units of their own error, each counted up to `MISFIT_SD`, as many as
+        Squared gaps in units of their own error, each counted up to `_MISFIT_SD`, as many as
         there are independent readings: what tells fits of one fruit from each other.
     """
 
@@ -110,12 +110,12 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     scatter, hold = (1.0, 1.0), end_hold((True, True))
     anchors = guess.balls(2)[0]
     settled, length_m, still = False, 0.0, 0
-    for step, scale in enumerate((*SCHEDULE, *[SCHEDULE[-1]] * MORE_STEPS)):
-        if settled and step >= len(SCHEDULE):
+    for step, scale in enumerate((*_SCHEDULE, *[_SCHEDULE[-1]] * _MORE_STEPS)):
+        if settled and step >= len(_SCHEDULE):
             break
         points = point_readings(evidence, shape, beside)
         rays = ray_readings(evidence, shape, beside[:SLIPS])
-        if step >= SETTLED:
+        if step >= _SETTLED:
             scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
             seen = ends_seen(shape, rays.found, evidence.rays)
             hold = end_hold(seen)
@@ -124,11 +124,11 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
         add_shape_prior(normal, target, shape, anchors, hold)
         add_beside_prior(normal, target, beside, evidence)
         move = solve_held(normal, target, BODY)
-        settled = float(np.abs(move[:SHAPE]).max()) < STILL_M
+        settled = float(np.abs(move[:SHAPE]).max()) < _STILL_M
         shape, move = stepped(shape, move, BODY)
-        if step >= SETTLED:
+        if step >= _SETTLED:
             before, length_m = length_m, shape.length_m
-            still = still + 1 if abs(length_m - before) < STILL_SHARE * length_m else 0
+            still = still + 1 if abs(length_m - before) < _STILL_SHARE * length_m else 0
             settled = settled or still > 1
         beside = beside + move[SHAPE:]
     rays = ray_readings(evidence, shape, beside[:SLIPS])
@@ -149,7 +149,7 @@ def solve_held(
     Parameters
     ----------
     normal : ndarray of float64, shape (K, K)
-        Changed in place: its first `body` diagonal elements grow by `LEAST_HOLD` of their mean.
+        Changed in place: its first `body` diagonal elements grow by `_LEAST_HOLD` of their mean.
     target : ndarray of float64, shape (K,)
         What `normal` times the step is.
     body : int
@@ -161,7 +161,7 @@ def solve_held(
         If they have no solution.
     """
     first = np.arange(body)
-    normal[first, first] += LEAST_HOLD * float(normal[first, first].mean())
+    normal[first, first] += _LEAST_HOLD * float(normal[first, first].mean())
     return np.asarray(np.linalg.solve(normal, target))
 
 
@@ -172,7 +172,7 @@ def stepped(
 
     A step beyond the body's own width would leave the readings that led it, so it is shortened;
     a body that vanishes on the way would lose its readings there for good, so its radius stays
-    above `LEAST_WIDTH` of the median.
+    above `_LEAST_WIDTH` of the median.
 
     Parameters
     ----------
@@ -187,5 +187,5 @@ def stepped(
     move = move * min(1.0, limit / max(float(np.abs(move[:body]).max()), 1e-12))
     split = shape.bend_m.size
     width = shape.width_m + move[split:SHAPE]
-    width = np.maximum(width, LEAST_WIDTH * median_of(width))
+    width = np.maximum(width, _LEAST_WIDTH * median_of(width))
     return TubeShape(shape.bend_m + move[:split].reshape(-1, 3), width), move

@@ -19,9 +19,9 @@ from cucumbervision.geometry.tube import BALLS, TubeShape, bases
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-FINE = 1024  # positions along the curve to which a nearest ball is rounded
-GRAZING = 0.2  # the cosine below which a ray only grazes the body
-MISSED_M = 100.0
+_FINE = 1024  # positions along the curve to which a nearest ball is rounded
+_GRAZING = 0.2  # the cosine below which a ray only grazes the body
+_MISSED_M = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
         away = centre - readings
     far = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-9)
     away /= far[:, None]
-    return Gaps(far - width @ shape.width_m, away, bend, width, centre, index / FINE)
+    return Gaps(far - width @ shape.width_m, away, bend, width, centre, index / _FINE)
 
 
 def depth_gaps(
@@ -151,25 +151,25 @@ def depth_gaps(
     at = along_one - facing * radius
     away = (centre - at[:, None] * rays) / radius[:, None]
     gap = (at - far_m) * facing
-    missed = np.flatnonzero(facing <= GRAZING)
+    missed = np.flatnonzero(facing <= _GRAZING)
     if len(missed):
         own = gaps(shape, rays[missed] * far_m[missed, None], rays=False)
         gap[missed], away[missed], centre[missed] = own.gap_m, own.away, own.centres_m
         bend[missed], width[missed] = own.bend_basis, own.width_basis
-        index[missed] = np.rint(own.share * FINE)
-    return Gaps(gap, away, bend, width, centre, index / FINE), facing
+        index[missed] = np.rint(own.share * _FINE)
+    return Gaps(gap, away, bend, width, centre, index / _FINE), facing
 
 
 def _entered(
     rays: NDArray[np.float64], centres: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    # The ball that each ray enters first, and how far away; MISSED_M where it enters none.
+    # The ball that each ray enters first, and how far away; _MISSED_M where it enters none.
     entry = rays @ centres.T
     inside = entry * entry
     inside += radii * np.abs(radii) - np.einsum("ij,ij->i", centres, centres)
     hit = inside > 0
     np.sqrt(inside, out=inside, where=hit)
-    entered = np.full(entry.shape, MISSED_M)
+    entered = np.full(entry.shape, _MISSED_M)
     np.subtract(entry, inside, out=entered, where=hit)
     nearest = np.argmin(entered, axis=1)
     return nearest, entered[np.arange(len(rays)), nearest]
@@ -178,9 +178,9 @@ def _entered(
 def _ball_at(
     shape: TubeShape, ball: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    # Index among FINE positions, bases of centre and radius, and centre, at a fractional ball.
-    index = np.rint(ball * (FINE / (BALLS - 1))).astype(np.intp)
-    bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
+    # Index among _FINE positions, bases of centre and radius, and centre, at a fractional ball.
+    index = np.rint(ball * (_FINE / (BALLS - 1))).astype(np.intp)
+    bend, width = (table.take(index, axis=0) for table in bases(_FINE + 1))
     return index, bend, width, bend @ shape.bend_m
 
 

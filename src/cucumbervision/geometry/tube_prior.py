@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from cucumbervision.geometry.tube_evidence import Evidence
 
 # In shares of the length L and the radius r.
-TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
-BEND_SD, BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2
-TILT_SD = 0.6  # the far end beyond the near one, along the view
-SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
-WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
-WIDTH_TAIL = 1.0
+_TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
+_BEND_SD, _BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2
+_TILT_SD = 0.6  # the far end beyond the near one, along the view
+_SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
+_WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
+_WIDTH_TAIL = 1.0
 # How far, in radii, an end may be from where it was guessed: one that the outline shows (where
 # this must not matter), and one that a leaf or the picture's edge hides.
-ANCHOR_SD, HIDDEN_ANCHOR_SD = 1.5, 0.15
+_ANCHOR_SD, _HIDDEN_ANCHOR_SD = 1.5, 0.15
 # Colour and depth are registered to about a pixel; masks are drawn too wide or too narrow. More
 # room for the latter would win on masks 3 px too wide, but a real sensor's depth does not know a
 # body's roundness well enough: on rigid bodies seen anew the length then wanders.
-SLIP_SD_PX = (1.0, 1.0, 0.1)
+_SLIP_SD_PX = (1.0, 1.0, 0.1)
 
 
 def end_hold(seen: tuple[bool, bool]) -> NDArray[np.float64]:
     """Return how far each end may be from where it was guessed, radii, shape (2,)."""
-    return np.where(seen, ANCHOR_SD, HIDDEN_ANCHOR_SD)
+    return np.where(seen, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
 
 
 def add_shape_prior(
@@ -67,28 +67,28 @@ def add_shape_prior(
     step = float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).mean())
     radius = max(median_of(width), 0.002)
     second, smooth, twist = _differences(count)
-    twist_sd = min(TWIST_SD * step / BEND_SEGMENTS**2, BEND_CHANGE_SD * step**3)
+    twist_sd = min(_TWIST_SD * step / BEND_SEGMENTS**2, _BEND_CHANGE_SD * step**3)
     ends = bases(2)[0]
     hold = ends / (anchors_sd * radius)[:, None]
     # For each coordinate alike.
-    same = twist / twist_sd**2 + smooth / (BEND_SD * step**2) ** 2 + hold.T @ hold
+    same = twist / twist_sd**2 + smooth / (_BEND_SD * step**2) ** 2 + hold.T @ hold
     # Control points keep their distances: nothing else tells where along the curve they sit.
     tangent = bend[2:] - bend[:-2]
     tangent /= np.maximum(np.sqrt(np.einsum("ij,ij->i", tangent, tangent)), 1e-9)[:, None]
     even = np.empty((count - 1, split))
     by_axis = even.reshape(count - 1, count, 3)
-    np.multiply(second[:, :, None], tangent[:, None, :] / (SPEED_SD * step), out=by_axis[:-1])
+    np.multiply(second[:, :, None], tangent[:, None, :] / (_SPEED_SD * step), out=by_axis[:-1])
     # Where depth hardly tells, a fruit rather lies across the view than along it.
     middle = bend.mean(axis=0)
-    middle /= np.sqrt(middle @ middle) * TILT_SD * step * BEND_SEGMENTS
+    middle /= np.sqrt(middle @ middle) * _TILT_SD * step * BEND_SEGMENTS
     np.multiply((ends[1] - ends[0])[:, None], middle, out=by_axis[-1])
     normal[:split, :split] += even.T @ even
     for axis in range(3):
         normal[axis:split:3, axis:split:3] += same
     pull = same @ bend - hold.T @ (anchors_m / (anchors_sd * radius)[:, None])
     target[:split] -= pull.ravel() + even.T @ (even @ bend.ravel())
-    rough = _differences(len(width))[0] / (WIDTH_SD * radius)
-    rough = rough / np.sqrt(1 + (rough @ width / WIDTH_TAIL) ** 2)[:, None]
+    rough = _differences(len(width))[0] / (_WIDTH_SD * radius)
+    rough = rough / np.sqrt(1 + (rough @ width / _WIDTH_TAIL) ** 2)[:, None]
     widths = slice(split, split + len(width))
     normal[widths, widths] += rough.T @ rough
     target[widths] -= rough.T @ (rough @ width)
@@ -122,7 +122,7 @@ def add_beside_prior(
     evidence : Evidence
         What was seen: a pixel's size at its distance.
     """
-    slips = 1 / (np.array(SLIP_SD_PX) * evidence.pixel_rad * evidence.far_m) ** 2
+    slips = 1 / (np.array(_SLIP_SD_PX) * evidence.pixel_rad * evidence.far_m) ** 2
     weight = np.concatenate([slips, np.ones(evidence.waves)])
     last = np.arange(BODY - SLIPS, len(target))
     normal[last, last] += weight

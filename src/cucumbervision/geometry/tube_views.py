@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-SCHEDULE = (4.0, 2.5, 1.6, 1.0, 1.0, 1.0, 1.0, 1.0)
-SETTLED = 3  # from this step on each view's own scatter is used
-TURNS = 6  # unknowns of a pose: a shift and a turn
+_SCHEDULE = (4.0, 2.5, 1.6, 1.0, 1.0, 1.0, 1.0, 1.0)
+_SETTLED = 3  # from this step on each view's own scatter is used
+_TURNS = 6  # unknowns of a pose: a shift and a turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class _Camera:
     @classmethod
     def of(cls, seen: SeenFrom) -> _Camera:
         beside = np.zeros(SLIPS + seen.evidence.waves)
-        return cls(seen, seen.turn, seen.shift_m, beside, np.zeros(TURNS))
+        return cls(seen, seen.turn, seen.shift_m, beside, np.zeros(_TURNS))
 
     def body(self, shape: TubeShape) -> TubeShape:
         return TubeShape(shape.bend_m @ self.turn.T + self.shift_m, shape.width_m)
@@ -127,15 +127,15 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
         return fit_shape(views[0].evidence, guess)
     cameras = [_Camera.of(view) for view in views]
     shape, anchors = guess, guess.balls(2)[0]
-    for step, scale in enumerate(SCHEDULE):
+    for step, scale in enumerate(_SCHEDULE):
         seen = _seen_by_any(cameras, shape)
         hold = end_hold(seen)
-        sizes = [len(c.beside) + (TURNS if k else 0) for k, c in enumerate(cameras)]
+        sizes = [len(c.beside) + (_TURNS if k else 0) for k, c in enumerate(cameras)]
         starts = SHAPE + np.concatenate([[0], np.cumsum(sizes)])
         normal, target = np.zeros((starts[-1], starts[-1])), np.zeros(starts[-1])
         for k, camera in enumerate(cameras):
             own = np.concatenate([np.arange(SHAPE), np.arange(starts[k], starts[k + 1])])
-            part, pull = _view_equations(camera, shape, scale, step >= SETTLED, moves=k > 0)
+            part, pull = _view_equations(camera, shape, scale, step >= _SETTLED, moves=k > 0)
             normal[np.ix_(own, own)] += part
             target[own] += pull
         add_shape_prior(normal, target, shape, anchors, hold)
@@ -170,7 +170,7 @@ def _view_equations(
     width = BODY + evidence.waves
     both = []
     for read in (points, rays):
-        slope = np.zeros((len(read.sd_m), width + (TURNS if moves else 0)))
+        slope = np.zeros((len(read.sd_m), width + (_TURNS if moves else 0)))
         slope[:, : read.slope.shape[1]] = read.slope
         bends = slope[:, : SHAPE - shape.width_m.size].reshape(len(slope), BEND_SEGMENTS + 3, 3)
         slope[:, : SHAPE - shape.width_m.size] = (bends @ camera.turn).reshape(
@@ -188,7 +188,7 @@ def _view_equations(
     target[:width] += pull
     if moves:
         sd = np.repeat([camera.seen.shift_sd_m, camera.seen.turn_sd_rad], 3)
-        last = np.arange(width, width + TURNS)
+        last = np.arange(width, width + _TURNS)
         normal[last, last] += 1 / sd**2
         target[last] -= camera.moved / sd**2
     return normal, target

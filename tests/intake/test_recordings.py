@@ -87,12 +87,19 @@ def test_a_hang_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
     )
     code = f"import subprocess; subprocess.run([sys.executable, '-c', {child!r}])"
     for number, wall_s in enumerate((2.0, 20.0, 200.0)):  # until the child had the time to start
-        faults = run(code, tmp_path / str(number), wall_s=wall_s)
+        faults = run(code, tmp_path / str(number), wall_s=wall_s, still_s=1000.0)
         assert faults == [f"a.bag: took longer than {wall_s:g} s; copy or record it again"]
         if held.exists():
             break
     with lock.open("w") as stream:  # waits for as long as the child lives
         fcntl.flock(stream, fcntl.LOCK_EX)
+
+
+def test_a_player_that_goes_round_without_giving_anything_is_ended(tmp_path: Path) -> None:
+    # A damaged recording did so: the SDK computed on, and no frame came.
+    round_and_round = "import collections, itertools; collections.deque(itertools.repeat(0), 0)"
+    faults = run(round_and_round, tmp_path, still_s=2.0)
+    assert faults == ["a.bag: has given nothing for 2 s; copy or record it again"]
 
 
 @posix

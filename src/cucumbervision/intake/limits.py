@@ -16,6 +16,8 @@ class RecordingLimits:
     ----------
     wall_s, cpu_s : float
         Seconds from start to end, and seconds of computing.
+    still_s : float
+        Seconds without anything new written: the SDK's player may go round in a damaged file.
     memory_bytes : int
         Address space.
     output_bytes : int
@@ -26,6 +28,7 @@ class RecordingLimits:
 
     wall_s: float = 300.0
     cpu_s: float = 300.0
+    still_s: float = 60.0
     memory_bytes: int = 6 * _GB
     output_bytes: int = 4 * _GB
     captures: int = 2000

@@ -133,8 +133,8 @@ def play_in_process(
 
 def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimits) -> str:
     """Wait for the process; return what went wrong, or nothing."""
-    until = time.monotonic() + limits.wall_s
-    looked = time.monotonic()
+    looked = moved = time.monotonic()
+    until, written = looked + limits.wall_s, 0
     while True:
         with suppress(subprocess.TimeoutExpired):
             code = process.wait(_POLL_S)
@@ -143,9 +143,13 @@ def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimi
         if now > until:
             return f"took longer than {limits.wall_s:g} s"
         if now > looked + 0.5:
-            looked = now
-            if _size(folder) > limits.output_bytes:
+            looked, before, written = now, written, _size(folder)
+            if written > limits.output_bytes:
                 return f"unpacks to more than {limits.output_bytes / 1e6:g} MB"
+            if written != before:
+                moved = now
+            elif now > moved + limits.still_s:
+                return f"has given nothing for {limits.still_s:g} s"
 
 
 def _ending(code: int) -> str:

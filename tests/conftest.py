@@ -31,6 +31,18 @@ def camera() -> Intrinsics:
 
 
 @pytest.fixture
+def helix() -> Callable[[float, float, float], NDArray[np.float64]]:
+    """Draw a helix along x about the origin: 2000 points of its radius, its pitch, its turns."""
+
+    def points(radius_m: float, pitch_m: float, turns: float) -> NDArray[np.float64]:
+        turn = np.linspace(-turns * np.pi, turns * np.pi, 2000)
+        along = pitch_m * turn / (2 * np.pi)
+        return np.stack([along, radius_m * np.cos(turn), radius_m * np.sin(turn)], axis=1)
+
+    return points
+
+
+@pytest.fixture
 def shared_data() -> Path:
     """The folder of real captures, which never comes with the project."""
     folder = os.environ.get("CUCUMBERVISION_DATA")

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cucumbervision_lab.synthesis.bodies import (
     Tube,
@@ -146,11 +149,8 @@ def test_moving_changes_no_length() -> None:
         assert getattr(moved, name) == pytest.approx(getattr(tube, name), rel=1e-12)
 
 
-def test_helix_by_hand() -> None:
-    turn = np.linspace(-1.5 * np.pi, 1.5 * np.pi, 2000)
-    along, across, off = 0.15 * turn / (2 * np.pi), 0.02 * np.cos(turn), 0.02 * np.sin(turn)
-    centres = np.stack([along, across, off], axis=1)
-    tube = Tube(centres, np.full(2000, 0.008), np.array([0.0, 1.0, 0.0]))
+def test_helix_by_hand(helix: Callable[[float, float, float], NDArray[np.float64]]) -> None:
+    tube = Tube(helix(0.02, 0.15, 1.5), np.full(2000, 0.008), np.array([0.0, 1.0, 0.0]))
     by_hand = 1.5 * np.hypot(2 * np.pi * 0.02, 0.15) + 2 * 0.008
     assert tube.centreline_m == pytest.approx(by_hand, rel=1e-5)
 

@@ -61,39 +61,40 @@ class NetworkClock:
     """
 
     def __init__(self, planted: Capture | None = None) -> None:
-        self.seconds: dict[str, float] = {}
-        self.processor_seconds: dict[str, float] = {}
-        self.planting = (0.0, 0.0)  # seconds, and of the processor: no frame's own
+        self.start()
         self._planted = planted
         self._open = runtimes.open_network
         runtimes.open_network = self._opened
 
     def start(self) -> None:
         """Set all sums to nothing."""
-        self.seconds, self.processor_seconds = {}, {}
-        self.planting = (0.0, 0.0)
+        self.seconds: dict[str, float] = {}
+        self.processor_seconds: dict[str, float] = {}
+        self.planting = np.zeros(2)  # seconds, and of the processor: no frame's own
 
     def _opened(self, *arguments: Any, **options: Any) -> runtimes.Network:
         network = self._open(*arguments, **options)
         name = Path(network.source).stem
 
         def compute(feeds: dict[str, Any]) -> list[Any]:
-            start, busy = time.perf_counter(), time.process_time()
+            start = both_clocks()
             outputs = network.compute(feeds)
-            for sums, now, then in (
-                (self.seconds, time.perf_counter(), start),
-                (self.processor_seconds, time.process_time(), busy),
-            ):
-                sums[name] = sums.get(name, 0.0) + now - then
+            spent = both_clocks() - start
+            for sums, seconds in zip((self.seconds, self.processor_seconds), spent, strict=True):
+                sums[name] = sums.get(name, 0.0) + seconds
             if self._planted is not None and "task" in network.metadata:
-                start, busy = time.perf_counter(), time.process_time()
+                start = both_clocks()
                 size = next(iter(feeds.values())).shape[2:]
                 outputs = plant(outputs, self._planted.masks, size)
-                spent = time.perf_counter() - start, time.process_time() - busy
-                self.planting = self.planting[0] + spent[0], self.planting[1] + spent[1]
+                self.planting += both_clocks() - start
             return outputs
 
         return replace(network, compute=compute)
+
+
+def both_clocks() -> NDArray[np.float64]:
+    """Return the time, and the processor's of all threads, seconds."""
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 def plant(
@@ -176,17 +177,13 @@ def run(
         color[0, 0] = k % 256
         capture = replace(capture, color=color)
         clock.start()
-        start, busy = time.perf_counter(), time.process_time()
+        start = both_clocks()
         found = finder.find(capture)
-        planting, planting_busy = clock.planting
-        seen = (
-            time.perf_counter() - start - planting,
-            time.process_time() - busy - planting_busy,
-        )
+        seen = both_clocks() - start - clock.planting
         fruit = [measure_fruit(capture, instance) for instance in found.instances]
         for number, one in enumerate(fruit, 1):
             fruit_row(SeenFruit(capture, number, one))
-        whole = time.perf_counter() - start - planting
+        whole = (both_clocks() - start - clock.planting)[0]
         if k < len(captures):
             sums["peak MiB"] = [peak_mib()]
             continue

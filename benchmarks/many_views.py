@@ -121,10 +121,13 @@ def measured(number: int, find: Find | None) -> dict[str, Any]:
     found["alone"] = [alone[k] for k in good]
     for count in range(1, len(good) + 1):
         start = process_time()
-        one = measure_views([views[k] for k in good[:count]])
+        joint = measure_views([views[k] for k in good[:count]])
         ms = 1e3 * (process_time() - start)
-        sd = None if one.fit is None else one.fit.centreline_sd_m
-        found["one"].append((one.length_m, sd, ms))
+        one = joint.measurement
+        features = None
+        if one.fit is not None:
+            features = {**alone[good[joint.first]][1], **tube_features(one)}
+        found["one"].append((one.length_m, features, ms))
     return found
 
 

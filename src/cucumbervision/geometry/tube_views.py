@@ -26,7 +26,6 @@ from cucumbervision.geometry.tube_fit import (
     SCATTER_POINTS,
     SCATTER_RAYS,
     TubeFitting,
-    fit_shape,
     solve_held,
     stepped,
 )
@@ -65,6 +64,23 @@ class SeenFrom:
     turn_sd_rad: float = 0.02
 
 
+@dataclass(frozen=True, eq=False)
+class ViewsFitting:
+    """A body fitted to several views.
+
+    Parameters
+    ----------
+    body : TubeFitting
+        In the first camera's coordinates; `points` and `rays` are the first view's, and an end
+        counts as seen if any view shows it.
+    poses : tuple of ndarray of float64, each of shape (4, 4)
+        From the first camera's coordinates to each one's, as refined; the first is the identity.
+    """
+
+    body: TubeFitting
+    poses: tuple[NDArray[np.float64], ...]
+
+
 @dataclass
 class _Camera:
     """A view while it is fitted: its present pose, and what it has beside the body."""
@@ -83,6 +99,12 @@ class _Camera:
     def body(self, shape: TubeShape) -> TubeShape:
         return TubeShape(shape.bend_m @ self.turn.T + self.shift_m, shape.width_m)
 
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.turn, self.shift_m
+        return pose
+
     def move(self, by: NDArray[np.float64], middle_m: NDArray[np.float64]) -> None:
         """Shift the body, then turn it about its middle, both in this camera's coordinates."""
         from scipy.spatial.transform import Rotation
@@ -93,7 +115,7 @@ class _Camera:
         self.moved = self.moved + by
 
 
-def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
+def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> ViewsFitting:
     """Fit one body to several views.
 
     Parameters
@@ -105,9 +127,8 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
 
     Returns
     -------
-    TubeFitting
-        In the first camera's coordinates; `points` and `rays` are the first view's, and an end
-        counts as seen if any view shows it.
+    ViewsFitting
+        The body, and where the cameras were.
 
     Examples
     --------
@@ -117,14 +138,15 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
     >>> curve = np.stack([np.linspace(0.02, 0.18, 9), np.zeros(9), np.full(9, 0.505)], axis=1)
     >>> none, still = np.empty((0, 3)), np.eye(3)
     >>> one = Evidence(cloud, np.full(540, 1e-3), none, 1e-3, 1e-3, 1.0, 1.0)
-    >>> off = replace(one, points_m=cloud + [0.01, 0.0, 0.0])
+    >>> off = replace(one, points_m=cloud + [0.0, 0.01, 0.0])
     >>> views = [SeenFrom(one, still, np.zeros(3)), SeenFrom(off, still, np.zeros(3))]
-    >>> centres, radii = fit_views(views, shape_from_curve(curve, 0.019)).shape.balls(5)
+    >>> found = fit_views(views, shape_from_curve(curve, 0.019))
+    >>> centres, radii = found.body.shape.balls(5)
     >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
     (0.5, 0.02)
+    >>> (found.poses[1][:3, 3].round(3) + 0.0).tolist()
+    [0.0, 0.01, 0.0]
     """
-    if len(views) == 1:
-        return fit_shape(views[0].evidence, guess)
     cameras = [_Camera.of(view) for view in views]
     shape, anchors = guess, guess.balls(2)[0]
     for step, scale in enumerate(_SCHEDULE):
@@ -145,7 +167,7 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
     first = cameras[0]
     points = point_readings(first.seen.evidence, shape, np.zeros(len(first.beside)))
     rays = ray_readings(first.seen.evidence, shape, first.beside[:SLIPS])
-    return TubeFitting(
+    body = TubeFitting(
         shape,
         covariance,
         points.found,
@@ -153,6 +175,7 @@ def fit_views(views: Sequence[SeenFrom], guess: TubeShape) -> TubeFitting:
         _seen_by_any(cameras, shape),
         _misfit(cameras, shape),
     )
+    return ViewsFitting(body, tuple(camera.pose for camera in cameras))
 
 
 def _view_equations(

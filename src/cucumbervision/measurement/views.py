@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from cucumbervision.measurement.m6 import fit_view, judged_fit, view_tube
 from cucumbervision.measurement.result import Measurement, Method, Reason
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -50,7 +51,27 @@ class FruitView:
     turn_sd_rad: float = 0.02
 
 
-def measure_views(views: Sequence[FruitView]) -> Measurement:
+@dataclass(frozen=True, eq=False)
+class JointMeasurement:
+    """What several views of one fruit say together.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        As `measure_m6`, in the camera coordinates of the view `first`.
+    first : int
+        Number of the view that shows the fruit best, from 0.
+    poses : mapping of int to ndarray of float64, shape (4, 4)
+        From that camera's coordinates to those of each view that was used, as refined; without
+        entries where nothing was measured.
+    """
+
+    measurement: Measurement
+    first: int = 0
+    poses: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+
+
+def measure_views(views: Sequence[FruitView]) -> JointMeasurement:
     """Fit one swept tube to a fruit's depth and outlines in all views.
 
     Poses are refined along. Of views from one place (nearer to each other than a tenth of the
@@ -64,9 +85,8 @@ def measure_views(views: Sequence[FruitView]) -> Measurement:
 
     Returns
     -------
-    Measurement
-        As `measure_m6`, in the coordinates of the view that shows the fruit best. Its reason is
-        'too-few-points' where no view can be measured.
+    JointMeasurement
+        The reason is 'too-few-points' where no view can be measured.
 
     Examples
     --------
@@ -80,35 +100,49 @@ def measure_views(views: Sequence[FruitView]) -> Measurement:
     ...     pose = np.eye(4)
     ...     pose[0, 3] = along_m
     ...     return FruitView(scene.depth_m.astype(np.float32), scene.mask(0), camera, pose)
-    >>> round(measure_views([seen_from(0.0), seen_from(0.2)]).tube.centreline_m, 3)
-    0.2
+    >>> found = measure_views([seen_from(0.0), seen_from(0.2)])
+    >>> round(found.measurement.tube.centreline_m, 3), sorted(found.poses)
+    (0.2, [0, 1])
     """
-    found = [(view, *one) for view in views if (one := _alone(view)) is not None]
+    found = [one for k, view in enumerate(views) if (one := _alone(k, view)) is not None]
     if not found:
-        return Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS)
-    found.sort(key=lambda one: (not all(one[2].ends_seen), _relative_sd(one[2])))
+        return JointMeasurement(Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS))
+    found.sort(key=lambda one: (not all(one.fitting.ends_seen), _relative_sd(one.fitting)))
     kept = found[:1]
     for more in found[1:]:
-        if all(_apart(more[0], other[0], more[2]) for other in kept):
+        if all(_apart(more, other) for other in kept):
             kept.append(more)
     first = kept[0]
-    if len(kept) == 1:
-        return judged_fit(first[1], first[2])
-    seen = [SeenFrom(first[1].evidence, np.eye(3), np.zeros(3))]
-    seen += [_relative(first, other) for other in kept[1:]]
-    try:
-        fitting = fit_views(seen, first[2].shape)
-    except np.linalg.LinAlgError:
-        return judged_fit(first[1], first[2])
-    return judged_fit(first[1], fitting, views=len(kept))
+    if len(kept) > 1:
+        seen = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
+        seen += [_relative(first, other) for other in kept[1:]]
+        with suppress(np.linalg.LinAlgError):
+            fit = fit_views(seen, first.fitting.shape)
+            together = judged_fit(first.tube, fit.body, views=len(kept))
+            numbers = [one.number for one in kept]
+            return JointMeasurement(
+                together, first.number, dict(zip(numbers, fit.poses, strict=True))
+            )
+    alone = judged_fit(first.tube, first.fitting)
+    return JointMeasurement(alone, first.number, {first.number: np.eye(4)})
 
 
-def _alone(view: FruitView) -> tuple[TubeView, TubeFitting] | None:
+@dataclass(frozen=True, eq=False)
+class _Alone:
+    """A view with the tube that fits it alone."""
+
+    number: int
+    view: FruitView
+    tube: TubeView
+    fitting: TubeFitting
+
+
+def _alone(number: int, view: FruitView) -> _Alone | None:
     tube = view_tube(view.depth_m, view.mask, view.intrinsics)
     fitting = None if tube is None else fit_view(tube)
     if tube is None or fitting is None or isinstance(fitting, Reason):
         return None
-    return tube, fitting
+    return _Alone(number, view, tube, fitting)
 
 
 def _relative_sd(fitting: TubeFitting) -> float:
@@ -121,23 +155,21 @@ def _middle(fitting: TubeFitting) -> NDArray[np.float64]:
     return np.asarray(fitting.shape.balls(3)[0][1], dtype=np.float64)
 
 
-def _apart(view: FruitView, other: FruitView, fitting: TubeFitting) -> bool:
-    away = float(np.linalg.norm(view.pose[:3, 3] - other.pose[:3, 3]))
-    return away > _SAME_PLACE * float(np.linalg.norm(_middle(fitting)))
+def _apart(one: _Alone, other: _Alone) -> bool:
+    away = float(np.linalg.norm(one.view.pose[:3, 3] - other.view.pose[:3, 3]))
+    return away > _SAME_PLACE * float(np.linalg.norm(_middle(one.fitting)))
 
 
-def _relative(
-    first: tuple[FruitView, TubeView, TubeFitting], other: tuple[FruitView, TubeView, TubeFitting]
-) -> SeenFrom:
+def _relative(first: _Alone, other: _Alone) -> SeenFrom:
     # Where the other camera sees the first one's body, laid onto its own: a stop's place is known
     # to centimetres only. Of part of a fruit the middle says nothing along the axis.
-    view, _, fitting = other
-    turn = view.pose[:3, :3].T @ first[0].pose[:3, :3]
-    shift = view.pose[:3, :3].T @ (first[0].pose[:3, 3] - view.pose[:3, 3])
-    off = _middle(fitting) - (turn @ _middle(first[2]) + shift)
+    view, fitting = other.view, other.fitting
+    turn = view.pose[:3, :3].T @ first.view.pose[:3, :3]
+    shift = view.pose[:3, :3].T @ (first.view.pose[:3, 3] - view.pose[:3, 3])
+    off = _middle(fitting) - (turn @ _middle(first.fitting) + shift)
     sd = _ALIGNED_SD_M
-    if not (all(fitting.ends_seen) and all(first[2].ends_seen)):
+    if not (all(fitting.ends_seen) and all(first.fitting.ends_seen)):
         run = np.diff(fitting.shape.balls(2)[0], axis=0)[0]
         run /= np.linalg.norm(run)
         off, sd = off - (off @ run) * run, view.shift_sd_m
-    return SeenFrom(other[1].evidence, turn, shift + off, sd, view.turn_sd_rad)
+    return SeenFrom(other.tube.evidence, turn, shift + off, sd, view.turn_sd_rad)

@@ -6,8 +6,8 @@ A fruit hangs at 0.5 to 0.9 m and tilts by 15 degrees (one standard deviation), 
 leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree. Outlines are disturbed by 1.5 px in
 each view anew, or with --perceived found and drawn by the networks in painted pictures. The best
 view is the one of the narrowest interval, 'combined' weighs the views' lengths by their intervals
-as rounds do (`rounds.row_fruit.combined_length`), 'one tube' is `measurement.views`. Coverage is
-that of the 90 % interval, depth scale known.
+(`rounds.row_fruit.combined_length`), 'one tube' is `measurement.views`, and rounds take that
+unless the combined lengths contradict it. Coverage is that of the 90 % interval, depth scale known.
 """
 
 from __future__ import annotations
@@ -25,20 +25,14 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.frames import Capture, median_depth
-from cucumbervision.measurement.intervals import (
-    mask_features,
-    shipped_interval_models,
-    tube_features,
-)
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.from_store import LENGTH_Z
-from cucumbervision.rounds.row_fruit import combined_length
+from cucumbervision.rounds.row_fruit import LENGTH_Z, combined_length, one_tube_stands
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -47,6 +41,7 @@ from cucumbervision_lab.synthesis.scene import render
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.benchmark.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]
@@ -54,6 +49,7 @@ if TYPE_CHECKING:
 FIRST = 800_000
 SPACING_M, PLACE_SD_M, TURN_SD_DEG = 0.3, 0.03, 1.0
 LEAST_PX = 200
+CENTRELINE = LengthDefinition.CENTRELINE
 
 
 def drawn_case(number: int) -> Case:
@@ -72,7 +68,7 @@ def drawn_case(number: int) -> Case:
     )
 
 
-def drawn_views(case: Case, find: Find | None) -> tuple[float, list[tuple[FruitView, Instance]]]:
+def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
     """Return the true centreline, and the fruit from the middle stop and those beside it."""
     scene = build_scene(case)
     views = []
@@ -96,63 +92,68 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[tuple[FruitV
             if found is None or found.mask is None:
                 continue
             fruit, mask = found, found.mask
-        views.append((FruitView(depth, mask, CAMERA, pose), fruit))
+        capture = Capture(np.zeros((*mask.shape, 3), np.uint8), depth, CAMERA, "drawn")
+        views.append(FruitView(capture, fruit, pose))
     return scene.fruit[0].centreline_m, views
 
 
-def measured_alone(view: FruitView, fruit: Instance) -> tuple[float, dict[str, float], bool] | None:
-    """Return the length of one view, what its interval rests on, and whether it shows all."""
-    dark = np.zeros((*view.mask.shape, 3), np.uint8)
-    capture = Capture(dark, view.depth_m, view.intrinsics, "drawn")
-    one = measure_fruit(capture, fruit, (Method.M6,))
-    if one.fit is None or one.selected is None or one.selected.length_m is None:
+def figures(fruit: FruitMeasurement | None) -> tuple[float, float, float, bool] | None:
+    """Return a fruit's length and interval, and whether it is shown whole; None without them."""
+    length = None if fruit is None else fruit.length
+    if fruit is None or length is None or length.low_m is None or length.high_m is None:
         return None
-    features = mask_features(one.mask_source, one.flags)
-    return one.selected.length_m, tube_features(one.selected) | features, not one.at_least
+    return length.value_m, length.low_m, length.high_m, not fruit.at_least
 
 
 def measured(number: int, find: Find | None) -> dict[str, Any]:
     """Measure one fruit from each stop alone, and as one tube in the first two and all three."""
-    true_m, seen = drawn_views(drawn_case(number), find)
-    views = [view for view, _ in seen]
-    alone = [measured_alone(*one) for one in seen]
+    true_m, views = drawn_views(drawn_case(number), find)
+    alone = [
+        figures(
+            measure_fruit(
+                *(one.capture, one.instance, (Method.M6,), Selector.BEST, CENTRELINE),
+                scale_known=True,
+            )
+        )
+        for one in views
+    ]
     good = [k for k, one in enumerate(alone) if one is not None]
-    found: dict[str, Any] = {"number": number, "true_m": true_m, "alone": [], "one": []}
+    found: dict[str, Any] = {"number": number, "true_m": true_m, "one": []}
     found["alone"] = [alone[k] for k in good]
     for count in range(1, len(good) + 1):
         start = process_time()
-        joint = measure_views([views[k] for k in good[:count]])
+        joint = measure_views([views[k] for k in good[:count]], CENTRELINE, scale_known=True)
         ms = 1e3 * (process_time() - start)
-        one = joint.measurement
-        features = None
-        if one.fit is not None:
-            features = {**alone[good[joint.first]][1], **tube_features(one)}
-        found["one"].append((one.length_m, features, ms))
+        found["one"].append((figures(None if joint is None else joint.fruit), ms))
     return found
 
 
 def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
     """Return a fruit's errors in percent by number of views and way, and what intervals hold."""
-    if len(row["alone"]) < 3:
+    if len(row["alone"]) < 3 or any(one is None for one, _ in row["one"]):
         return None
-    book, true_m, found = shipped_interval_models(), row["true_m"], {}
+    true_m, found = row["true_m"], {}
     for count in (1, 2, 3):
         some = row["alone"][:count]
-        some = [one for one in some if one[2]] or some  # as rounds do
-        lengths = np.array([one[0] for one in some])
-        ends = np.array([book.models["M6"].interval(*one[:2]) for one in some])
-        sds = np.log(ends[:, 1] / ends[:, 0]) / (2 * LENGTH_Z)
-        best = int(np.argmin(sds))
+        some = [one for one in some if one[3]] or some  # as rounds do
+        lengths, low, high = np.array([one[:3] for one in some]).T
+        sds = np.log(high / low) / (2 * LENGTH_Z)
         combined, sd_m = combined_length(lengths, sds, np.zeros(len(some), bool)) or (0.0, 0.0)
-        one_m, one_sd_m, ms = row["one"][count - 1]
-        found[f"best {count}"] = 100 * (lengths[best] / true_m - 1)
-        found[f"combined {count}"] = 100 * (combined / true_m - 1)
-        found[f"one tube {count}"] = 100 * ((one_m or np.nan) / true_m - 1)
+        spread = float(np.exp(LENGTH_Z * sd_m / combined))
+        (one_m, *ends, _), ms = row["one"][count - 1]
+        best = int(np.argmin(sds))
+        ways = {
+            "best": (lengths[best], low[best], high[best]),
+            "combined": (combined, combined / spread, combined * spread),
+            "one tube": (one_m, *ends),
+        }
+        stands = one_tube_stands((one_m, *ends), (combined, sd_m))
+        ways["as rounds"] = ways["one tube" if stands else "combined"]
+        for way, (length, least, most) in ways.items():
+            found[f"{way} {count}"] = 100 * (length / true_m - 1)
+            found[f"{way} {count} covers"] = least < true_m < most
+            found[f"{way} {count} width"] = 100 * (most - least) / length
         found[f"ms {count}"] = ms
-        found[f"z {count}"] = (one_m - true_m) / one_sd_m if one_m else np.nan
-        spread = LENGTH_Z * sd_m / combined
-        found[f"covers {count}"] = abs(np.log(combined / true_m)) < spread
-        found[f"width {count}"] = 200 * spread
     return found
 
 
@@ -171,24 +172,22 @@ def main() -> None:
     print("views of a fruit that were measured:", dict(enumerate(views.tolist())))
     kept = [row for row in map(errors_of, found) if row]
     table = Table(title=f"{len(kept)} fruit seen from three stops: error of the centreline, %")
-    for head in ("views", "way", "mean", "median", "90 % below", "bias", "of the best view's"):
+    heads = ("views", "way", "mean", "median", "90 % below", "bias", "of the best view's")
+    for head in (*heads, "90 % interval covers", "width, %"):
         table.add_column(head, justify="right")
     for count in (1, 2, 3):
         usual = np.mean([abs(row[f"best {count}"]) for row in kept])
-        for way in ("best", "combined", "one tube"):
+        for way in ("best", "combined", "one tube", "as rounds"):
             off = np.array([row[f"{way} {count}"] for row in kept])
             size = np.abs(off)
-            figures = (size.mean(), np.median(size), np.quantile(size, 0.9), np.median(off))
-            cells = [f"{x:.2f}" for x in (*figures, size.mean() / usual)]
-            table.add_row(str(count), way, *cells)
-    Console(width=100, highlight=False).print(table)
+            spread_of = (size.mean(), np.median(size), np.quantile(size, 0.9), np.median(off))
+            cells = [f"{x:.2f}" for x in (*spread_of, size.mean() / usual)]
+            covers = np.mean([row[f"{way} {count} covers"] for row in kept])
+            width = np.mean([row[f"{way} {count} width"] for row in kept])
+            table.add_row(str(count), way, *cells, f"{100 * covers:.0f} %", f"{width:.1f}")
+    Console(width=110, highlight=False).print(table)
     for count in (1, 2, 3):
-        z = np.array([row[f"z {count}"] for row in kept])
-        covers = 100 * np.mean([row[f"covers {count}"] for row in kept])
-        width = np.mean([row[f"width {count}"] for row in kept])
-        print(f"{count} views combined: interval {width:.1f} % wide, covers {covers:.0f} %")
-        spread, ms = 1.4826 * np.nanmedian(abs(z)), np.median([row[f"ms {count}"] for row in kept])
-        print(f"{count} views: error over stated sd {spread:.2f} (1 is right), {ms:.0f} ms")
+        print(f"{count} views: {np.median([row[f'ms {count}'] for row in kept]):.0f} ms")
 
 
 if __name__ == "__main__":

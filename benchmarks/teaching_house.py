@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.files import read_json
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
+from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.mask_codes import decode_rle
@@ -35,6 +35,7 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
+from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
 from cucumbervision_lab.datasets.coco import picture_of
 from cucumbervision_lab.datasets.coco_writer import write_fragment

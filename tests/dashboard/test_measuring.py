@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.measuring import SharedMeasurer, stored_capture
+from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
@@ -18,6 +18,7 @@ from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
+from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import Verdict
 from cucumbervision_lab.synthesis.demo import SCENES, place
 

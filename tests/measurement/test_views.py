@@ -1,16 +1,26 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
-from cucumbervision.capture.frames import median_depth
+from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.measurement.m6 import measure_m6
-from cucumbervision.measurement.result import Flag, Reason
+from cucumbervision.measurement.result import Choice, LengthDefinition, Method
+from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
+from cucumbervision.perception.instances import Instance
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
 from cucumbervision_lab.synthesis.scene import Scene, render
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.measurement.result import FruitMeasurement
 
 CAMERA = Intrinsics(848, 480, 610.0, 610.0, 424.0, 240.0)
 
@@ -20,51 +30,92 @@ def seen_from(tube: Tube, along_m: float, place_off_m: float = 0.0, seed: int = 
     depth = median_depth(sense(scene, D4xx.like(CAMERA), np.random.default_rng(seed)))
     pose = np.eye(4)
     pose[0, 3] = along_m + place_off_m
-    return FruitView(depth, render(scene, CAMERA).mask(0), CAMERA, pose)
+    return view_of(depth, render(scene, CAMERA).mask(0), pose)
+
+
+def view_of(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], pose: NDArray[np.float64]
+) -> FruitView:
+    capture = Capture(np.zeros((480, 848, 3), np.uint8), depth_m, CAMERA, "drawn")
+    box = box_of_mask(mask) if mask.any() else np.array([0.0, 0.0, 1.0, 1.0])
+    return FruitView(capture, Instance(box, mask=mask), pose)
+
+
+def alone_of(view: FruitView) -> FruitMeasurement:
+    return measure_fruit(view.capture, view.instance, (Method.M6,))
 
 
 def test_two_stops_give_one_tube_though_their_places_are_off() -> None:
     tube = arc_tube(0.22, 0.018, 0.4).moved(rotation(75, 30), (0.0, 0.0, 0.6))
     views = [seen_from(tube, 0.0), seen_from(tube, 0.25, 0.03, seed=1)]
-    joint = measure_views(views)
-    found = joint.measurement
-    assert found.fit is not None
-    assert found.length_m == pytest.approx(0.22, rel=0.02)
-    alone = measure_m6(views[0].depth_m, views[0].mask, CAMERA).fit
-    assert alone is not None
-    assert found.fit.centreline_sd_m < alone.centreline_sd_m
+    joint = measure_views(views, LengthDefinition.CENTRELINE)
+    assert joint is not None
+    assert joint.fruit.fit is not None
+    assert joint.fruit.reason is Choice.SEVERAL_VIEWS
+    length, alone = joint.fruit.length, alone_of(views[0])
+    assert length is not None
+    assert length.low_m is not None
+    assert length.high_m is not None
+    assert length.value_m == pytest.approx(0.22, rel=0.02)
+    assert length.low_m < 0.22 < length.high_m
+    assert alone.fit is not None
+    assert joint.fruit.fit.centreline_sd_m < alone.fit.centreline_sd_m
     # The second camera is 0.25 m to the right of the first, not 0.28 m as it was told.
     second = joint.poses[1] @ np.linalg.inv(joint.poses[0])
     assert second[:3, 3] == pytest.approx([-0.25, 0.0, 0.0], abs=0.01)
 
 
 def test_views_from_one_place_are_one_view() -> None:
-    tube = arc_tube(0.20, 0.018).moved(rotation(80), (0.0, 0.0, 0.6))
-    view = seen_from(tube, 0.0)
-    alone = measure_m6(view.depth_m, view.mask, CAMERA)
+    view = seen_from(arc_tube(0.20, 0.018).moved(rotation(80), (0.0, 0.0, 0.6)), 0.0)
     joint = measure_views([view, view])
-    assert joint.measurement.length_m == alone.length_m
+    assert joint is not None
     assert len(joint.poses) == 1
+    assert joint.fruit.length == alone_of(view).length
+
+
+def with_rows_hidden(view: FruitView, rows: slice) -> FruitView:
+    """Return a view of which a leaf at 45 cm covers some rows."""
+    mask, depth_m = np.array(view.instance.mask), view.capture.depth_m.copy()
+    depth_m[rows], mask[rows] = 0.45, False
+    return view_of(depth_m, mask, view.pose)
 
 
 def test_ends_that_different_views_show_count_together() -> None:
     tube = arc_tube(0.22, 0.018).moved(rotation(80, 10), (0.0, 0.0, 0.6))
-    views = []
-    for along_m, rows in ((0.0, slice(0, 190)), (0.25, slice(300, 480))):
-        view = seen_from(tube, along_m)
-        view.depth_m[rows] = 0.45
-        view.mask[rows] = False
-        views.append(view)
-    alone = [measure_m6(view.depth_m, view.mask, CAMERA) for view in views]
-    assert all(one.fit is not None and Flag.END_HIDDEN in one.fit.flags for one in alone)
-    found = measure_views(views).measurement
-    assert found.fit is not None
-    assert found.fit.ends_seen == (True, True)
-    best = max(one.length_m or 0.0 for one in alone)
-    assert abs((found.length_m or 0.0) - 0.22) < 0.5 * abs(best - 0.22)
+    rows = {0.0: slice(0, 190), 0.25: slice(300, 480)}
+    views = [with_rows_hidden(seen_from(tube, at_m), hidden) for at_m, hidden in rows.items()]
+    alone = [alone_of(view) for view in views]
+    assert all(one.at_least for one in alone)
+    joint = measure_views(views, LengthDefinition.CENTRELINE)
+    assert joint is not None
+    assert joint.fruit.fit is not None
+    assert joint.fruit.length is not None
+    assert joint.fruit.fit.ends_seen == (True, True)
+    assert not joint.fruit.at_least
+    # The two leaves leave a stretch that both views show: nothing is hidden from both.
+    assert joint.fruit.fit.hidden_share == pytest.approx(0.0, abs=0.02)
+    best = max(one.selected.length_m or 0.0 for one in alone if one.selected)
+    assert abs(joint.fruit.length.value_m - 0.22) < 0.5 * abs(best - 0.22)
 
 
-def test_nothing_seen_has_a_reason() -> None:
+def test_an_end_that_keypoints_miss_in_every_view_stays_hidden() -> None:
+    tube = arc_tube(0.22, 0.018).moved(rotation(80, 10), (0.0, 0.0, 0.6))
+    views = [seen_from(tube, at_m) for at_m in (0.0, 0.25)]
+    line = np.array([[400.0, v, 0.9] for v in (130, 190, 240, 290, 350)])
+
+    def told(view: FruitView, *seen: float) -> FruitView:
+        keypoints = line.copy()
+        keypoints[[0, -1], 2] = seen
+        return replace(view, instance=replace(view.instance, keypoints=keypoints))
+
+    first_hidden = measure_views([told(views[0], 0.1, 0.9), told(views[1], 0.2, 0.9)])
+    each_shows_one = measure_views([told(views[0], 0.1, 0.9), told(views[1], 0.9, 0.1)])
+    assert first_hidden is not None
+    assert first_hidden.fruit.at_least
+    assert each_shows_one is not None
+    assert not each_shows_one.fruit.at_least
+
+
+def test_nothing_seen_is_nothing() -> None:
     blank = np.zeros((480, 848), np.float32)
-    view = FruitView(blank, blank > 0, CAMERA, np.eye(4))
-    assert measure_views([view]).measurement.reason is Reason.TOO_FEW_POINTS
+    assert measure_views([view_of(blank, blank > 0, np.eye(4))]) is None

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
@@ -20,9 +19,8 @@ from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit
 from cucumbervision.rounds.poses import stored_pose
-from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import new_key
-from cucumbervision.store.results import AS_READ, fruit_record
+from cucumbervision.store.results import fruit_record, stored_capture
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.store.images import ImageStore
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, Point, StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
@@ -267,34 +264,6 @@ def measure_waiting(
         if last_of_round and (fault := settle(one.round_key)):
             job.notes.append(fault)
     return done
-
-
-def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:
-    """Return a capture of the store as a frame again.
-
-    Its depth is as it was measured from: already scaled by the site's calibration.
-
-    Raises
-    ------
-    StoredImageError
-        If a picture is missing or damaged.
-    InstancesError
-        If it was kept without pictures.
-    """
-    if record.color is None or record.depth is None:
-        raise InstancesError(
-            "the pictures of this capture were not kept",
-            source=record.name,
-            remedy="measure the capture again",
-        )
-    return Capture(
-        images.read_color(record.color),
-        images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
-        CameraModel.model_validate(dict(record.camera)).intrinsics,
-        stop=Stop(stop.row, stop.side, stop.position_m, stop.step),
-        provenance=dict[str, Any](record.provenance),
-        **{name: getattr(record, name) for name in AS_READ},
-    )
 
 
 _COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit

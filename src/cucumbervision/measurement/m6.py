@@ -243,7 +243,7 @@ _SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
 _END_ON_DEG = 70.0
 _STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
 _BEYOND, _BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
-_PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
+PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
 
 
 def measure_m6(
@@ -410,7 +410,7 @@ def _fit(
         flags.append(Flag.END_HIDDEN)
     if _end_on(traits.axis_m):
         flags.append(Flag.END_ON)
-    if hidden > _PART_HIDDEN:
+    if hidden > PART_HIDDEN:
         flags.append(Flag.PART_HIDDEN)
     rough = outline_px * float(np.median(far)) / view.focal_px / traits.diameter_max_m
     on_it = _on_surface(view, fitting)

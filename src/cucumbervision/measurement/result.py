@@ -92,6 +92,7 @@ class Choice(StrEnum):
     NO_DEPTH = "no-depth"
     NOTHING = "not-measured"
     WAITING = "waits-its-turn"
+    SEVERAL_VIEWS = "several-views"
 
 
 class Flag(StrEnum):

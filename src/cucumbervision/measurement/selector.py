@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,12 +77,35 @@ def end_flags(
     """
     if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
         return ()
-    hidden = bool((keypoints[[0, -1], 2] < _IN_SIGHT).any())
-    reaches = _reaches(mask, keypoints[:, :2])
-    hidden |= any(reach < -_BEYOND for reach in reaches)
-    disagree = any(reach > _BEYOND for reach in reaches)
-    named = {Flag.END_HIDDEN: hidden, Flag.ENDS_DISAGREE: disagree}
+    disagree = any(reach > _BEYOND for reach in _reaches(mask, keypoints[:, :2]))
+    named = {
+        Flag.END_HIDDEN: any(hidden_ends(mask, keypoints)),
+        Flag.ENDS_DISAGREE: disagree,
+    }
     return tuple(flag for flag, holds in named.items() if holds)
+
+
+def hidden_ends(
+    mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
+) -> tuple[bool, bool]:
+    """Return whether keypoints say that the blossom's and the stem's end are hidden.
+
+    Parameters as those of `end_flags`.
+
+    Examples
+    --------
+    >>> mask = np.zeros((100, 200), bool)
+    >>> mask[45:55, 20:140] = True
+    >>> hidden_ends(mask, np.array([[u, 50.0, 1.0] for u in (20, 55, 90, 125, 160)]))
+    (False, True)
+    """
+    if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
+        return False, False
+    unseen = keypoints[[0, -1], 2] < _IN_SIGHT
+    # A mask without pixels, or keypoints at one place, reach nowhere.
+    reaches = _reaches(mask, keypoints[:, :2]) or [0.0, 0.0]
+    first, last = (bool(u) or r < -_BEYOND for u, r in zip(unseen, reaches, strict=True))
+    return first, last
 
 
 def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
@@ -236,7 +260,7 @@ def measure_fruit(
     measurements = run_methods(region, methods)
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     chosen, choice, fallback = choose(measurements, points, instance.box, selector)
-    if _cut_by_frame(instance.box, mask, capture.width, capture.height):
+    if cut_by_frame(instance.box, mask, capture.width, capture.height):
         flags.append(Flag.CUT_BY_FRAME)
     if Method.M4 in measurements and endpoints_visible(instance.keypoints):
         flags.append(Flag.KEYPOINTS_LOGGED)
@@ -248,19 +272,7 @@ def measure_fruit(
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
-    length = None if chosen is None else _length(chosen, definition)
-    if chosen is not None and length is not None and distance_m is not None and fill is not None:
-        length, narrow = with_interval(
-            length,
-            chosen,
-            distance_m,
-            fill,
-            mask_features(source, flags),
-            scale_known=scale_known,
-            models=models,
-        )
-        flags += [] if narrow else [Flag.INTERVAL_TOO_WIDE]
-    return FruitMeasurement(
+    fruit = FruitMeasurement(
         instance,
         measurements,
         chosen,
@@ -269,10 +281,38 @@ def measure_fruit(
         tuple(flags),
         mask,
         source,
-        length=length,
         distance_m=distance_m,
         fill=fill,
     )
+    return with_length(fruit, definition, scale_known=scale_known, models=models)
+
+
+def with_length(
+    fruit: FruitMeasurement,
+    definition: LengthDefinition,
+    *,
+    scale_known: bool = False,
+    models: IntervalModels | None = None,
+) -> FruitMeasurement:
+    """Return a fruit with the length of the measurement that was selected, and its interval.
+
+    Parameters as those of `measure_fruit`.
+    """
+    chosen = fruit.selected
+    length = None if chosen is None else _length(chosen, definition)
+    if chosen is None or length is None or fruit.distance_m is None or fruit.fill is None:
+        return replace(fruit, length=length)
+    length, narrow = with_interval(
+        length,
+        chosen,
+        fruit.distance_m,
+        fruit.fill,
+        mask_features(fruit.mask_source, fruit.flags),
+        scale_known=scale_known,
+        models=models,
+    )
+    fruit = replace(fruit, length=length)
+    return fruit if narrow else fruit.flagged(Flag.INTERVAL_TOO_WIDE)
 
 
 def _length(chosen: Measurement, definition: LengthDefinition) -> Length | None:
@@ -295,9 +335,10 @@ def _mask_to_measure(
     return None, None, flags
 
 
-def _cut_by_frame(
+def cut_by_frame(
     box: NDArray[np.float64], mask: NDArray[np.bool_] | None, width: int, height: int
 ) -> bool:
+    """Return whether a fruit's mask, or its box without one, reaches the picture's edge."""
     if mask is not None:
         edges = (mask[0], mask[-1], mask[:, 0], mask[:, -1])
         return any(bool(edge.any()) for edge in edges)

@@ -3,26 +3,48 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
-from cucumbervision.measurement.m6 import fit_view, judged_fit, view_tube
-from cucumbervision.measurement.result import Measurement, Method, Reason
+from cucumbervision.measurement.m6 import PART_HIDDEN, fit_view, judged_fit, view_tube
+from cucumbervision.measurement.result import (
+    LOWER_BOUND,
+    Choice,
+    Flag,
+    FruitMeasurement,
+    LengthDefinition,
+    Measurement,
+    Method,
+    Reason,
+)
+from cucumbervision.measurement.selector import (
+    cut_by_frame,
+    hidden_ends,
+    measure_fruit,
+    with_length,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.capture.frames import Capture
     from cucumbervision.geometry.tube_fit import TubeFitting
+    from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.m6 import TubeView
+    from cucumbervision.perception.instances import Instance
 
 _SAME_PLACE = 0.10  # of the distance: cameras nearer to each other share their errors
 _ALIGNED_SD_M = 0.015  # of a shift, once the middles of two whole views were laid together
+
+# Of the view alone: what several views say of these is found anew.
+_BY_VIEW = LOWER_BOUND | {
+    *(Flag.END_ON, Flag.PART_HIDDEN, Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE)
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,47 +53,51 @@ class FruitView:
 
     Parameters
     ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Metres, aligned to colour.
-    mask : ndarray of bool, shape (H, W)
-        The fruit's pixels.
-    intrinsics : Intrinsics
-        The colour stream's.
+    capture : Capture
+        The frame.
+    instance : Instance
+        The fruit in it, with its mask.
     pose : ndarray of float64, shape (4, 4)
         From camera coordinates to those that all views share.
     shift_sd_m, turn_sd_rad : float
         How well that is known.
     """
 
-    depth_m: NDArray[np.float32]
-    mask: NDArray[np.bool_]
-    intrinsics: Intrinsics
+    capture: Capture
+    instance: Instance
     pose: NDArray[np.float64]
     shift_sd_m: float = 0.03
     turn_sd_rad: float = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class JointMeasurement:
+class JointFruit:
     """What several views of one fruit say together.
 
     Parameters
     ----------
-    measurement : Measurement
-        As `measure_m6`, in the camera coordinates of the view `first`.
+    fruit : FruitMeasurement
+        By M6 alone, in the camera coordinates of the view `first`, whose instance and mask it has;
+        its flags are those that hold for all views together.
     first : int
         Number of the view that shows the fruit best, from 0.
     poses : mapping of int to ndarray of float64, shape (4, 4)
-        From that camera's coordinates to those of each view that was used, as refined; without
-        entries where nothing was measured.
+        From that camera's coordinates to those of each view that the tube was fitted to, as
+        refined.
     """
 
-    measurement: Measurement
-    first: int = 0
-    poses: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+    fruit: FruitMeasurement
+    first: int
+    poses: Mapping[int, NDArray[np.float64]]
 
 
-def measure_views(views: Sequence[FruitView]) -> JointMeasurement:
+def measure_views(
+    views: Sequence[FruitView],
+    definition: LengthDefinition = LengthDefinition.THREAD,
+    *,
+    scale_known: bool = False,
+    models: IntervalModels | None = None,
+) -> JointFruit | None:
     """Fit one swept tube to a fruit's depth and outlines in all views.
 
     Poses are refined along. Of views from one place (nearer to each other than a tenth of the
@@ -82,49 +108,116 @@ def measure_views(views: Sequence[FruitView]) -> JointMeasurement:
     ----------
     views : sequence of FruitView
         All of one fruit.
+    definition : LengthDefinition
+        Which length.
+    scale_known : bool
+        As in `measure_fruit`.
+    models : IntervalModels, optional
+        The package's own if not given.
 
     Returns
     -------
-    JointMeasurement
-        The reason is 'too-few-points' where no view can be measured.
+    JointFruit or None
+        None where M6 measures the fruit in no view alone.
 
     Examples
     --------
+    >>> from cucumbervision.capture.frames import Capture
     >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision.perception.instances import Instance
+    >>> from cucumbervision.perception.masks import box_of_mask
     >>> from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
     >>> from cucumbervision_lab.synthesis.scene import Scene, render
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
-    >>> fruit = arc_tube(0.20, 0.02, 0.30).moved(rotation(70, 40), (0, 0, 0.6))
+    >>> body = arc_tube(0.20, 0.02, 0.30).moved(rotation(70, 40), (0, 0, 0.6))
     >>> def seen_from(along_m):
-    ...     scene = render(Scene.of(fruit.moved(np.eye(3), (-along_m, 0, 0))), camera)
-    ...     pose = np.eye(4)
+    ...     scene = render(Scene.of(body.moved(np.eye(3), (-along_m, 0, 0))), camera)
+    ...     mask, pose = scene.mask(0), np.eye(4)
     ...     pose[0, 3] = along_m
-    ...     return FruitView(scene.depth_m.astype(np.float32), scene.mask(0), camera, pose)
+    ...     blank = np.zeros((480, 640, 3), np.uint8)
+    ...     capture = Capture(blank, scene.depth_m.astype(np.float32), camera, "drawn")
+    ...     return FruitView(capture, Instance(box_of_mask(mask), mask=mask), pose)
     >>> found = measure_views([seen_from(0.0), seen_from(0.2)])
-    >>> round(found.measurement.tube.centreline_m, 3), sorted(found.poses)
+    >>> round(found.fruit.traits.lengths.centreline_m, 3), sorted(found.poses)
     (0.2, [0, 1])
     """
     found = [one for k, view in enumerate(views) if (one := _alone(k, view)) is not None]
     if not found:
-        return JointMeasurement(Measurement(Method.M6, reason=Reason.TOO_FEW_POINTS))
+        return None
     found.sort(key=lambda one: (not all(one.fitting.ends_seen), _relative_sd(one.fitting)))
     kept = found[:1]
     for more in found[1:]:
         if all(_apart(more, other) for other in kept):
             kept.append(more)
     first = kept[0]
+    alone = measure_fruit(
+        first.view.capture,
+        first.view.instance,
+        (Method.M6,),
+        definition=definition,
+        scale_known=scale_known,
+        models=models,
+    )
+    fruit, poses = alone, [np.eye(4)]
     if len(kept) > 1:
         seen = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
         seen += [_relative(first, other) for other in kept[1:]]
         with suppress(np.linalg.LinAlgError):
-            fit = fit_views(seen, first.fitting.shape)
-            together = judged_fit(first.tube, fit.body, views=len(kept))
-            numbers = [one.number for one in kept]
-            return JointMeasurement(
-                together, first.number, dict(zip(numbers, fit.poses, strict=True))
-            )
-    alone = judged_fit(first.tube, first.fitting)
-    return JointMeasurement(alone, first.number, {first.number: np.eye(4)})
+            fitted = fit_views(seen, first.fitting.shape)
+            one_tube = judged_fit(first.tube, fitted.body, views=len(kept))
+            joint = _together(alone, one_tube, kept, fitted.poses)
+            fruit = with_length(joint, definition, scale_known=scale_known, models=models)
+            poses = list(fitted.poses)
+    numbers = [one.number for one in kept]
+    return JointFruit(fruit, first.number, dict(zip(numbers, poses, strict=False)))
+
+
+def _together(
+    alone: FruitMeasurement,
+    one_tube: Measurement,
+    kept: Sequence[_Alone],
+    poses: Sequence[NDArray[np.float64]],
+) -> FruitMeasurement:
+    """Return the fruit with the tube of all views, flagged with what holds for all of them."""
+    fit = one_tube.fit
+    flags: list[Flag] = []
+    if fit is not None:
+        hidden = _hidden_share(kept, poses, fit.traits.axis_m)
+        flags += (flag for flag in fit.flags if flag is not Flag.PART_HIDDEN)
+        flags += [Flag.PART_HIDDEN] if hidden > PART_HIDDEN else []
+        one_tube = replace(one_tube, fit=replace(fit, hidden_share=hidden, flags=tuple(flags)))
+    ends = [hidden_ends(one.mask, one.view.instance.keypoints) for one in kept]
+    if any(all(of_end) for of_end in zip(*ends, strict=True)):
+        flags.append(Flag.END_HIDDEN)
+    if all(_is_cut(one.view) for one in kept):
+        flags.append(Flag.CUT_BY_FRAME)
+    flags += [flag for flag in alone.flags if flag not in _BY_VIEW]
+    return replace(
+        alone,
+        measurements={Method.M6: one_tube},
+        selected=None if one_tube.length_m is None else one_tube,
+        reason=Choice.SEVERAL_VIEWS,
+        flags=tuple(dict.fromkeys(flags)),
+    )
+
+
+def _is_cut(view: FruitView) -> bool:
+    capture, instance = view.capture, view.instance
+    return cut_by_frame(instance.box, instance.mask, capture.width, capture.height)
+
+
+def _hidden_share(
+    kept: Sequence[_Alone], poses: Sequence[NDArray[np.float64]], axis_m: NDArray[np.float64]
+) -> float:
+    # Of the axis: what lies in no view's mask.
+    shown = np.zeros(len(axis_m), bool)
+    for one, pose in zip(kept, poses, strict=True):
+        points = axis_m @ pose[:3, :3].T + pose[:3, 3]
+        u, v = one.view.capture.intrinsics.project(points).round().astype(int).T
+        height, width = one.mask.shape
+        inside = (points[:, 2] > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        shown[inside] |= one.mask[v[inside], u[inside]]
+    return float(1.0 - shown.mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,16 +226,18 @@ class _Alone:
 
     number: int
     view: FruitView
+    mask: NDArray[np.bool_]
     tube: TubeView
     fitting: TubeFitting
 
 
 def _alone(number: int, view: FruitView) -> _Alone | None:
-    tube = view_tube(view.depth_m, view.mask, view.intrinsics)
+    mask, capture = view.instance.mask, view.capture
+    tube = None if mask is None else view_tube(capture.depth_m, mask, capture.intrinsics)
     fitting = None if tube is None else fit_view(tube)
-    if tube is None or fitting is None or isinstance(fitting, Reason):
+    if mask is None or tube is None or fitting is None or isinstance(fitting, Reason):
         return None
-    return _Alone(number, view, tube, fitting)
+    return _Alone(number, view, mask, tube, fitting)
 
 
 def _relative_sd(fitting: TubeFitting) -> float:

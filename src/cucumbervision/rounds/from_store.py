@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.errors import RoundError
+from cucumbervision.measurement.result import Method
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
-from cucumbervision.rounds.row_fruit import USUAL, FalseFinds
+from cucumbervision.rounds.row_fruit import LENGTH_Z, USUAL, FalseFinds
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
+from cucumbervision.store.records import key_of
 from cucumbervision.store.views import LinkKind, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from cucumbervision.rounds.row_views import Bools, Ints
-    from cucumbervision.store.records import DetectionRecord
+    from cucumbervision.store.records import DetectionRecord, JointRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import CameraAt, DetectionView, LinkRecord, StopView
 
 _CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 _REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
-LENGTH_Z = 1.6449  # of 90 % intervals
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
 _DIAMETER_SD = 0.05
 _TUBE_KINDS = frozenset({"thread", "centreline", "chord"})
+_MOST_VIEWS = 5  # of one fruit, the best: each further one costs more than it tells
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,8 @@ class RoundContent:
         Poses and cameras by the stops' keys.
     false : FalseFinds
         How often the house's finds are none, as people said.
+    joint : mapping of str to JointRecord
+        What all views of a fruit together say, by the keys of `joint_groups`.
     """
 
     key: str
@@ -90,6 +95,7 @@ class RoundContent:
     views: tuple[DetectionView, ...]
     cameras: Mapping[str, CameraAt]
     false: FalseFinds = USUAL
+    joint: Mapping[str, JointRecord] = field(default_factory=dict)
 
     @cached_property
     def rows(self) -> tuple[StoredRow, ...]:
@@ -108,7 +114,39 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     stops, views = store.stops(round_key), store.detections(round_key)
     cameras, judged = store.cameras(round_key), store.judged(round_key)
     stops = [stop for stop in stops if stop.key in cameras]  # one may be deleted while we read
-    return RoundContent(round_key, tuple(stops), tuple(views), cameras, FalseFinds.learnt(*judged))
+    false, joint = FalseFinds.learnt(*judged), store.joint(round_key)
+    return RoundContent(round_key, tuple(stops), tuple(views), cameras, false, joint)
+
+
+def joint_groups(content: RoundContent) -> dict[str, list[DetectionView]]:
+    """Return the views of each fruit that several stops show, by the key of their measurement.
+
+    Only views that M6 measured count, of the aisle from which the best was taken, the best first
+    and no more than five.
+    """
+    stops = {stop.key: stop for stop in content.stops}
+    groups = defaultdict(list)
+    for view in content.views:
+        if view.record.method == Method.M6 and view.verdict is not Verdict.REJECTED:
+            groups[view.group].append(view)
+    found = {}
+    for views in groups.values():
+        views.sort(key=lambda one: (not one.best, -one.record.view_score, one.key))
+        own = [one for one in views if one.side == views[0].side and one.stop_key in stops]
+        own = own[:_MOST_VIEWS]
+        if len({one.stop_key for one in own}) > 1:
+            found[_key(own, stops)] = own
+    return found
+
+
+def _key(views: Iterable[DetectionView], stops: Mapping[str, StopView]) -> str:
+    return key_of(
+        "joint",
+        *sorted(
+            f"{one.key} {one.record.length_m} {one.record.mask_px} {stops[one.stop_key].position_m}"
+            for one in views
+        ),
+    )
 
 
 def _load_rows(content: RoundContent) -> Iterator[StoredRow]:

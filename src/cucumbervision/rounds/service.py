@@ -12,14 +12,21 @@ from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.day_linking import link_days
 from cucumbervision.rounds.from_store import (
-    LENGTH_Z,
     RoundContent,
     by_hand_of,
+    joint_groups,
     read_round,
     stored_merging,
 )
 from cucumbervision.rounds.merge import NO_PAIRS, Merged, MergeSettings, merge_row
-from cucumbervision.rounds.row_fruit import CountEstimate, combined_length, count_fruit, row_fruit
+from cucumbervision.rounds.row_fruit import (
+    LENGTH_Z,
+    CountEstimate,
+    combined_length,
+    count_fruit,
+    one_tube_stands,
+    row_fruit,
+)
 from cucumbervision.rounds.row_views import ALONG
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord, Verdict
@@ -29,10 +36,20 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import StoredRow
+    from cucumbervision.store.records import JointRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView, StopView
 
 DAY_S = 86400.0
+
+# What a tube in all views says of a fruit; the rest of its line is the best view's.
+_OF_ALL_VIEWS = (
+    *("reason", "fallback", "flags", "length_m", "length_kind", "length_sd_m"),
+    *("interval_low_m", "interval_high_m", "interval_of", "interval_basis"),
+    *("centreline_m", "thread_m", "chord_m", "inner_arc_m"),
+    *("diameter_max_m", "diameter_mean_m", "volume_m3", "tilt_deg", "hidden_share"),
+    *("raw_length_m", "raw_length_kind"),
+)
 
 
 @dataclass(frozen=True)
@@ -110,15 +127,19 @@ class RoundFruit:
         Its number in the table, from 1, by row and position.
     view : DetectionView
         The view that stands, with its measurement. Where two or more views show the whole fruit,
-        its length and interval are those of all of them together.
+        its length and interval are those of all of them together: of one tube fitted to all of
+        them where there is one, and else their lengths combined.
     combined_m, combined_sd_m : float, optional
-        Length that all whole views give together.
+        Length that all views give together.
+    joint : JointRecord, optional
+        The one tube, where it stands.
     """
 
     number: int
     view: DetectionView
     combined_m: float | None
     combined_sd_m: float | None
+    joint: JointRecord | None = None
 
 
 def find_round(store: Store, name: str = "", *, deleted: bool = False) -> RoundView:
@@ -285,19 +306,49 @@ def link_rounds(
 
 def fruit_table(content: RoundContent) -> list[RoundFruit]:
     """Return a round's fruit, each once, by row and position; rejected ones are left out."""
-    combined = _combined(content)
+    combined, joint = _combined(content), _joint(content)
     best = [view for view in content.views if view.best and view.verdict is not Verdict.REJECTED]
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
     lines = []
     for number, view in enumerate(best, 1):
         known = combined.get(view.key)
-        if known is None:
-            lines.append(RoundFruit(number, view, None, None))
-            continue
-        length_m, sd_m, views = known
-        seen = _by_all_views(view, length_m, sd_m) if views > 1 else view
-        lines.append(RoundFruit(number, seen, length_m, sd_m))
+        line = _by_one_tube(number, view, joint.get(view.key), known)
+        if line is None and known is not None:
+            length_m, sd_m, views = known
+            seen = _by_all_views(view, length_m, sd_m) if views > 1 else view
+            line = RoundFruit(number, seen, length_m, sd_m)
+        lines.append(line or RoundFruit(number, view, None, None))
     return lines
+
+
+def _joint(content: RoundContent) -> dict[str, JointRecord]:
+    """Return what one tube says of fruit that several stops show whole, by the best views' keys."""
+    found = {}
+    for key, views in joint_groups(content).items():
+        one = content.joint.get(key)
+        if one is not None and one.reason == "ok":
+            found[views[0].group] = one
+    return found
+
+
+def _by_one_tube(
+    number: int,
+    view: DetectionView,
+    joint: JointRecord | None,
+    combined: tuple[float, float, int] | None,
+) -> RoundFruit | None:
+    found = None if joint is None else joint.record
+    if found is None or found.length_m is None:
+        return None
+    low_m, high_m = found.interval_low_m, found.interval_high_m
+    if low_m is None or high_m is None:
+        return None
+    others = None if combined is None else combined[:2]
+    if not one_tube_stands((found.length_m, low_m, high_m), others):
+        return None
+    sd_m = found.length_m * math.log(high_m / low_m) / (2 * LENGTH_Z)
+    record = replace(view.record, **{name: getattr(found, name) for name in _OF_ALL_VIEWS})
+    return RoundFruit(number, replace(view, record=record), found.length_m, sd_m, joint)
 
 
 def _by_all_views(view: DetectionView, length_m: float, sd_m: float) -> DetectionView:

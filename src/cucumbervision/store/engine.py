@@ -203,6 +203,11 @@ class Database:
         return named(self.engine.url)
 
     @property
+    def has_images(self) -> bool:
+        """Whether it is known where the pictures are."""
+        return self._images is not None
+
+    @property
     def images(self) -> ImageStore:
         """The pictures beside the database."""
         if self._images is None:
@@ -234,7 +239,7 @@ class Database:
         self.close()
 
 
-REVISIONS = ("0001", "0002")
+REVISIONS = ("0001", "0002", "0003")
 HEAD = REVISIONS[-1]
 VERSION_TABLE = "cucumbervision_version"
 MIGRATIONS = Path(__file__).with_name("migrations")

@@ -339,6 +339,37 @@ class StopRecord:
     failures: tuple[Mapping[str, Any], ...] = ()
 
 
+@dataclass(frozen=True)
+class JointRecord:
+    """What several views of one fruit, fitted together, say of it.
+
+    Parameters
+    ----------
+    key : str
+        Of these views as they are: changed by every change of one of them.
+    first : str
+        Key of the view in whose camera coordinates it is.
+    views : int
+        How many views the tube was fitted to; 0 where none was.
+    reason : str
+        'ok', or why no length comes of it: 'end-hidden', 'not-measured', 'no-picture',
+        'measured-differently' (with other calibrations), 'views-disagree'.
+    record : DetectionRecord, optional
+        As measured; box, keypoints and view score are the first view's. Its mask is left out, and
+        lists leave out its method with the path as well.
+    poses : mapping of str to tuple of float
+        From the first view's camera coordinates to those of each view used, by their keys: 4x4,
+        row by row. Lists leave them out.
+    """
+
+    key: str
+    first: str
+    views: int
+    reason: str = "ok"
+    record: DetectionRecord | None = None
+    poses: Mapping[str, Point] = field(default_factory=dict)
+
+
 def record_json(record: Any) -> dict[str, Any]:
     """Return any record as JSON values.
 

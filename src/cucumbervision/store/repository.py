@@ -18,6 +18,7 @@ from cucumbervision.store.corrections import (
 )
 from cucumbervision.store.edits import original_name
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
+from cucumbervision.store.joint import JointRecords
 from cucumbervision.store.queries import Queries, round_id_of
 from cucumbervision.store.records import (
     RoundRecord,
@@ -111,7 +112,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     return Store(engine, images)
 
 
-class Store(Queries, Corrections):
+class Store(Queries, Corrections, JointRecords):
     """An open store; `open_store` makes it. Any number of threads may use one.
 
     Each method is one transaction: what it writes is there whole or not at all, and on the disk

@@ -12,7 +12,8 @@ import numpy as np
 from cucumbervision._version import __version__
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import json_value
-from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.errors import InstancesError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag, LengthDefinition
 from cucumbervision.perception.mask_codes import encode_rle
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.frames import Capture
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.pipeline.fields import SeenFruit
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
@@ -117,6 +117,34 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
         provenance=json_value(capture.provenance),
         fruit=tuple(fruit_record(one) for one in result.seen),
         **_pictures(capture, images),
+    )
+
+
+def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:
+    """Return a capture of the store as a frame again.
+
+    Its depth is as it was measured from: already scaled by the site's calibration.
+
+    Raises
+    ------
+    StoredImageError
+        If a picture is missing or damaged.
+    InstancesError
+        If it was kept without pictures.
+    """
+    if record.color is None or record.depth is None:
+        raise InstancesError(
+            "the pictures of this capture were not kept",
+            source=record.name,
+            remedy="measure the capture again",
+        )
+    return Capture(
+        images.read_color(record.color),
+        images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
+        CameraModel.model_validate(dict(record.camera)).intrinsics,
+        stop=Stop(stop.row, stop.side, stop.position_m, stop.step),
+        provenance=dict[str, Any](record.provenance),
+        **{name: getattr(record, name) for name in AS_READ},
     )
 
 

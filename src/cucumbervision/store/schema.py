@@ -279,6 +279,21 @@ class Shift(Base):
     sd_m: Mapped[float | None]
 
 
+class JointLine(Base):
+    """What several views of one fruit, fitted together, say of it."""
+
+    __tablename__ = "joint_measurements"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    key: Mapped[str] = mapped_column(unique=True)
+    round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
+    first: Mapped[str]
+    views: Mapped[int]
+    reason: Mapped[str]
+    record: Mapped[dict[str, Any] | None]
+    drawing: Mapped[dict[str, Any]]
+
+
 ADDED = "added"
 """The slot of a mark on a fruit that was added by hand."""
 

@@ -18,7 +18,6 @@ from cucumbervision.dashboard.fruit_view import (
     scale_bar,
     stop_layers,
 )
-from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted, grade_name, length_words, stop_name
@@ -31,6 +30,7 @@ from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.walking import NextPlace, next_place, sides_of, unless_taken
+from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import DetectionFilter
 
 if TYPE_CHECKING:

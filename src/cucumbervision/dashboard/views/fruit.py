@@ -19,7 +19,6 @@ from cucumbervision.dashboard.fruit_view import (
     ruler_m,
     scale_bar,
 )
-from cucumbervision.dashboard.measuring import stored_capture
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import (
@@ -34,6 +33,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import painted_mask
+from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:

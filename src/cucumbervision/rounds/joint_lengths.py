@@ -1,0 +1,199 @@
+"""Fruit seen from several stops, measured by all of these views at once.
+
+One tube is fitted to the depth and the outlines that the store keeps of them. It is done once for
+each set of views and kept; a set that changes (a view more, a mask corrected, a stop moved) is
+measured anew. Where nothing sure comes of it, the lengths of the views stay combined
+(`row_fruit.combined_length`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from cucumbervision.calibration.calibration_file import SiteCalibration
+from cucumbervision.errors import InstancesError, StoredImageError
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.views import FruitView, measure_views
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.measurer import Boundary, calibrated_fruit
+from cucumbervision.rounds.from_store import joint_groups, read_round
+from cucumbervision.rounds.poses import MIDDLE_SD_M, stored_pose
+from cucumbervision.rounds.row_views import ALONG
+from cucumbervision.store.records import JointRecord
+from cucumbervision.store.results import fruit_record, stored_capture
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.measurement.views import JointFruit
+    from cucumbervision.rounds.from_store import RoundContent
+    from cucumbervision.store.records import DetectionRecord, StopRecord
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import DetectionView
+
+Report: TypeAlias = Callable[[int, int], None]
+
+_SAVED_AT_ONCE = 20  # what is measured is not lost when a program ends
+_STOPS_KEPT = 24  # in memory, with their pictures
+
+_ENDED, _NOT_MEASURED, _NO_PICTURE = "end-hidden", "not-measured", "no-picture"
+_MIXED = "measured-differently"
+
+
+def measure_jointly(store: Store, round_key: str, report: Report | None = None) -> int:
+    """Measure the fruit of a merged round that several stops show, as far as it is not done.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is; without a folder of pictures nothing is measured.
+    round_key : str
+        The round.
+    report : callable, optional
+        Given how many of how many are done; for progress bars.
+
+    Returns
+    -------
+    int
+        How many were looked at now.
+
+    Raises
+    ------
+    StoreError
+        If the round is not there.
+    """
+    if not store.has_images:
+        return 0
+    content = read_round(store, round_key)
+    groups = joint_groups(content)
+    waiting = [(key, views) for key, views in groups.items() if key not in content.joint]
+    waiting.sort(key=lambda one: (one[1][0].row or "", one[1][0].along_m or 0.0))
+    source = _Source(store, content)
+    done: list[JointRecord] = []
+    for count, (key, views) in enumerate(waiting, 1):
+        # Whatever one fruit raises, its views' lengths stay combined and the others go on.
+        with Boundary([], store.name, key):
+            done.append(source.measured(key, views))
+        if report is not None:
+            report(count, len(waiting))
+        if len(done) == _SAVED_AT_ONCE:
+            store.save_joint(round_key, done, groups.keys())
+            done = []
+    if done or content.joint.keys() - groups.keys():
+        store.save_joint(round_key, done, groups.keys())
+    return len(waiting)
+
+
+@dataclass(frozen=True, eq=False)
+class _StoredView:
+    """One view with all that is stored of it."""
+
+    view: DetectionView
+    record: DetectionRecord
+    stop: StopRecord
+    capture: Capture
+
+    def as_seen(self, pose: NDArray[np.float64]) -> FruitView:
+        record, shape = self.record, (self.capture.height, self.capture.width)
+        box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+        instance = Instance(
+            np.array(box),
+            record.score,
+            record.label,
+            mask=None if record.mask is None else decode_rle(record.mask, *shape),
+            mask_source=MaskSource(record.mask_source) if record.mask_source else None,
+            keypoints=np.array(record.keypoints) if record.keypoints else None,
+        )
+        return FruitView(self.capture, instance, pose, shift_sd_m=MIDDLE_SD_M)
+
+    @property
+    def site(self) -> SiteCalibration | None:
+        """The site's calibration that it was measured with."""
+        details = [one.details for one in self.stop.artifacts if one.kind == "calibration"]
+        return SiteCalibration.model_validate(dict(details[0])) if details else None
+
+    @property
+    def definition(self) -> LengthDefinition:
+        """Which length was asked for."""
+        options = [one.details for one in self.stop.artifacts if one.kind == "config"]
+        asked = options[0].get("length") if options else None
+        return LengthDefinition(asked or self.record.length_kind or LengthDefinition.THREAD)
+
+
+class _Source:
+    """Reads what is stored of a round's views, each stop once."""
+
+    def __init__(self, store: Store, content: RoundContent) -> None:
+        self._corrected = store.corrected(content.key)
+        self._content, self._images = content, store.images
+        self._stops = {stop.key: stop for stop in content.stops}
+        self._read_stop = lru_cache(_STOPS_KEPT)(store.stop)
+        self._read_capture = lru_cache(_STOPS_KEPT)(self._capture)
+
+    def measured(self, key: str, views: Sequence[DetectionView]) -> JointRecord:
+        """Return what some views say together, or why nothing."""
+        first = views[0].key
+        try:
+            stored = [self._stored(view) for view in views]
+            site, definition = stored[0].site, stored[0].definition
+            if any((one.site, one.definition) != (site, definition) for one in stored):
+                return JointRecord(key, first, 0, _MIXED)
+            known = site is not None and site.depth_scale is not None
+            seen = [one.as_seen(self._pose(one.view)) for one in stored]
+            found = measure_views(seen, definition, scale_known=known)
+        except (StoredImageError, InstancesError):
+            return JointRecord(key, first, 0, _NO_PICTURE)
+        if found is None or len(found.poses) < 2 or found.fruit.selected is None:
+            return JointRecord(key, first, 0, _NOT_MEASURED)
+        return _joint_record(key, stored, found, site, definition)
+
+    def _stored(self, view: DetectionView) -> _StoredView:
+        stop = self._read_stop(view.stop_key)
+        number, capture = view.record.number, self._read_capture(view.stop_key, view.capture)
+        taken = next(one for one in stop.captures if one.name == view.capture)
+        original = next(one for one in taken.fruit if one.number == number)
+        return _StoredView(view, self._corrected.get(view.key, original), stop, capture)
+
+    def _capture(self, stop_key: str, name: str) -> Capture:
+        stop = self._read_stop(stop_key)
+        taken = next(one for one in stop.captures if one.name == name)
+        return stored_capture(self._images, taken, stop)
+
+    def _pose(self, view: DetectionView) -> NDArray[np.float64]:
+        """Return the camera's pose, put where merging found the stop to be."""
+        stop = self._stops[view.stop_key]
+        pose = stored_pose(self._content.cameras[view.stop_key].pose, view.side)
+        at_m = stop.position_m if stop.fitted_m is None else stop.fitted_m
+        if at_m is not None:
+            pose[ALONG, 3] = at_m
+        return pose
+
+
+def _joint_record(
+    key: str,
+    stored: Sequence[_StoredView],
+    found: JointFruit,
+    site: SiteCalibration | None,
+    definition: LengthDefinition,
+) -> JointRecord:
+    fruit, first = found.fruit, stored[found.first]
+    if site is not None:
+        fruit = calibrated_fruit(fruit, site, definition)
+    record = fruit_record(SeenFruit(first.capture, first.record.number, fruit))
+    poses = {
+        stored[k].view.key: tuple(pose.round(9).ravel().tolist()) for k, pose in found.poses.items()
+    }
+    reason = _ENDED if record.partial else "ok"
+    return JointRecord(
+        key, first.view.key, len(poses), reason, replace(record, mask=None, keypoints=()), poses
+    )

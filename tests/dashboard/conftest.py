@@ -48,6 +48,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def fresh_caches() -> Iterator[None]:
+    """Each test opens its own store, and lets it go."""
+    st = pytest.importorskip("streamlit")
+    st.cache_resource.clear()
+    st.cache_data.clear()
+    yield
+    st.cache_resource.clear()
+    st.cache_data.clear()
+
+
+@pytest.fixture
 def house(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same, to be changed; the dashboard's pages open it."""
     path = tmp_path / "house.db"

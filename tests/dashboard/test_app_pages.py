@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-import streamlit as st
 from streamlit.testing.v1 import AppTest
 
 from cucumbervision.capture.frames import Stop
@@ -32,14 +31,7 @@ WALK, LONG = key_of("walk"), key_of("long walk")
 PAGES = ("today", "capture", "upload", "results", "row_map", "forecast", "accuracy", "settings")
 
 
-@pytest.fixture(autouse=True)
-def _fresh() -> Iterator[None]:
-    """Each test opens its own store, and lets it go."""
-    st.cache_resource.clear()
-    st.cache_data.clear()
-    yield
-    st.cache_resource.clear()
-    st.cache_data.clear()
+pytestmark = pytest.mark.usefixtures("fresh_caches")
 
 
 def app(page: str, **state: Any) -> AppTest:

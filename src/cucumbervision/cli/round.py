@@ -172,8 +172,12 @@ def merge(
     across: Annotated[
         float | None, typer.Option(help="Between the cameras of two aisles, metres, if known.")
     ] = None,
+    images: Images = None,
 ) -> None:
-    """Find which fruit were seen from several stops; what was decided by hand stands."""
+    """Find which fruit were seen from several stops, and measure them by all views at once.
+
+    What was decided by hand stands, and what was measured before is not measured again.
+    """
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.merge import MergeSettings
     from cucumbervision.rounds.service import merge_round
@@ -181,8 +185,9 @@ def merge(
     settings = MergeSettings()
     if across is not None:
         settings = MergeSettings(across_m=across, across_sd_m=0.05)
-    with opened_round(store, round_) as (opened, one):
+    with opened_round(store, round_, images) as (opened, one):
         rows = merge_round(opened, one.key, settings)
+        _measure_jointly(opened, one.key)
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
@@ -202,6 +207,19 @@ def merge(
                 f"row {row.row}, side {side}: positions seem to get higher the other way; "
                 "add its captures to a new round with --higher-to"
             )
+
+
+def _measure_jointly(store: Store, key: str) -> None:
+    """Measure fruit by all their views, and show progress."""
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar
+    from cucumbervision.rounds.joint_lengths import measure_jointly
+
+    with progress_bar(Console(stderr=True, highlight=False)) as bar:
+        task = bar.add_task("fruit in several views", total=None)
+        measure_jointly(store, key, lambda done, of: bar.update(task, completed=done, total=of))
+        bar.update(task, visible=False)
 
 
 @app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,7 +25,12 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.store.records import CaptureRecord, DetectionRecord, MethodRecord
+    from cucumbervision.store.records import (
+        CaptureRecord,
+        DetectionRecord,
+        JointRecord,
+        MethodRecord,
+    )
     from cucumbervision.store.views import DetectionView
 
 # Okabe and Ito's palette, told apart by colour-blind people too.
@@ -36,6 +42,8 @@ _METHOD_COLORS = {
     "M5": "#0072B2",
     "M6": "#FFFFFF",
 }
+_JOINT_COLOR, _JOINT_RGB = "#0072B2", (0, 114, 178)
+_SUBPIXEL_BITS = 4  # of OpenCV's lines
 _MASK_COLOR, _KEYPOINT_COLOR, _BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
 _QUALITY = 85
 _MARKS = ("ruler", "point", "box", "stroke")
@@ -95,8 +103,19 @@ def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]
     )
 
 
-def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, Any]]:
+def fruit_layers(
+    record: DetectionRecord, camera: Intrinsics, together: MethodRecord | None = None
+) -> list[dict[str, Any]]:
     """Return what was found and measured of a fruit as layers of lines, in pixels.
+
+    Parameters
+    ----------
+    record : DetectionRecord
+        The fruit in its capture.
+    camera : Intrinsics
+        Of that capture.
+    together : MethodRecord, optional
+        The tube in all its views, in this camera's coordinates (`joint_tube`).
 
     Returns
     -------
@@ -123,7 +142,69 @@ def fruit_layers(record: DetectionRecord, camera: Intrinsics) -> list[dict[str, 
             name = f"{method.method} axis" if method.diameter_m else method.method
             chosen = method.method == record.method
             layers.append(layer(name, _METHOD_COLORS[method.method], chosen, shapes))
+    if together is not None:
+        edge = tube_outline(together, camera).round(1).reshape(-1).tolist()
+        layers.append(layer("All views", _JOINT_COLOR, False, [{"kind": "area", "points": edge}]))
     return layers
+
+
+def joint_tube(joint: JointRecord, key: str) -> MethodRecord | None:
+    """Return the tube in all views of a fruit in the camera coordinates of one of them.
+
+    Parameters
+    ----------
+    joint : JointRecord
+        With path and poses, as `Store.joint_drawing` gives it.
+    key : str
+        The view's.
+
+    Returns
+    -------
+    MethodRecord or None
+        None where the tube was not fitted to that view.
+    """
+    numbers = joint.poses.get(key)
+    if numbers is None or joint.record is None or not joint.record.methods:
+        return None
+    pose, tube = np.reshape(numbers, (4, 4)), joint.record.methods[0]
+    path = np.array(tube.path_m).reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+    return replace(tube, path_m=tuple(map(tuple, path.tolist())))
+
+
+def tube_outline(tube: MethodRecord, camera: Intrinsics) -> NDArray[np.float64]:
+    """Return the outline of a tube in the picture, shape (N, 2): pixels, one edge and back.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision.store.records import MethodRecord
+    >>> line = ((-0.1, 0.0, 0.5), (0.1, 0.0, 0.5))
+    >>> tube = MethodRecord("M6", path_m=line, diameter_m=(0.04, 0.04))
+    >>> tube_outline(tube, Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0)).round().tolist()
+    [[220.0, 260.0], [420.0, 260.0], [420.0, 220.0], [220.0, 220.0]]
+    """
+    path = np.array(tube.path_m, np.float64).reshape(-1, 3)
+    if len(path) < 2 or len(tube.diameter_m) != len(path) or (path[:, 2] <= 0).any():
+        return np.empty((0, 2))
+    line = camera.project(path)
+    along = np.gradient(line, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    half = camera.fx_px * np.array(tube.diameter_m) / 2 / path[:, 2]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) * half[:, None]
+    return np.vstack([line + across, (line - across)[::-1]])
+
+
+def drawn_on(color: NDArray[np.uint8], tube: MethodRecord, camera: Intrinsics) -> NDArray[np.uint8]:
+    """Return a picture with a tube's outline and axis drawn on it."""
+    edge = tube_outline(tube, camera)
+    if not len(edge):
+        return color
+    axis = camera.project(np.array(tube.path_m))
+    drawn = color.copy()
+    for line, closed in ((edge, True), (axis, False)):
+        points = [np.rint(line * 2**_SUBPIXEL_BITS).astype(np.int32)]
+        cv2.polylines(drawn, points, closed, _JOINT_RGB, 2, cv2.LINE_AA, shift=_SUBPIXEL_BITS)
+    return drawn
 
 
 def stop_layers(

@@ -15,11 +15,12 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 from cucumbervision.agronomy.forecast import Forecast
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
+from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, Replay
-from cucumbervision.dashboard.fruit_view import as_data_url, crop
+from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.recording import Recorder
@@ -46,7 +47,7 @@ from cucumbervision.rounds.service import DAY_S, RoundFruit, RowReport, fruit_ta
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.settling import undo as undo_in
 from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
-from cucumbervision.store.records import MethodRecord
+from cucumbervision.store.records import JointRecord, MethodRecord
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
@@ -252,7 +253,7 @@ def content_of(one: RoundView) -> RoundContent:
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
 def lists_of(one: RoundView) -> RoundLists:
     """Return a round's fruit and grades; read again only when something changed."""
-    return list_round(content_of(one), profile_of(one)[1])
+    return list_round(content_of(one), fruit_of(one), profile_of(one)[1])
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
@@ -329,13 +330,26 @@ def thumbnail_of(view: DetectionView) -> str | None:
     max_entries=400,
     hash_funcs={DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px)},
 )
-def cutout_of(view: DetectionView) -> str | None:
-    """Return a fruit cut out of its picture as a data URL; None where none was kept."""
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600)
+def joint_of(round_key: str, key: str) -> JointRecord:
+    """Return the tube in all views of a fruit, with its path and the cameras' poses."""
+    return store().joint_drawing(round_key, key)
+
+
+def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | None:
+    """Return a fruit cut out of its picture as a data URL; None where none was kept.
+
+    `joint` is drawn on it where it was fitted to this view.
+    """
     captures = {one.name: one for one in store().stop(view.stop_key).captures}
     taken = captures[view.capture]
     if taken.color is None:
         return None
     color = store().images.read_color(taken.color)
+    tube = None if joint is None else joint_tube(joint, view.key)
+    if tube is not None:
+        camera = CameraModel.model_validate(dict(taken.camera)).intrinsics
+        color = drawn_on(color, tube, camera)
     return as_data_url(crop(color, view.record, taken.width_px, _CUT_PX, _CUT_SHARE))
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.from_store import RoundContent
+    from cucumbervision.rounds.service import RoundFruit
     from cucumbervision.rounds.row_fruit import CountEstimate
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.views import DetectionView, StopView
@@ -39,7 +40,7 @@ class RoundLists:
     Parameters
     ----------
     fruit : tuple of DetectionView
-        Each fruit once: the view that stands.
+        Each fruit once: the view that stands, with the length that all views give together.
     grades : dict of str to Grade
         By fruit key.
     detections : int
@@ -51,9 +52,12 @@ class RoundLists:
     detections: int
 
 
-def list_round(content: RoundContent, profile: CropProfile) -> RoundLists:
-    """Return a round's fruit with their grades."""
-    fruit = tuple(view for view in content.views if view.best)
+def list_round(
+    content: RoundContent, table: Iterable[RoundFruit], profile: CropProfile
+) -> RoundLists:
+    """Return a round's fruit with their grades, rejected ones too; `table` has its lengths."""
+    standing = {line.view.key: line.view for line in table}
+    fruit = tuple(standing.get(view.key, view) for view in content.views if view.best)
     grades = {view.key: grade_of(view.record, profile) for view in fruit}
     return RoundLists(fruit, grades, len(content.views))
 

@@ -138,9 +138,7 @@ def combined_length(
 _MOST_APART_SD, _MOST_WIDER = 2.5, 1.5
 
 
-def one_tube_stands(
-    tube: tuple[float, float, float], combined: tuple[float, float] | None
-) -> bool:
+def one_tube_stands(tube: tuple[float, float, float], combined: tuple[float, float] | None) -> bool:
     """Return whether the length of one tube in all views stands before the combined lengths.
 
     It does not where the views' own lengths contradict it (views of two fruit that were taken

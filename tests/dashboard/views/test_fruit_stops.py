@@ -2,14 +2,24 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
+import pytest
 from streamlit.testing.v1 import AppTest
+from tests.rounds.test_adding import CAMERA, OPTIONS, draw
 
+from cucumbervision.dashboard.fruit_view import drawn_on, joint_tube, tube_outline
 from cucumbervision.dashboard.round_tables import length_words
 from cucumbervision.dashboard.settings import Units
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.service import fruit_table
-from cucumbervision.store.records import key_of
+from cucumbervision.rounds.settling import settle
+from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import open_store
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
 
 WALK = key_of("walk")
 
@@ -42,3 +52,39 @@ def test_a_fruit_shows_its_views_and_the_length_of_all_together(house: Path) -> 
     together = length_words(line.view.record, Units("cm"))
     assert any(one.startswith(f"All that show it whole, together: {together}") for one in lines)
     assert not any(one.startswith("All that show it whole") for one in lines_of(alone.key))
+
+
+def test_a_fruit_shows_the_tube_in_all_its_views(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(3):
+        draw("left", number, tmp_path / "walk")
+    path = tmp_path / "row.db"
+    with open_store(path) as store:
+        store.save_round(RoundRecord(WALK, "walk"))
+        add_captures(store, WALK, [tmp_path / "walk"], OPTIONS)
+        settle(store, WALK)
+        content = read_round(store, WALK)
+        line = next(one for one in fruit_table(content) if one.joint is not None)
+        assert line.joint is not None
+        joint = store.joint_drawing(WALK, line.joint.key)
+        for key in joint.poses:
+            detail = store.detection(key)
+            color = store.images.read_color(detail.capture.color or pytest.fail("no picture"))
+            tube = joint_tube(joint, key)
+            assert tube is not None
+            drawn = drawn_on(color, tube, CAMERA)
+            # The outline that is drawn runs along the mask's own.
+            inside = cv2.fillPoly(
+                np.zeros(color.shape[:2], np.uint8),
+                [np.rint(tube_outline(tube, CAMERA)).astype(np.int32)],
+                1,
+            ).astype(bool)
+            mask = decode_rle(detail.view.record.mask or "", CAMERA.height, CAMERA.width)
+            assert (inside & mask).sum() > 0.85 * (inside | mask).sum()
+            assert (drawn != color).any(axis=2).sum() > 100
+        assert joint_tube(joint, "of no view") is None
+    monkeypatch.setenv("CUCUMBERVISION_STORE", str(path))
+    lines = lines_of(line.view.key)
+    together = length_words(line.view.record, Units("cm"))
+    assert any(one.startswith("One tube in") and together in one for one in lines), lines

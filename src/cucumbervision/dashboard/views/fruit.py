@@ -15,6 +15,7 @@ from cucumbervision.dashboard.fruit_view import (
     as_data_url,
     depth_picture,
     fruit_layers,
+    joint_tube,
     picture,
     ruler_m,
     scale_bar,
@@ -44,7 +45,13 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.store.records import DetectionRecord, MethodRecord, StopRecord
+    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.store.records import (
+        DetectionRecord,
+        JointRecord,
+        MethodRecord,
+        StopRecord,
+    )
     from cucumbervision.store.views import DetectionView, RoundView
 
 
@@ -56,9 +63,11 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
     with right:
         _figures(lists, detail)
         _verdict(one, detail)
+    line = next((x for x in resources.fruit_of(one) if x.view.group == detail.view.group), None)
+    joint = _joint_of(one, line)
     with left:
-        _pictures(detail)
-    _show_stops(one, detail.view)
+        _pictures(detail, joint)
+    _show_stops(one, detail.view, line, joint)
     _methods(detail)
 
 
@@ -82,7 +91,8 @@ def _head(lists: RoundLists, key: str) -> None:
 
 
 def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
-    record, units = detail.view.record, resources.settings().units
+    standing = {view.key: view for view in lists.fruit}
+    record, units = standing[detail.view.key].record, resources.settings().units
     found = lists.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
@@ -143,7 +153,7 @@ def _undo(one: RoundView) -> None:
         st.session_state["undo_fault"] = str(error)
 
 
-def _pictures(detail: DetectionDetail) -> None:
+def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
     try:
         capture = _capture(detail)
     except CucumberVisionError as error:
@@ -152,7 +162,7 @@ def _pictures(detail: DetectionDetail) -> None:
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
     seen, turned = st.tabs(["Picture", "3D"], key="fruit_tabs", on_change="rerun")
     with seen:
-        _picture(detail, capture)
+        _picture(detail, capture, joint)
     if turned.open:
         with turned:
             _cloud(capture, detail.view.record)
@@ -180,15 +190,16 @@ def _capture(detail: DetectionDetail) -> Capture:
     return stored_capture(resources.store().images, detail.capture, detail.stop)
 
 
-def _picture(detail: DetectionDetail, capture: Capture) -> None:
+def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | None) -> None:
     depth, words = depth_picture(capture.depth_m)
     record, units = detail.view.record, resources.settings().units
     ruler = st.session_state.get("ruler")
+    tube = None if joint is None else joint_tube(joint, detail.view.key)
     drawn = picture(
         f"fruit_{detail.view.key}",
         {"Colour": as_data_url(capture.color), "Depth": as_data_url(depth)},
         (capture.width, capture.height),
-        layers=fruit_layers(record, capture.intrinsics),
+        layers=fruit_layers(record, capture.intrinsics, tube),
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box", "brush", "erase"),
         ruler_text=ruler or "",
@@ -344,7 +355,9 @@ def _remark(method: MethodRecord, record: DetectionRecord) -> str:
 _ABREAST = 4
 
 
-def _show_stops(one: RoundView, fruit: DetectionView) -> None:
+def _show_stops(
+    one: RoundView, fruit: DetectionView, line: RoundFruit | None, joint: JointRecord | None
+) -> None:
     """Draw the views of a fruit, the one that stands first; nothing where there is only one.
 
     Parameters
@@ -353,6 +366,10 @@ def _show_stops(one: RoundView, fruit: DetectionView) -> None:
         Its round.
     fruit : DetectionView
         Any of its views.
+    line : RoundFruit, optional
+        The fruit with the length by all its views.
+    joint : JointRecord, optional
+        One tube in all of them.
     """
     content, units = resources.content_of(one), resources.settings().units
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
@@ -363,13 +380,24 @@ def _show_stops(one: RoundView, fruit: DetectionView) -> None:
         for column, view in zip(
             st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
         ):
-            if (cut := resources.cutout_of(view)) is not None:
+            if (cut := resources.cutout_of(view, joint)) is not None:
                 column.image(cut, width="stretch")
             stands = " · this one stands" if view.best else ""
             column.caption(f"Stop {view.step or '?'}: {_length(view.record, units)}{stands}")
-    together = next((x.view for x in resources.fruit_of(one) if x.view.group == fruit.group), None)
-    if together is not None:
-        st.caption(f"All that show it whole, together: {_length(together.record, units)}")
+    if line is not None:
+        how = "All that show it whole, together"
+        if joint is not None:
+            how = f"One tube in {joint.views} of these views (blue), refined with their places"
+        st.caption(f"{how}: {_length(line.view.record, units)}")
+
+
+def _joint_of(one: RoundView, line: RoundFruit | None) -> JointRecord | None:
+    if line is None or line.joint is None:
+        return None
+    try:
+        return resources.joint_of(one.key, line.joint.key)
+    except CucumberVisionError:  # merged anew meanwhile
+        return None
 
 
 def _length(record: DetectionRecord, units: Units) -> str:

@@ -120,7 +120,7 @@ def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:
     """
     try:
         rows = connection.execute(query).all()
-    except ValueError as error:  # JSON that is none
+    except (ValueError, RecursionError) as error:  # JSON that is none, or too deep
         with decoding(connection):
             raise error
     with decoding(connection):

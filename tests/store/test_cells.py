@@ -11,13 +11,21 @@ import pytest
 from cucumbervision.errors import StoreError
 from cucumbervision.store import queries
 from cucumbervision.store.cells import detection_from_json, pack_um, points, unpack_um
-from cucumbervision.store.records import DetectionRecord, key_of, record_json
+from cucumbervision.store.records import DetectionRecord, JointRecord, key_of, record_json
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
 
 from .conftest import WALK, MakeStop
 
-STOP = key_of(WALK.key, 0)
+STOP, JOINT = key_of(WALK.key, 0), key_of("joint")
+
+
+def _joint(store: Store) -> object:
+    return store.joint(WALK.key)
+
+
+def _drawing(store: Store) -> object:
+    return store.joint_drawing(WALK.key, JOINT)
 
 
 @pytest.mark.parametrize(
@@ -30,6 +38,9 @@ STOP = key_of(WALK.key, 0)
         ("masks SET keypoints = '[1]'", lambda store: store.stop(STOP)),
         ("measurements SET path_um = x'0102'", lambda store: store.stop(STOP)),
         ("marks SET value = 'perhaps'", lambda store: store.detections(WALK.key)),
+        ("joint_measurements SET record = '" + "[" * 20_000 + "'", _joint),
+        ('joint_measurements SET record = \'{"number": 1, "length_m": "long"}\'', _joint),
+        ("joint_measurements SET drawing = '{\"poses\": 3}'", _drawing),
     ],
 )
 def test_a_cell_that_no_record_is_made_of_is_damage(
@@ -38,6 +49,7 @@ def test_a_cell_that_no_record_is_made_of_is_damage(
     with open_store(tmp_path / "house.db") as store:
         store.save_round(WALK)
         store.save_stop(make_stop())
+        store.save_joint(WALK.key, [JointRecord(JOINT, "a", 2, record=DetectionRecord(1))], ())
         store.set_verdict([store.detections(WALK.key)[0].key], Verdict.ACCEPTED)
         read(store)
         with closing(sqlite3.connect(tmp_path / "house.db")) as raw:

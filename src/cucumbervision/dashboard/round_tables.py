@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.from_store import RoundContent
-    from cucumbervision.rounds.service import RoundFruit
     from cucumbervision.rounds.row_fruit import CountEstimate
+    from cucumbervision.rounds.service import RoundFruit
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.views import DetectionView, StopView
 

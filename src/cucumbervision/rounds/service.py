@@ -341,7 +341,7 @@ def _by_one_tube(
     if found is None or found.length_m is None:
         return None
     low_m, high_m = found.interval_low_m, found.interval_high_m
-    if low_m is None or high_m is None:
+    if low_m is None or high_m is None or not 0 < low_m <= found.length_m <= high_m:
         return None
     others = None if combined is None else combined[:2]
     if not one_tube_stands((found.length_m, low_m, high_m), others):

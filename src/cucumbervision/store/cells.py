@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
+from pydantic import TypeAdapter
 from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreError, refusing
 from cucumbervision.store.engine import named
-from cucumbervision.store.records import DetectionRecord, ImageRef, MethodRecord, Point
+from cucumbervision.store.records import DetectionRecord, ImageRef, Point
 from cucumbervision.store.schema import (
     Base,
     DetectionLine,
@@ -77,25 +79,24 @@ def points(data: bytes) -> tuple[Point, ...]:
 def detection_from_json(values: Mapping[str, Any]) -> DetectionRecord:
     """Return the detection that `record_json` was given.
 
+    Raises
+    ------
+    ValidationError
+        If a value is not of its field's kind.
+
     Examples
     --------
-    >>> from cucumbervision.store.records import record_json
+    >>> from cucumbervision.store.records import MethodRecord, record_json
     >>> fruit = DetectionRecord(1, methods=(MethodRecord("M1", 0.2, path_m=((0.0, 0.0, 1.0),)),))
     >>> detection_from_json(record_json(fruit)) == fruit
     True
     """
-    methods = tuple(
-        MethodRecord(
-            **{
-                **method,
-                "path_m": tuple(tuple(point) for point in method["path_m"]),
-                "diameter_m": tuple(method["diameter_m"]),
-            }
-        )
-        for method in values["methods"]
-    )
-    keypoints = tuple(tuple(point) for point in values["keypoints"])
-    return DetectionRecord(**{**values, "methods": methods, "keypoints": keypoints})
+    return _reader_of_detections().validate_python(values)
+
+
+@lru_cache(maxsize=1)
+def _reader_of_detections() -> TypeAdapter[DetectionRecord]:
+    return TypeAdapter(DetectionRecord)
 
 
 def decoding(connection: Connection) -> AbstractContextManager[None]:

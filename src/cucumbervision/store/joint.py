@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from pydantic import TypeAdapter
 from sqlalchemy import and_, delete, select
 
 from cucumbervision.errors import StoreError
@@ -96,13 +98,10 @@ def _with_drawing(one: JointRecord, drawing: Any) -> JointRecord:
     poses = {key: tuple(map(float, numbers)) for key, numbers in drawing["poses"].items()}
     if one.record is None:
         return replace(one, poses=poses)
-    methods = [
-        {
-            **method,
-            "path_m": tuple(tuple(point) for point in method["path_m"]),
-            "diameter_m": tuple(method["diameter_m"]),
-        }
-        for method in drawing["methods"]
-    ]
-    record = replace(one.record, methods=tuple(MethodRecord(**method) for method in methods))
+    record = replace(one.record, methods=_reader_of_methods().validate_python(drawing["methods"]))
     return replace(one, poses=poses, record=record)
+
+
+@lru_cache(maxsize=1)
+def _reader_of_methods() -> TypeAdapter[tuple[MethodRecord, ...]]:
+    return TypeAdapter(tuple[MethodRecord, ...])

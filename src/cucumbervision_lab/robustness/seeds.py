@@ -22,6 +22,7 @@ from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
     DetectionRecord,
+    JointRecord,
     MethodRecord,
     RoundRecord,
     StopRecord,
@@ -250,6 +251,10 @@ def store(folder: Path) -> None:
         walk, stop = stop_of(opened)
         opened.save_round(walk)
         opened.save_stop(stop)
+        one = stop.captures[0].fruit[0]
+        pose = tuple(np.eye(4).ravel().tolist())
+        together = JointRecord(key_of("joint"), "a", 2, record=one, poses={"b": pose})
+        opened.save_joint(walk.key, [together, JointRecord(key_of("none"), "a", 0, "x")], ())
 
 
 def stop_of(opened: Store) -> tuple[RoundRecord, StopRecord]:

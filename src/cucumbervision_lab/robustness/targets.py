@@ -156,6 +156,9 @@ def _store(folder: Path, _name: str) -> None:
 
 
 def _read_round(store: Any, key: str) -> None:
+    from cucumbervision.rounds.from_store import read_round
+    from cucumbervision.rounds.service import fruit_table
+
     for stop in store.stops(key):
         for capture in store.stop(stop.key).captures:
             for ref, read in (
@@ -166,7 +169,10 @@ def _read_round(store: Any, key: str) -> None:
                     read(ref)
     for fruit in store.detections(key):
         store.detection(fruit.key)
+    for joint in store.joint(key):
+        store.joint_drawing(key, joint)
     store.measurements(key), store.cameras(key), store.links(key), store.log(key)
+    fruit_table(read_round(store, key))
 
 
 def _network(folder: Path, _name: str) -> None:

@@ -143,6 +143,7 @@ def record_of(kind: type[T], *cells: Any) -> T:
 
     Examples
     --------
+    >>> from cucumbervision.store.records import MethodRecord
     >>> record_of(MethodRecord, "M1", 0.2).length_m
     0.2
     """

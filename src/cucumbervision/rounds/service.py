@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import StoredRow
-    from cucumbervision.store.records import JointRecord
+    from cucumbervision.store.records import DetectionRecord, JointRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView, RoundView, StopView
 
@@ -343,12 +343,20 @@ def _by_one_tube(
     low_m, high_m = found.interval_low_m, found.interval_high_m
     if low_m is None or high_m is None or not 0 < low_m <= found.length_m <= high_m:
         return None
-    others = None if combined is None else combined[:2]
+    others = _own_length(view.record) if combined is None else combined[:2]
     if not one_tube_stands((found.length_m, low_m, high_m), others):
         return None
     sd_m = found.length_m * math.log(high_m / low_m) / (2 * LENGTH_Z)
     record = replace(view.record, **{name: getattr(found, name) for name in _OF_ALL_VIEWS})
     return RoundFruit(number, replace(view, record=record), found.length_m, sd_m, joint)
+
+
+def _own_length(record: DetectionRecord) -> tuple[float, float] | None:
+    """Return the length of a view and its standard deviation; None where it is a lower bound."""
+    low_m, high_m = record.interval_low_m, record.interval_high_m
+    if record.at_least or not record.length_m or not low_m or not high_m or low_m >= high_m:
+        return None
+    return record.length_m, record.length_m * math.log(high_m / low_m) / (2 * LENGTH_Z)
 
 
 def _by_all_views(view: DetectionView, length_m: float, sd_m: float) -> DetectionView:

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.result import LOWER_BOUND
+from cucumbervision.measurement.result import LOWER_BOUND, Choice
 
 Point: TypeAlias = tuple[float, ...]
 
@@ -244,19 +244,34 @@ class DetectionRecord:
     methods: tuple[MethodRecord, ...] = ()
 
     @property
-    def partial(self) -> bool:
-        """Whether part of the fruit is out of sight, so that its length is a lower bound.
+    def at_least(self) -> bool:
+        """Whether an end is out of sight, so that its length is a lower bound.
 
         Examples
         --------
-        >>> DetectionRecord(1, flags="sam-mask-small end-hidden").partial
+        >>> DetectionRecord(1, flags="sam-mask-small end-hidden").at_least
+        True
+        """
+        return bool(_PARTIAL_FLAGS & set(self.flags.split()))
+
+    @property
+    def partial(self) -> bool:
+        """Whether its length may be a lower bound, since part of the fruit is out of sight.
+
+        In several views at once the edge of a leaf is at several places along the fruit, and is
+        not taken for its end.
+
+        Examples
+        --------
+        >>> DetectionRecord(1, hidden_share=0.25).partial
         True
         >>> DetectionRecord(1, hidden_share=0.05).partial
         False
+        >>> DetectionRecord(1, hidden_share=0.25, reason="several-views").partial
+        False
         """
-        return bool(_PARTIAL_FLAGS & set(self.flags.split())) or (
-            (self.hidden_share or 0.0) > _HIDDEN_SHARE
-        )
+        hides = (self.hidden_share or 0.0) > _HIDDEN_SHARE
+        return self.at_least or (hides and self.reason != Choice.SEVERAL_VIEWS)
 
 
 @dataclass(frozen=True)

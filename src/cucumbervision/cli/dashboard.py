@@ -45,6 +45,7 @@ def dashboard(
         return
     from cucumbervision.dashboard.server import default_store, serve
 
+    typer.echo(f"The dashboard comes up at http://{address}:{port}; Ctrl-C ends it.", err=True)
     serve(
         store or default_store(),
         replay=replay,

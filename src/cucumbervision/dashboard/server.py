@@ -48,6 +48,8 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         "server.port": port,
         "server.headless": "false" if browser else "true",
         "server.showEmailPrompt": "false",
+        # Beside its own greeting this silences what Streamlit offers to developers on the page.
+        "logger.hideWelcomeMessage": "true",
         "server.fileWatcherType": "none",
         "server.maxUploadSize": 200,
         # Streamlit names a large part that it has sent before by its hash; a page that no longer

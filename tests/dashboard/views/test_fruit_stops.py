@@ -87,4 +87,4 @@ def test_a_fruit_shows_the_tube_in_all_its_views(
     monkeypatch.setenv("CUCUMBERVISION_STORE", str(path))
     lines = lines_of(line.view.key)
     together = length_words(line.view.record, Units("cm"))
-    assert any(one.startswith("One tube in") and together in one for one in lines), lines
+    assert any(one.startswith("One tube fitted to") and together in one for one in lines), lines

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -150,26 +149,35 @@ def measure_views(
         if all(_apart(more, other) for other in kept):
             kept.append(more)
     first = kept[0]
-    alone = measure_fruit(
-        first.view.capture,
-        first.view.instance,
-        (Method.M6,),
-        definition=definition,
-        scale_known=scale_known,
-        models=models,
-    )
-    fruit, poses = alone, [np.eye(4)]
-    if len(kept) > 1:
-        seen = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
-        seen += [_relative(first, other) for other in kept[1:]]
-        with suppress(np.linalg.LinAlgError):
-            fitted = fit_views(seen, first.fitting.shape)
-            one_tube = judged_fit(first.tube, fitted.body, views=len(kept))
-            joint = _together(alone, one_tube, kept, fitted.poses)
-            fruit = with_length(joint, definition, scale_known=scale_known, models=models)
-            poses = list(fitted.poses)
+    joint = _joint(kept) if len(kept) > 1 else None
+    if joint is None:
+        alone = measure_fruit(
+            *(first.view.capture, first.view.instance, (Method.M6,)),
+            definition=definition,
+            scale_known=scale_known,
+            models=models,
+        )
+        return JointFruit(alone, first.number, {first.number: np.eye(4)})
+    fruit = with_length(joint[0], definition, scale_known=scale_known, models=models)
     numbers = [one.number for one in kept]
-    return JointFruit(fruit, first.number, dict(zip(numbers, poses, strict=False)))
+    return JointFruit(fruit, first.number, dict(zip(numbers, joint[1], strict=True)))
+
+
+def _joint(
+    kept: Sequence[_Alone],
+) -> tuple[FruitMeasurement, tuple[NDArray[np.float64], ...]] | None:
+    """Return the fruit with one tube for all views, and the cameras' poses; None if none fits."""
+    first = kept[0]
+    seen = [SeenFrom(first.tube.evidence, np.eye(3), np.zeros(3))]
+    seen += [_relative(first, other) for other in kept[1:]]
+    try:
+        fitted = fit_views(seen, first.fitting.shape)
+    except np.linalg.LinAlgError:
+        return None
+    one_tube = judged_fit(first.tube, fitted.body, views=len(kept))
+    # What is known of the fruit beside its length.
+    alone = measure_fruit(first.view.capture, first.view.instance, ())
+    return _together(alone, one_tube, kept, fitted.poses), fitted.poses
 
 
 def _together(

@@ -387,7 +387,7 @@ def _show_stops(
     if line is not None:
         how = "All that show it whole, together"
         if joint is not None:
-            how = f"One tube fitted to {joint.views} of these views (pink) gives the length that stands"
+            how = f"One tube fitted to {joint.views} of these views (pink), whose length stands"
         st.caption(f"{how}: {_length(line.view.record, units)}")
 
 

@@ -26,7 +26,6 @@ from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import joint_groups, read_round
 from cucumbervision.rounds.joint_lengths import measure_jointly
 from cucumbervision.rounds.service import fruit_table, merge_round
-from cucumbervision.rounds.settling import settle
 from cucumbervision.store.repository import Store, open_store
 
 STOPS = (0, 1, 2)
@@ -143,7 +142,7 @@ def test_one_that_fails_loses_nothing_of_the_rest(
     monkeypatch.setattr("cucumbervision.rounds.joint_lengths.measure_views", once)
     several = measure_jointly(merged, MORNING)
     assert len(read_round(merged, MORNING).joint) == several - 1
-    assert settle(merged, MORNING) == ""  # the next time it is measured
+    assert measure_jointly(merged, MORNING) == 1  # the next time it is measured
     assert len(read_round(merged, MORNING).joint) == several
 
 
@@ -179,3 +178,11 @@ def test_a_calibration_holds_for_all_views_together(store: Store, tmp_path: Path
     for line in lines:
         nearest = min(FRUIT, key=lambda one: abs(one[0] - (line.view.along_m or 0.0)))
         assert line.view.record.centreline_m == pytest.approx(nearest[3] / 1.02, rel=0.03)
+
+
+def test_what_comes_first_stops_it_and_nothing_is_done_twice(merged: Store) -> None:
+    asked = iter([False, True])
+    assert measure_jointly(merged, MORNING, stop=lambda: next(asked)) == 1
+    content = read_round(merged, MORNING)
+    assert len(content.joint) == 1
+    assert measure_jointly(merged, MORNING) == len(joint_groups(content)) - 1

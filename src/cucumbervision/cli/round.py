@@ -187,7 +187,7 @@ def merge(
         settings = MergeSettings(across_m=across, across_sd_m=0.05)
     with opened_round(store, round_, images) as (opened, one):
         rows = merge_round(opened, one.key, settings)
-        _measure_jointly(opened, one.key)
+        measure_all_views(opened, one.key)
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
@@ -209,8 +209,19 @@ def merge(
             )
 
 
-def _measure_jointly(store: Store, key: str) -> None:
-    """Measure fruit by all their views, and show progress."""
+def settle_round(store: Store, key: str) -> None:
+    """Merge a round anew, measure it by all views, and link it; print what could not be done."""
+    from cucumbervision.cli.console import screen
+    from cucumbervision.rounds.service import find_round
+    from cucumbervision.rounds.settling import settle
+
+    if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
+        screen().print(fault, soft_wrap=True, markup=False)
+    measure_all_views(store, key)
+
+
+def measure_all_views(store: Store, key: str) -> None:
+    """Measure fruit that several stops show by all of these views, and show progress."""
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar
@@ -408,8 +419,8 @@ def undo(
     with opened_round(store, round_) as (opened, one):
         number, moved = settling.undo(opened, one.key, number=action, by=by)
         screen().print(f"logged as action {number}")
-        if moved and (fault := settling.settle(opened, moved, chosen_profile(None, one))):
-            screen().print(fault, soft_wrap=True, markup=False)
+        if moved:
+            settle_round(opened, moved)
 
 
 @app.command()

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.cli.choices import RoundName, StoreName
-from cucumbervision.cli.round import By, chosen_profile, opened_round
+from cucumbervision.cli.round import By, opened_round, settle_round
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from cucumbervision.store.repository import Store
+    pass
 
 Round = Annotated[str, typer.Argument(help="Name, key or start of a key.")]
 
@@ -49,7 +47,7 @@ def delete_stop(
     with opened_round(store, round_, create=False) as (opened, one):
         for key in [find_stop(opened, one.key, name).key for name in stop]:
             screen().print(f"logged as action {opened.delete_stop(key, by=by)}")
-        _settle(opened, [one.key])
+        settle_round(opened, one.key)
 
 
 def delete(name: Round, store: StoreName = "house.db", by: By = "") -> None:
@@ -61,7 +59,8 @@ def delete(name: Round, store: StoreName = "house.db", by: By = "") -> None:
     with opened_round(store, name, create=False) as (opened, one):
         after = delete_round(opened, one.key, WaitingCaptures(waiting_folder(store)), by=by)
         screen().print(f"deleted; `cucumbervision round restore {one.key[:8]}` brings it back")
-        _settle(opened, after)
+        for key in after:
+            settle_round(opened, key)
 
 
 def restore(name: Round, store: StoreName = "house.db", by: By = "") -> None:
@@ -73,15 +72,4 @@ def restore(name: Round, store: StoreName = "house.db", by: By = "") -> None:
     with open_store(store, create=False) as opened:
         key = find_round(opened, name, deleted=True).key
         screen().print(f"logged as action {opened.restore_round(key, by=by)}")
-        _settle(opened, [key])
-
-
-def _settle(store: Store, round_keys: Iterable[str]) -> None:
-    """Merge rounds anew and link them to their neighbours; print what could not be done."""
-    from cucumbervision.cli.console import screen
-    from cucumbervision.rounds.service import find_round
-    from cucumbervision.rounds.settling import settle
-
-    for key in round_keys:
-        if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
-            screen().print(fault, soft_wrap=True, markup=False)
+        settle_round(opened, key)

@@ -43,6 +43,7 @@ from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.from_store import RoundContent, read_round
+from cucumbervision.rounds.joint_lengths import measure_jointly
 from cucumbervision.rounds.service import DAY_S, RoundFruit, RowReport, fruit_table, row_reports
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.settling import undo as undo_in
@@ -157,7 +158,17 @@ def _settle(round_key: str) -> str:
     one = next((x for x in store().rounds() if x.key == round_key), None)
     fault = settle(store(), round_key, profile_of(one)[1] if one else None)
     _mergings()[round_key] += 1
+    worker().submit("Measuring fruit by all their views", partial(_measure_all_views, round_key))
     return fault
+
+
+def _measure_all_views(round_key: str, job: Job) -> None:
+    def report(done: int, total: int) -> None:
+        job.done, job.total = done, total
+
+    # A capture that comes meanwhile is measured first; merged with it, the round goes on here.
+    if measure_jointly(store(), round_key, report, lambda: bool(waiting().captures())):
+        _mergings()[round_key] += 1
 
 
 def replay_named() -> bool:

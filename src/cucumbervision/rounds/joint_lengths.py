@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView
 
 Report: TypeAlias = Callable[[int, int], None]
+Stop: TypeAlias = Callable[[], bool]
 
 _SAVED_AT_ONCE = 20  # what is measured is not lost when a program ends
 _STOPS_KEPT = 24  # in memory, with their pictures
@@ -50,7 +51,9 @@ _ENDED, _NOT_MEASURED, _NO_PICTURE = "end-hidden", "not-measured", "no-picture"
 _MIXED = "measured-differently"
 
 
-def measure_jointly(store: Store, round_key: str, report: Report | None = None) -> int:
+def measure_jointly(
+    store: Store, round_key: str, report: Report | None = None, stop: Stop | None = None
+) -> int:
     """Measure the fruit of a merged round that several stops show, as far as it is not done.
 
     Parameters
@@ -61,6 +64,8 @@ def measure_jointly(store: Store, round_key: str, report: Report | None = None) 
         The round.
     report : callable, optional
         Given how many of how many are done; for progress bars.
+    stop : callable, optional
+        Asked before each fruit: where it says so, the rest waits for the next time.
 
     Returns
     -------
@@ -80,7 +85,11 @@ def measure_jointly(store: Store, round_key: str, report: Report | None = None) 
     waiting.sort(key=lambda one: (one[1][0].row or "", one[1][0].along_m or 0.0))
     source = _Source(store, content)
     done: list[JointRecord] = []
-    for count, (key, views) in enumerate(waiting, 1):
+    count = 0
+    for key, views in waiting:
+        if stop is not None and stop():
+            break
+        count += 1
         # Whatever one fruit raises, its views' lengths stay combined and the others go on.
         with Boundary([], store.name, key):
             done.append(source.measured(key, views))
@@ -91,7 +100,7 @@ def measure_jointly(store: Store, round_key: str, report: Report | None = None) 
             done = []
     if done or content.joint.keys() - groups.keys():
         store.save_joint(round_key, done, groups.keys())
-    return len(waiting)
+    return count
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cucumbervision.errors import RoundError, StoreError
-from cucumbervision.rounds.joint_lengths import measure_jointly
 from cucumbervision.rounds.poses import sign_of_side
 from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
 from cucumbervision.rounds.walking import refuse_taken
@@ -41,7 +40,6 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     """
     try:
         merge_round(store, round_key)
-        measure_jointly(store, round_key)
         before, after = earlier_round(store, round_key), later_rounds(store, round_key)
         for one in () if before is None else (before,):
             link_rounds(store, one.key, round_key, profile)

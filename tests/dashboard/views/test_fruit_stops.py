@@ -14,8 +14,8 @@ from cucumbervision.dashboard.settings import Units
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import fruit_table
-from cucumbervision.rounds.settling import settle
+from cucumbervision.rounds.joint_lengths import measure_jointly
+from cucumbervision.rounds.service import fruit_table, merge_round
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import open_store
 
@@ -63,7 +63,8 @@ def test_a_fruit_shows_the_tube_in_all_its_views(
     with open_store(path) as store:
         store.save_round(RoundRecord(WALK, "walk"))
         add_captures(store, WALK, [tmp_path / "walk"], OPTIONS)
-        settle(store, WALK)
+        merge_round(store, WALK)
+        measure_jointly(store, WALK)
         content = read_round(store, WALK)
         line = next(one for one in fruit_table(content) if one.joint is not None)
         assert line.joint is not None

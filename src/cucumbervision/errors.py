@@ -230,6 +230,12 @@ def naming_os_errors(
     except OSError as error:
         text = error.strerror or " ".join(str(error).split()) or type(error).__name__
         raise kind(f"{fault} ({text})", source=source, remedy=remedy) from error
+    except ValueError as error:
+        # A name that no file can have: Python does not even ask the system.
+        if "\0" not in str(source):
+            raise
+        name = str(source).replace("\0", "�")
+        raise kind(f"{fault} (its name holds a null)", source=name, remedy=remedy) from error
 
 
 @contextmanager

@@ -93,6 +93,8 @@ def test_missing_files_and_folders(reader: object, tmp_path: Path) -> None:
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(CaptureError, match=r"folder\.png: cannot be read"):
         reader(tmp_path / "folder.png")
+    with pytest.raises(CaptureError, match=r"a.b\.png: cannot be read \(its name holds a null\)"):
+        reader(tmp_path / "a\0b.png")
 
 
 def test_depth_of_another_kind(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def merged(walked: Path, tmp_path: Path) -> Iterator[Store]:
 def test_one_tube_stands_for_fruit_that_several_stops_show(merged: Store) -> None:
     before = {one.view.key: one for one in fruit_table(read_round(merged, MORNING))}
     told: list[tuple[int, int]] = []
-    measured = measure_jointly(merged, MORNING, lambda *numbers: told.append(numbers))
+    measured = measure_jointly(merged, MORNING, lambda *numbers: told.append(numbers)).fruit
     content = read_round(merged, MORNING)
     assert measured == len(joint_groups(content)) == len(content.joint) >= 3
     assert told == [(k, measured) for k in range(1, measured + 1)]
@@ -79,20 +79,20 @@ def test_one_tube_stands_for_fruit_that_several_stops_show(merged: Store) -> Non
 
 
 def test_what_is_measured_is_not_measured_again_until_a_view_changes(merged: Store) -> None:
-    several = measure_jointly(merged, MORNING)
-    assert measure_jointly(merged, MORNING) == 0
+    several = measure_jointly(merged, MORNING).fruit
+    assert measure_jointly(merged, MORNING).fruit == 0
     views = next(iter(joint_groups(read_round(merged, MORNING)).values()))
     detail = merged.detection(views[0].key)
     mask = decode_rle(detail.view.record.mask or "", CAMERA.height, CAMERA.width)
     assert mask.any()
     shorter = replace(detail.view.record, length_m=0.9 * (detail.view.record.length_m or 0.0))
     merged.correct(views[0].key, shorter)
-    assert measure_jointly(merged, MORNING) == 1
+    assert measure_jointly(merged, MORNING).fruit == 1
     content = read_round(merged, MORNING)
     assert len(content.joint) == several  # the old one is gone
     merged.unmerge(views[0].key)
     merge_round(merged, MORNING)
-    assert measure_jointly(merged, MORNING) <= 1
+    assert measure_jointly(merged, MORNING).fruit <= 1
 
 
 def test_the_tube_is_kept_with_the_cameras_that_saw_it(merged: Store) -> None:
@@ -121,7 +121,7 @@ def test_without_pictures_lengths_stay_combined(merged: Store) -> None:
     combined = [(one.view.key, one.combined_m) for one in fruit_table(content)]
     for path in merged.images.folder.rglob("*.png"):
         path.unlink()
-    assert measure_jointly(merged, MORNING) == len(joint_groups(content))
+    assert measure_jointly(merged, MORNING).fruit == len(joint_groups(content))
     after = read_round(merged, MORNING)
     assert {one.reason for one in after.joint.values()} == {"no-picture"}
     assert [(one.view.key, one.combined_m) for one in fruit_table(after)] == combined
@@ -140,10 +140,12 @@ def test_one_that_fails_loses_nothing_of_the_rest(
         return measure_views(*views, **options)
 
     monkeypatch.setattr("cucumbervision.rounds.joint_lengths.measure_views", once)
-    several = measure_jointly(merged, MORNING)
-    assert len(read_round(merged, MORNING).joint) == several - 1
-    assert measure_jointly(merged, MORNING) == 1  # the next time it is measured
-    assert len(read_round(merged, MORNING).joint) == several
+    done = measure_jointly(merged, MORNING)
+    [failure] = done.failures
+    assert failure.error == "OutOfMemoryError"
+    assert len(read_round(merged, MORNING).joint) == done.fruit - 1
+    assert measure_jointly(merged, MORNING).fruit == 1  # the next time it is measured
+    assert len(read_round(merged, MORNING).joint) == done.fruit
 
 
 def test_a_calibration_holds_for_all_views_together(store: Store, tmp_path: Path) -> None:
@@ -182,7 +184,7 @@ def test_a_calibration_holds_for_all_views_together(store: Store, tmp_path: Path
 
 def test_what_comes_first_stops_it_and_nothing_is_done_twice(merged: Store) -> None:
     asked = iter([False, True])
-    assert measure_jointly(merged, MORNING, stop=lambda: next(asked)) == 1
+    assert measure_jointly(merged, MORNING, interrupted=lambda: next(asked)).fruit == 1
     content = read_round(merged, MORNING)
     assert len(content.joint) == 1
-    assert measure_jointly(merged, MORNING) == len(joint_groups(content)) - 1
+    assert measure_jointly(merged, MORNING).fruit == len(joint_groups(content)) - 1

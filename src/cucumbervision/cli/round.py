@@ -224,13 +224,14 @@ def measure_all_views(store: Store, key: str) -> None:
     """Measure fruit that several stops show by all of these views, and show progress."""
     from rich.console import Console
 
-    from cucumbervision.cli.console import progress_bar
+    from cucumbervision.cli.console import progress_bar, show_failures
     from cucumbervision.rounds.joint_lengths import measure_jointly
 
     with progress_bar(Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task("fruit in several views", total=None)
-        measure_jointly(store, key, lambda done, of: bar.update(task, completed=done, total=of))
+        done = measure_jointly(store, key, lambda k, of: bar.update(task, completed=k, total=of))
         bar.update(task, visible=False)
+    show_failures(done.failures)
 
 
 @app.command()

@@ -167,7 +167,9 @@ def _measure_all_views(round_key: str, job: Job) -> None:
         job.done, job.total = done, total
 
     # A capture that comes meanwhile is measured first; merged with it, the round goes on here.
-    if measure_jointly(store(), round_key, report, lambda: bool(waiting().captures())):
+    done = measure_jointly(store(), round_key, report, lambda: bool(waiting().captures()))
+    job.notes += (failure.message for failure in done.failures)
+    if done.fruit:
         _mergings()[round_key] += 1
 
 

@@ -22,7 +22,7 @@ from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.fields import SeenFruit
-from cucumbervision.pipeline.measurer import Boundary, calibrated_fruit
+from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
 from cucumbervision.rounds.from_store import joint_groups, read_round
 from cucumbervision.rounds.poses import MIDDLE_SD_M, stored_pose
 from cucumbervision.rounds.row_views import ALONG
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView
 
 Report: TypeAlias = Callable[[int, int], None]
-Stop: TypeAlias = Callable[[], bool]
 
 _SAVED_AT_ONCE = 20  # what is measured is not lost when a program ends
 _STOPS_KEPT = 24  # in memory, with their pictures
@@ -51,9 +50,28 @@ _ENDED, _NOT_MEASURED, _NO_PICTURE = "end-hidden", "not-measured", "no-picture"
 _MIXED = "measured-differently"
 
 
+@dataclass(frozen=True)
+class JointRun:
+    """What was done of a round's fruit that several stops show.
+
+    Parameters
+    ----------
+    fruit : int
+        How many were looked at.
+    failures : tuple of Failure
+        What went wrong with some of them; they are looked at again the next time.
+    """
+
+    fruit: int = 0
+    failures: tuple[Failure, ...] = ()
+
+
 def measure_jointly(
-    store: Store, round_key: str, report: Report | None = None, stop: Stop | None = None
-) -> int:
+    store: Store,
+    round_key: str,
+    report: Report | None = None,
+    interrupted: Callable[[], bool] | None = None,
+) -> JointRun:
     """Measure the fruit of a merged round that several stops show, as far as it is not done.
 
     Parameters
@@ -64,13 +82,13 @@ def measure_jointly(
         The round.
     report : callable, optional
         Given how many of how many are done; for progress bars.
-    stop : callable, optional
+    interrupted : callable, optional
         Asked before each fruit: where it says so, the rest waits for the next time.
 
     Returns
     -------
-    int
-        How many were looked at now.
+    JointRun
+        What was done now.
 
     Raises
     ------
@@ -78,20 +96,21 @@ def measure_jointly(
         If the round is not there.
     """
     if not store.has_images:
-        return 0
+        return JointRun()
     content = read_round(store, round_key)
     groups = joint_groups(content)
     waiting = [(key, views) for key, views in groups.items() if key not in content.joint]
     waiting.sort(key=lambda one: (one[1][0].row or "", one[1][0].along_m or 0.0))
     source = _Source(store, content)
     done: list[JointRecord] = []
+    failures: list[Failure] = []
     count = 0
     for key, views in waiting:
-        if stop is not None and stop():
+        if interrupted is not None and interrupted():
             break
         count += 1
         # Whatever one fruit raises, its views' lengths stay combined and the others go on.
-        with Boundary([], store.name, key):
+        with Boundary(failures, store.name, f"fruit {views[0].key[:8]} in {len(views)} views"):
             done.append(source.measured(key, views))
         if report is not None:
             report(count, len(waiting))
@@ -100,7 +119,7 @@ def measure_jointly(
             done = []
     if done or content.joint.keys() - groups.keys():
         store.save_joint(round_key, done, groups.keys())
-    return count
+    return JointRun(count, tuple(failures))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.service import (
     find_fruit,
     find_round,
+    find_stop,
     fruit_table,
     link_rounds,
     merge_round,
@@ -240,3 +241,16 @@ def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> No
     sizes = [line.view.views for line in fruit_table(read_round(store, MORNING))]
     links = store.links(MORNING, LinkKind.SAME)
     assert len(links) == sum(size * (size - 1) // 2 for size in sizes)
+
+
+def test_a_number_that_is_not_there_is_never_the_start_of_a_key(store: Store) -> None:
+    for step, key in ((1, "2aaaaaaa"), (3, "4bbbbbbb")):
+        key += "-0000-4000-8000-000000000000"
+        store.save_stop(StopRecord(key, MORNING, step=step, captures=(CaptureRecord(f"c{step}"),)))
+    assert find_stop(store, MORNING, "3").step == 3
+    assert find_stop(store, MORNING, "2aa").step == 1
+    for number in ("2", "4"):
+        with pytest.raises(RoundError, match=f"no stop is called '{number}'"):
+            find_stop(store, MORNING, number)
+    with pytest.raises(RoundError, match="no round is called"):
+        find_round(store, MORNING[0] if MORNING[0].isdecimal() else "7")

@@ -142,6 +142,15 @@ class RoundFruit:
     joint: JointRecord | None = None
 
 
+def _is_number(name: str) -> bool:
+    return name.isdecimal() and len(name) < 6
+
+
+def _begins(key: str, start: str) -> bool:
+    # A short number that is not there must never mean a key that happens to begin with it.
+    return bool(start) and not _is_number(start) and key.startswith(start)
+
+
 def find_round(store: Store, name: str = "", *, deleted: bool = False) -> RoundView:
     """Find a round by its key, the start of it, or its name; the newest without one.
 
@@ -155,7 +164,7 @@ def find_round(store: Store, name: str = "", *, deleted: bool = False) -> RoundV
     rounds = store.rounds(deleted=deleted)
     wanted = name.strip().lower()
     named = [one for one in rounds if one.record.name == name or one.key == wanted]
-    found = named or [one for one in rounds if wanted and one.key.startswith(wanted)]
+    found = named or [one for one in rounds if _begins(one.key, wanted)]
     if not wanted:
         found = rounds[:1]
     if len(found) == 1:
@@ -175,7 +184,7 @@ def find_stop(store: Store, round_key: str, name: str) -> StopView:
     """
     wanted, stops = name.strip().lower(), store.stops(round_key)
     found = [one for one in stops if str(one.step) == wanted]
-    found = found or [one for one in stops if wanted and one.key.startswith(wanted)]
+    found = found or [one for one in stops if _begins(one.key, wanted)]
     if len(found) != 1:
         problem = "several stops are" if found else "no stop is"
         raise RoundError(f"{problem} called '{name}'", remedy="give its key from `round stops`")
@@ -402,11 +411,11 @@ def find_fruit(store: Store, round_key: str, name: str) -> DetectionView:
         If there is none, or several keys begin so.
     """
     wanted = name.strip().lower()
-    if wanted.isdecimal() and len(wanted) < 6:
+    if _is_number(wanted):
         lines = [line.view for line in fruit_table(read_round(store, round_key))]
         found = lines[int(wanted) - 1 : int(wanted)] if int(wanted) else []
     else:
-        found = [v for v in store.detections(round_key) if wanted and v.key.startswith(wanted)]
+        found = [v for v in store.detections(round_key) if _begins(v.key, wanted)]
     if len(found) != 1:
         raise RoundError(
             f"{'several' if found else 'no'} fruit called '{name}'",

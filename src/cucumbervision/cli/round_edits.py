@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cucumbervision.cli.choices import RoundName, StoreName
 from cucumbervision.cli.round import By, opened_round, settle_round
-
-if TYPE_CHECKING:
-    pass
 
 Round = Annotated[str, typer.Argument(help="Name, key or start of a key.")]
 

@@ -13,7 +13,7 @@ from cucumbervision.errors import RoundError
 from cucumbervision.measurement.result import Method
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
-from cucumbervision.rounds.row_fruit import LENGTH_Z, USUAL, FalseFinds
+from cucumbervision.rounds.row_fruit import USUAL, FalseFinds, relative_sd
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.records import key_of
@@ -235,7 +235,7 @@ def _length(record: DetectionRecord) -> tuple[float, float]:
     low, high = record.interval_low_m, record.interval_high_m
     sd = _UNKNOWN_SD
     if low and high and low < high:
-        sd = float(np.log(high / low)) / (2 * LENGTH_Z)
+        sd = relative_sd(low, high)
     elif record.length_sd_m:
         sd = record.length_sd_m / record.length_m
     # Lengths of another kind may differ by more than any of them errs.

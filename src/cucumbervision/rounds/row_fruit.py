@@ -135,6 +135,17 @@ def combined_length(
     return float(np.exp(mean)), float(np.exp(mean)) * float(np.sqrt(variance))
 
 
+def relative_sd(low_m: float, high_m: float) -> float:
+    """Return the relative standard deviation of a length with that 90 % interval.
+
+    Examples
+    --------
+    >>> round(relative_sd(0.29, 0.31), 4)
+    0.0203
+    """
+    return float(np.log(high_m / low_m)) / (2 * LENGTH_Z)
+
+
 _MOST_APART_SD, _MOST_WIDER = 2.5, 1.5
 
 
@@ -164,7 +175,7 @@ def one_tube_stands(tube: tuple[float, float, float], combined: tuple[float, flo
     length_m, sd_m = combined
     sd = sd_m / length_m
     apart = abs(math.log(tube[0] / length_m)) / sd
-    wider = math.log(tube[2] / tube[1]) / (2 * LENGTH_Z * sd)
+    wider = relative_sd(tube[1], tube[2]) / sd
     return apart < _MOST_APART_SD and wider < _MOST_WIDER
 
 

@@ -25,6 +25,7 @@ from cucumbervision.rounds.row_fruit import (
     combined_length,
     count_fruit,
     one_tube_stands,
+    relative_sd,
     row_fruit,
 )
 from cucumbervision.rounds.row_views import ALONG
@@ -355,7 +356,7 @@ def _by_one_tube(
     others = _own_length(view.record) if combined is None else combined[:2]
     if not one_tube_stands((found.length_m, low_m, high_m), others):
         return None
-    sd_m = found.length_m * math.log(high_m / low_m) / (2 * LENGTH_Z)
+    sd_m = found.length_m * relative_sd(low_m, high_m)
     record = replace(view.record, **{name: getattr(found, name) for name in _OF_ALL_VIEWS})
     return RoundFruit(number, replace(view, record=record), found.length_m, sd_m, joint)
 
@@ -365,7 +366,7 @@ def _own_length(record: DetectionRecord) -> tuple[float, float] | None:
     low_m, high_m = record.interval_low_m, record.interval_high_m
     if record.at_least or not record.length_m or not low_m or not high_m or low_m >= high_m:
         return None
-    return record.length_m, record.length_m * math.log(high_m / low_m) / (2 * LENGTH_Z)
+    return record.length_m, record.length_m * relative_sd(low_m, high_m)
 
 
 def _by_all_views(view: DetectionView, length_m: float, sd_m: float) -> DetectionView:

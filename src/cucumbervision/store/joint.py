@@ -10,7 +10,13 @@ from pydantic import TypeAdapter
 from sqlalchemy import and_, delete, select
 
 from cucumbervision.errors import StoreError
-from cucumbervision.store.cells import cells_of, decoding, detection_from_json, insert_new
+from cucumbervision.store.cells import (
+    cells_of,
+    columns_of,
+    decoding,
+    detection_from_json,
+    insert_new,
+)
 from cucumbervision.store.corrections import lock_rounds
 from cucumbervision.store.engine import Database
 from cucumbervision.store.queries import round_id_of
@@ -19,6 +25,9 @@ from cucumbervision.store.schema import JointLine, Round
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+
+
+_LISTED = columns_of(JointLine, ("key", "first", "views", "reason", "record"))
 
 
 class JointRecords(Database):
@@ -53,10 +62,7 @@ class JointRecords(Database):
     def joint(self, round_key: str) -> dict[str, JointRecord]:
         """Return a round's joint measurements by their keys, without paths and poses."""
         query = (
-            select(
-                *(JointLine.key, JointLine.first, JointLine.views),
-                *(JointLine.reason, JointLine.record),
-            )
+            select(*_LISTED)
             .join(Round, Round.id == JointLine.round_id)
             .where(Round.key == round_key)
         )
@@ -74,10 +80,7 @@ class JointRecords(Database):
             If it is not there.
         """
         query = (
-            select(
-                *(JointLine.key, JointLine.first, JointLine.views),
-                *(JointLine.reason, JointLine.record, JointLine.drawing),
-            )
+            select(*_LISTED, JointLine.drawing)
             .join(Round, Round.id == JointLine.round_id)
             .where(and_(Round.key == round_key, JointLine.key == key))
         )

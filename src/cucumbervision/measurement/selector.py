@@ -77,11 +77,9 @@ def end_flags(
     """
     if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
         return ()
-    disagree = any(reach > _BEYOND for reach in _reaches(mask, keypoints[:, :2]))
-    named = {
-        Flag.END_HIDDEN: any(hidden_ends(mask, keypoints)),
-        Flag.ENDS_DISAGREE: disagree,
-    }
+    reaches = _reaches(mask, keypoints[:, :2])
+    hidden, disagree = any(_hidden(keypoints, reaches)), any(reach > _BEYOND for reach in reaches)
+    named = {Flag.END_HIDDEN: hidden, Flag.ENDS_DISAGREE: disagree}
     return tuple(flag for flag, holds in named.items() if holds)
 
 
@@ -101,10 +99,14 @@ def hidden_ends(
     """
     if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
         return False, False
+    return _hidden(keypoints, _reaches(mask, keypoints[:, :2]))
+
+
+def _hidden(keypoints: NDArray[np.float64], reaches: list[float]) -> tuple[bool, bool]:
     unseen = keypoints[[0, -1], 2] < _IN_SIGHT
     # A mask without pixels, or keypoints at one place, reach nowhere.
-    reaches = _reaches(mask, keypoints[:, :2]) or [0.0, 0.0]
-    first, last = (bool(u) or r < -_BEYOND for u, r in zip(unseen, reaches, strict=True))
+    beyond = [reach < -_BEYOND for reach in reaches] or [False, False]
+    first, last = (bool(u) or b for u, b in zip(unseen, beyond, strict=True))
     return first, last
 
 

@@ -368,7 +368,7 @@ class JointRecord:
         How many views the tube was fitted to; 0 where none was.
     reason : str
         'ok', or why no length comes of it: 'end-hidden', 'not-measured', 'no-picture',
-        'measured-differently' (with other calibrations), 'views-disagree'.
+        'measured-differently' (with other calibrations).
     record : DetectionRecord, optional
         As measured; box, keypoints and view score are the first view's. Its mask is left out, and
         lists leave out its method with the path as well.

@@ -195,13 +195,18 @@ def _corners_to_centres(rows: Any) -> Any:
 
 
 def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
-    """Add what is not empty of our own metadata, and halve the weights' storage."""
+    """Add what is not empty of our own metadata, and halve the weights' storage.
+
+    The same weights give the same bytes, so that a card's evaluation stands for a file that was
+    exported again.
+    """
     import onnx
 
     network = onnx.load(path)
     entries = {entry.key: entry.value for entry in network.metadata_props}
     # Where the data lay on the machine of whoever trained is nobody's business.
     entries["description"] = entries.get("description", "").split(" trained on ")[0]
+    entries.pop("date", None)
     entries |= {key: value for key, value in own.items() if value}
     onnx.helper.set_model_props(network, entries)
     if half:

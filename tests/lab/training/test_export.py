@@ -205,6 +205,13 @@ def test_half_storage_halves_the_file_and_moves_little(exports: dict[str, Path])
     assert np.median(np.abs(a[4] - b[4])) < 0.003
 
 
+def test_the_same_weights_give_the_same_file(
+    checkpoint: Path, exports: dict[str, Path], tmp_path: Path
+) -> None:
+    again = export_yolo(checkpoint, tmp_path / "half.onnx", size_px=SIZE_PX, half=True)
+    assert again.read_bytes() == exports["half"].read_bytes()
+
+
 def test_ultralytics_reads_our_form(exports: dict[str, Path]) -> None:
     model = import_ultralytics().YOLO(str(exports["one-to-one"]))
     color = picture(160, 160)

@@ -153,8 +153,8 @@ def one_tube_stands(tube: tuple[float, float, float], combined: tuple[float, flo
     """Return whether the length of one tube in all views stands before the combined lengths.
 
     It does not where the views' own lengths contradict it (views of two fruit that were taken
-    for one fit no tube), nor where it is much less sure than they are. Of 133 drawn fruit
-    (`benchmarks/many_views.py --perceived`) 6 of 2 views and 5 of 3 stay combined.
+    for one fit no tube), nor where it is much less sure than they are. How far apart and how
+    unsure was set on drawn fruit that networks saw (`benchmarks/many_views.py --perceived`).
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ def card_markdown(card: ModelCard) -> str:
 
 
 def _table(metrics: Mapping[str, float]) -> list[str]:
-    rows = [f"| {name} | {value:.4f} |" for name, value in metrics.items()]
+    rows = [f"| {name} | {value:g} |" for name, value in metrics.items()]
     return ["| figure | value |", "|---|--:|", *rows]
 
 

@@ -24,10 +24,12 @@ import onnx
 from cucumbervision.accuracy.records import Masks
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import bundled_captures
 from cucumbervision.cli.app import app
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision.perception.networks import Detectors
+from cucumbervision.perception.networks import Detectors, NetworkLoader
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
@@ -36,11 +38,16 @@ from cucumbervision_lab.detection.average_precision import Judged
 from cucumbervision_lab.detection.figures import summarise
 from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, Kind
 from cucumbervision_lab.detection.photos import score_photos
-from cucumbervision_lab.detection.picture_result import shipped
+from cucumbervision_lab.detection.picture_result import detect_picture, open_networks, shipped
 from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
 from cucumbervision_lab.detection.plots import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.detection.report import write_detection_report
-from cucumbervision_lab.detection.run import DetectionPlan, DetectionResult, evaluate_detection
+from cucumbervision_lab.detection.run import (
+    DetectionPlan,
+    DetectionResult,
+    chosen_networks,
+    evaluate_detection,
+)
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 
@@ -398,3 +405,20 @@ def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
     assert shipped([], pose, 0.3, black) == ()
     # Without a detector the pose network stands in.
     assert len(shipped(None, pose, 0.3, black)) == 1
+
+
+def test_what_is_judged_is_what_ships() -> None:
+    """The networks of the package, on the bundled captures: the same fruit, equally sure."""
+    ours = NetworkLoader(full_precision=True).detectors()
+    judged = open_networks(*chosen_networks(None, None), None)
+    for ref in open_source(bundled_captures()):
+        capture = ref.load()
+        color, (height, width) = capture.color, capture.color.shape[:2]
+        frame = Frame(capture.name, capture.name, width, height)
+        found = ours.find(color, capture.depth_m)
+        kept = detect_picture(frame, color, judged, capture.depth_m).kept
+        assert len(found) > 0
+        assert len(kept) == len(found)
+        for one, other in zip(kept, found, strict=True):
+            assert one.box == pytest.approx(other.box, abs=0.1)
+            assert one.confidence == pytest.approx(other.confidence, abs=0.01)

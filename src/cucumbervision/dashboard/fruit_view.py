@@ -44,6 +44,7 @@ _METHOD_COLORS = {
 }
 _JOINT_COLOR, _JOINT_RGB = "#FF4FD8", (255, 79, 216)
 _SUBPIXEL_BITS = 4  # of OpenCV's lines
+_OUTLINE_STEPS = 8  # of a tube's outline between two points of its path
 _MASK_COLOR, _KEYPOINT_COLOR, _BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
 _QUALITY = 85
 _MARKS = ("ruler", "point", "box", "stroke")
@@ -174,22 +175,29 @@ def joint_tube(joint: JointRecord, key: str) -> MethodRecord | None:
 def tube_outline(tube: MethodRecord, camera: Intrinsics) -> NDArray[np.float64]:
     """Return the outline of a tube in the picture, shape (N, 2): pixels, one edge and back.
 
+    Between the path's points the square of the diameter runs straight, so that ends are round.
+
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> from cucumbervision.store.records import MethodRecord
     >>> line = ((-0.1, 0.0, 0.5), (0.1, 0.0, 0.5))
     >>> tube = MethodRecord("M6", path_m=line, diameter_m=(0.04, 0.04))
-    >>> tube_outline(tube, Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0)).round().tolist()
-    [[220.0, 260.0], [420.0, 260.0], [420.0, 220.0], [220.0, 220.0]]
+    >>> edge = tube_outline(tube, Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0))
+    >>> edge.min(axis=0).round().tolist(), edge.max(axis=0).round().tolist()
+    ([220.0, 220.0], [420.0, 260.0])
     """
     path = np.array(tube.path_m, np.float64).reshape(-1, 3)
     if len(path) < 2 or len(tube.diameter_m) != len(path) or (path[:, 2] <= 0).any():
         return np.empty((0, 2))
+    given = np.arange(len(path))
+    fine = np.linspace(0, given[-1], _OUTLINE_STEPS * given[-1] + 1)
+    path = np.stack([np.interp(fine, given, values) for values in path.T], axis=1)
+    diameter_m = np.sqrt(np.interp(fine, given, np.square(tube.diameter_m)))
     line = camera.project(path)
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    half = camera.fx_px * np.array(tube.diameter_m) / 2 / path[:, 2]
+    half = camera.fx_px * diameter_m / 2 / path[:, 2]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) * half[:, None]
     return np.vstack([line + across, (line - across)[::-1]])
 

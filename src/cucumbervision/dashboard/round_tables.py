@@ -163,10 +163,20 @@ def stop_name(stop: Stop | StopView) -> str:
     >>> stop_name(Stop("3", "left", 1.2, 4))
     'Stop 4: row 3, left, 1.20 m'
     """
-    number = "Stop" if stop.step is None else f"Stop {stop.step}"
     at = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
     where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, at)))
-    return f"{number}: {where or 'no place given'}"
+    return f"{step_words(stop.step)}: {where or 'no place given'}"
+
+
+def step_words(step: int | None) -> str:
+    """Return a stop's number, for people.
+
+    Examples
+    --------
+    >>> step_words(0), step_words(None)
+    ('Stop 0', 'Stop')
+    """
+    return "Stop" if step is None else f"Stop {step}"
 
 
 def statistics(lists: RoundLists) -> dict[str, float | int | None]:

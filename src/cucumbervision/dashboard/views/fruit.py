@@ -29,6 +29,7 @@ from cucumbervision.dashboard.round_tables import (
     interval_words,
     length_words,
     remarks,
+    step_words,
 )
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
@@ -376,14 +377,15 @@ def _show_stops(
     if len(views) < 2:
         return
     st.markdown(f"**Seen {len(views)} times**")
+    stands = "this one stands" if line is None else "best view"
     for first in range(0, len(views), _ABREAST):
         for column, view in zip(
             st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
         ):
             if (cut := resources.cutout_of(view, joint)) is not None:
                 column.image(cut, width="stretch")
-            stands = " · this one stands" if view.best else ""
-            column.caption(f"Stop {view.step or '?'}: {_length(view.record, units)}{stands}")
+            best = f" · {stands}" if view.best else ""
+            column.caption(f"{step_words(view.step)}: {_length(view.record, units)}{best}")
     if line is not None:
         how = "All that show it whole, together"
         if joint is not None:

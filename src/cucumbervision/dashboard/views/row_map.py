@@ -19,6 +19,7 @@ from cucumbervision.dashboard.round_tables import (
     map_lines,
     round_day,
     row_name,
+    step_words,
 )
 from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.errors import CucumberVisionError
@@ -186,7 +187,7 @@ def _pictures(
             if cut is not None:
                 column.image(cut, width="stretch")
             column.caption(
-                f"{length_words(view.record, units)} · stop {view.step or '?'} · "
+                f"{length_words(view.record, units)} · {step_words(view.step).lower()} · "
                 f"{view.along_m or 0:.2f} m"
             )
             if act is not None:

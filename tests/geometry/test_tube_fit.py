@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.geometry.tube import TubeShape, guess_shape, near_depths, shape_from_curve
 from cucumbervision.geometry.tube_evidence import Evidence
-from cucumbervision.geometry.tube_fit import fit_shape
+from cucumbervision.geometry.tube_fit import fit_shape, stepped
 
 FAR, RADIUS, LONG = 0.5, 0.02, 0.16  # a body across the view, its end centres LONG apart
 
@@ -58,6 +58,18 @@ def test_the_body_is_found_again() -> None:
     np.testing.assert_allclose(radii, RADIUS, atol=5e-4)
     assert fitting.ends_seen == (True, True)
     assert 0 < fitting.centreline_sd_m < 0.002
+
+
+def test_a_step_beyond_the_bodys_width_is_shortened() -> None:
+    shape = body()
+    limit = 0.6 * RADIUS + 0.002
+    move = np.zeros(shape.bend_m.size + shape.width_m.size)
+    move[0] = 10 * limit
+    after, taken = stepped(shape, move, move.size)
+    assert taken[0] == pytest.approx(limit)
+    assert after.bend_m[0, 0] - shape.bend_m[0, 0] == pytest.approx(limit)
+    move[0] = 0.9 * limit
+    assert stepped(shape, move, move.size)[1][0] == pytest.approx(0.9 * limit)
 
 
 def test_flying_pixels_and_stray_outline_have_little_say() -> None:

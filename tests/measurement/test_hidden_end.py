@@ -23,6 +23,13 @@ def test_reach_ends_where_the_wall_is_seen_again() -> None:
     assert covered_reach(depth, CAMERA, AXIS, -1) == pytest.approx(0.094, abs=0.003)
 
 
+def test_what_lies_as_far_as_the_fruit_covers_nothing() -> None:
+    depth = np.full((480, 848), 0.5, np.float32)
+    assert covered_reach(depth, CAMERA, AXIS, -1) == pytest.approx(0.002)
+    depth[:] = 0.494  # nearer by more than 5 mm: it does
+    assert covered_reach(depth, CAMERA, AXIS, -1) is None
+
+
 def test_a_leaf_up_to_the_pictures_edge_leaves_the_reach_open() -> None:
     depth = np.full((480, 848), 1.0, np.float32)
     depth[:, 480:] = 0.4

@@ -35,6 +35,7 @@ ALL = good(Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
         (None, LONG[[1, 0, 3, 2]], Method.M1, Choice.ELONGATED_BOX),  # hanging
         (None, np.array([0.0, 0, 36, 20]), Method.M1, Choice.ELONGATED_BOX),  # exactly 1.8
         (None, COMPACT, Method.M2, Choice.COMPACT_BOX),
+        (None, COMPACT + np.array([200.0, 0, 200, 0]), Method.M2, Choice.COMPACT_BOX),
     ],
 )
 def test_decisions(

@@ -8,6 +8,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.measurement.intervals import IntervalModels
 from cucumbervision.measurement.result import Choice, LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
@@ -63,6 +64,15 @@ def test_two_stops_give_one_tube_though_their_places_are_off() -> None:
     # The second camera is 0.25 m to the right of the first, not 0.28 m as it was told.
     second = joint.poses[1] @ np.linalg.inv(joint.poses[0])
     assert second[:3, 3] == pytest.approx([-0.25, 0.0, 0.0], abs=0.01)
+
+
+def test_the_intervals_of_other_models_are_theirs() -> None:
+    tube = arc_tube(0.22, 0.018, 0.4).moved(rotation(75, 30), (0.0, 0.0, 0.6))
+    views = [seen_from(tube, 0.0), seen_from(tube, 0.25, seed=1)]
+    joint = measure_views(views, models=IntervalModels(0.9, {}, 0))
+    assert joint is not None
+    assert joint.fruit.length is not None
+    assert joint.fruit.length.low_m is None
 
 
 def test_views_from_one_place_are_one_view() -> None:

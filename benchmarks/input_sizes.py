@@ -112,10 +112,8 @@ def found_at(
         seen = {size: network.detect(one.color) for size, network in single.items()}
         posed = None if pose is None else pose.detect(one.color)
         for sizes in asked:
+            every = merge_sizes([seen[size] for size in sizes])
             for confidence in confidences:
-                floor = confidence * FLOOR_SHARE**2  # of a look, whatever else is asked
-                looks = [[f for f in seen[size] if f.confidence > floor] for size in sizes]
-                every = merge_sizes(looks)
                 kept = shipped(every, posed, confidence, one.color, one.depth_m, looks=len(sizes))
                 frame = replace(one.truth, kept=tuple(seen_fruit(fruit) for fruit in kept))
                 frames.setdefault(one.test, {}).setdefault((sizes, confidence), []).append(frame)

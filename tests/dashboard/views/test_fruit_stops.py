@@ -9,7 +9,7 @@ from streamlit.testing.v1 import AppTest
 from tests.rounds.test_adding import CAMERA, OPTIONS, draw
 
 from cucumbervision.dashboard.fruit_view import drawn_on, joint_tube, tube_outline
-from cucumbervision.dashboard.round_tables import length_words, step_words
+from cucumbervision.dashboard.round_tables import length_words
 from cucumbervision.dashboard.settings import Units
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.rounds.adding import add_captures
@@ -47,7 +47,7 @@ def test_a_fruit_shows_its_views_and_the_length_of_all_together(house: Path) -> 
     lines = lines_of(best.key)
     assert "**Seen 2 times**" in lines
     for view in seen:
-        words = f"{step_words(view.step)}: {length_words(view.record, Units('cm'))}"
+        words = f"Stop {view.step}: {length_words(view.record, Units('cm'))}"
         assert any(one.startswith(words) for one in lines), (words, lines)
     together = length_words(line.view.record, Units("cm"))
     assert any(one.startswith(f"All that show it whole, together: {together}") for one in lines)

@@ -111,6 +111,25 @@ def fruit_at(x: float, confidence: float, width: float = 10.0) -> Instance:
     return Instance(np.array([x, 0.0, x + width, 40.0]), confidence)
 
 
+def test_a_segmenter_that_was_begun_is_loaded_once_and_noted_when_it_is_asked_for() -> None:
+    loader = NetworkLoader(runtime="onnxruntime")
+    loader.begin_segmenter("mobile-sam")
+    loader.begin_segmenter("mobile-sam")
+    assert loader.models == []
+    segmenter = loader.segmenter("mobile-sam")
+    loader.begin_segmenter("mobile-sam")
+    assert loader.segmenter("mobile-sam") is segmenter
+    assert [model["name"] for model in loader.models] == ["mobile-sam"]
+
+
+def test_a_segmenter_that_could_not_be_begun_says_so_when_it_is_asked_for() -> None:
+    loader = NetworkLoader()
+    loader.begin_segmenter("no-such-sam")
+    for _ in range(2):
+        with pytest.raises(ModelError, match="no-such-sam"):
+            loader.segmenter("no-such-sam")
+
+
 def test_the_pose_network_has_a_say_in_what_is_a_fruit() -> None:
     detected = [fruit_at(0, 0.4), fruit_at(20, 0.4), fruit_at(40, 0.2), fruit_at(60, 0.9)]
     posed = [fruit_at(0, 0.6), fruit_at(40, 0.8), fruit_at(80, 0.9)]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.util
 import logging
 import subprocess
 import sys
@@ -220,6 +221,29 @@ def test_nothing_is_sent_or_stored(tmp_path: Path) -> None:
     )
     assert done.stdout.strip() == "[]"
     assert list(home.rglob("*")) == []
+
+
+@pytest.mark.skipif(importlib.util.find_spec("openvino") is None, reason="needs OpenVINO")
+def test_two_threads_may_load_the_first_networks_of_a_process(tmp_path: Path) -> None:
+    """OpenVINO is imported with a stand-in for its telemetry, which two must not do at once."""
+    (tmp_path / "tiny.onnx").write_bytes(scaled_sum())
+    code = (
+        "import sys, threading\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from cucumbervision.perception.runtime import open_network\n"
+        "together = threading.Barrier(4)\n"
+        "def load(_):\n"
+        "    together.wait()\n"
+        "    return open_network(sys.argv[1], 'openvino').runtime\n"
+        "print(len(list(ThreadPoolExecutor(4).map(load, range(4)))))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "tiny.onnx")],
+        env={"HOME": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2] / "src")},
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.strip() == "4", done.stderr
 
 
 def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from cucumbervision.perception.yolo import YoloDetector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from concurrent.futures import Future
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -213,6 +215,7 @@ class NetworkLoader:
         self._pose_confidence = min(confidence, POSE_CONFIDENCE)
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str, Segmenter] = {}
+        self._begun: dict[str, Future[Segmenter]] = {}
 
     def verify(self, name: str) -> dict[str, Path]:
         """Return the files of a network of the registry by role; each is read and hashed once.
@@ -315,6 +318,16 @@ class NetworkLoader:
             pose = self.pose(pose)
         return Detectors(detector, pose, self._confidence)
 
+    def begin_segmenter(self, name: str) -> None:
+        """Begin to load a SAM in a thread; `segmenter` waits for it and raises what went wrong.
+
+        A runtime compiles a network mostly on one core, so that another's can load meanwhile.
+        """
+        if name not in self._segmenters and name not in self._begun:
+            executor = ThreadPoolExecutor(1, thread_name_prefix=f"load {name}")
+            self._begun[name] = executor.submit(self._open_segmenter, name)
+            executor.shutdown(wait=False)
+
     def segmenter(self, name: str) -> Segmenter:
         """Return a SAM of the registry, loaded once.
 
@@ -324,19 +337,23 @@ class NetworkLoader:
             If it is not on this machine, or a file is missing or damaged.
         """
         if name not in self._segmenters:
-            files = self.verify(name)
-            segmenter = Segmenter(
-                (files["encoder"], files["decoder"]),
-                self._runtime,
-                self._prompt,
-                full_precision=self._full_precision,
-                vouched=True,
-            )
-            known = self.registry.hashes(name)
+            begun = self._begun.pop(name, None)
+            segmenter = self._open_segmenter(name) if begun is None else begun.result()
+            known, files = self.registry.hashes(name), self.verify(name)
             hashes = {role: known[file.name] for role, file in files.items()}
             self._note(name, self.registry.get(name).task, hashes, segmenter)
             self._segmenters[name] = segmenter
         return self._segmenters[name]
+
+    def _open_segmenter(self, name: str) -> Segmenter:
+        files = self.verify(name)
+        return Segmenter(
+            (files["encoder"], files["decoder"]),
+            self._runtime,
+            self._prompt,
+            full_precision=self._full_precision,
+            vouched=True,
+        )
 
     def _note(self, name: str, task: str, sha256: Any, network: Any) -> None:
         entry = {"name": name, "task": task, "sha256": sha256, "runtime": network.runtime}

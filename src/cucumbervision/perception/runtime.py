@@ -12,6 +12,7 @@ import importlib.util
 import logging
 import os
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,6 +35,8 @@ _PROVIDERS = {
     "cuda": ("CUDAExecutionProvider", "CPUExecutionProvider"),
     "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
 }
+# Two networks may be opened at once, by two threads.
+_STARTING_OPENVINO = threading.RLock()
 _GPU_REMEDY = "install onnxruntime-gpu in place of onnxruntime, or choose the runtime auto"
 _ONNX_FLOATS = {"float": "float32", "double": "float64"}  # others are called as in NumPy
 
@@ -231,16 +234,17 @@ def import_openvino() -> Any:
         If OpenVINO is not installed.
     """
     modules: dict[str, Any] = sys.modules
-    before = modules.get("openvino_telemetry")
-    modules["openvino_telemetry"] = None
-    try:
-        import openvino
-    except ImportError as error:
-        raise MissingExtraError("openvino", "openvino") from error
-    finally:
-        del modules["openvino_telemetry"]
-        if before is not None:
-            modules["openvino_telemetry"] = before
+    with _STARTING_OPENVINO:
+        before = modules.get("openvino_telemetry")
+        modules["openvino_telemetry"] = None
+        try:
+            import openvino
+        except ImportError as error:
+            raise MissingExtraError("openvino", "openvino") from error
+        finally:
+            del modules["openvino_telemetry"]
+            if before is not None:
+                modules["openvino_telemetry"] = before
     return openvino
 
 
@@ -354,7 +358,8 @@ def _openvino_core() -> Any:
 def _open_openvino(
     path: Path | bytes, source: str, full_precision: bool, threads: int | None
 ) -> Network:
-    core = _openvino_core()
+    with _STARTING_OPENVINO:
+        core = _openvino_core()
     settings: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
     if full_precision:
         settings["INFERENCE_PRECISION_HINT"] = "f32"

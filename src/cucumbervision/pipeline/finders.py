@@ -100,13 +100,13 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         input_sizes=options.input_sizes,
     )
     by_stage: dict[Stage, list[dict[str, Any]]] = {}
-    boxes = _box_finder(options, _Staged(networks, by_stage))
+    name = options.segmenter or "mobile-sam"
+    boxes = _box_finder(options, _Staged(networks, by_stage, name))
     if options.segmenter not in (None, "none"):
         networks.verify(options.segmenter)
 
     def find(capture: Capture) -> Found:
         found = boxes(capture)
-        name = options.segmenter or "mobile-sam"
         # Masks that were given are used as they are unless a segmenter was asked for.
         drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
@@ -142,9 +142,9 @@ class _Staged:
     """Loads networks and notes the stage that each works in."""
 
     def __init__(
-        self, networks: NetworkLoader, by_stage: dict[Stage, list[dict[str, Any]]]
+        self, networks: NetworkLoader, by_stage: dict[Stage, list[dict[str, Any]]], segmenter: str
     ) -> None:
-        self._networks, self._by_stage = networks, by_stage
+        self._networks, self._by_stage, self._segmenter = networks, by_stage, segmenter
 
     def pose(self, path: Path | None) -> YoloDetector | None:
         """Load a user's own pose network, if one is named."""
@@ -160,7 +160,12 @@ class _Staged:
         *,
         keypoints: bool = True,
     ) -> Detectors:
-        """Load what finds fruit, beside a pose network that may be there already."""
+        """Load what finds fruit, beside a pose network that may be there already.
+
+        What it finds is drawn next, so the segmenter begins to load meanwhile.
+        """
+        if self._segmenter != "none":
+            self._networks.begin_segmenter(self._segmenter)
         with _noting(self._networks, self._by_stage, Stage.DETECTED):
             detectors = self._networks.detectors(file, pose, keypoints=keypoints)
         self._by_stage[Stage.DETECTED] += self._by_stage.get(Stage.POSED, [])

@@ -27,7 +27,7 @@ import numpy as np
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.detection.outcomes import (
@@ -105,7 +105,8 @@ def found_at(
     shown: Iterator[Shown],
 ) -> Frames:
     """Give the frames by test, and by what was asked."""
-    least = min(confidences) * FLOOR_SHARE**2
+    # Both its sizes and the pose network have a vote.
+    least = detector_floor(detector_floor(min(confidences), votes=True), votes=True)
     single = {size: detector(path, "auto", (size,), least) for sizes in asked for size in sizes}
     frames: Frames = {}
     for one in shown:
@@ -203,7 +204,9 @@ def main() -> None:
     confidences = options.confidence or [DEFAULT_CONFIDENCE]
     pose = None
     if points is not None and not options.no_pose:
-        pose = YoloDetector(points, "auto", POSE_CONFIDENCE, full_precision=True, most=MOST)
+        pose = YoloDetector(
+            points, "auto", pose_floor(min(confidences)), full_precision=True, most=MOST
+        )
     frames = found_at(path, pose, asked, confidences, pictures(options))
     for test, by_asked in frames.items():
         count = len(next(iter(by_asked.values())))

@@ -3,8 +3,44 @@
 DEFAULT_CONFIDENCE = 0.25
 """Which a fruit's must exceed where none is asked for, with the pose network's vote."""
 
-POSE_CONFIDENCE = 0.05
-"""From which a pose gives its keypoints to a fruit that the detector is sure of."""
+_POSE_CONFIDENCE = 0.05
+_FLOOR_SHARE = 1 / 3
 
-FLOOR_SHARE = 1 / 3
-"""Of the confidence asked: what one look of several finds below it is not looked at."""
+
+def detector_floor(confidence: float, *, votes: bool) -> float:
+    """Return how sure a detector must be for its find to be looked at.
+
+    Parameters
+    ----------
+    confidence : float
+        Which a fruit's must exceed.
+    votes : bool
+        Whether further looks have a say (other input sizes, a pose network), which may lift a find
+        over it.
+
+    Examples
+    --------
+    >>> detector_floor(0.3, votes=False)
+    0.3
+    >>> round(detector_floor(0.3, votes=True), 3)
+    0.1
+    """
+    return confidence * (_FLOOR_SHARE if votes else 1)
+
+
+def pose_floor(confidence: float) -> float:
+    """Return how sure a pose must be to give its keypoints to a fruit that the detector found.
+
+    Parameters
+    ----------
+    confidence : float
+        Which a fruit's must exceed.
+
+    Examples
+    --------
+    >>> pose_floor(0.3)
+    0.05
+    >>> pose_floor(0.01)
+    0.01
+    """
+    return min(confidence, _POSE_CONFIDENCE)

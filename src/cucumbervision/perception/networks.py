@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_ious
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.ends import EndTeller
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, each_once, merge_instances
@@ -212,7 +212,7 @@ class NetworkLoader:
         self.models: list[dict[str, Any]] = [] if models is None else models
         self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
         self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
-        self._pose_confidence = min(confidence, POSE_CONFIDENCE)
+        self._pose_confidence = pose_floor(confidence)
         self._files: dict[str, dict[str, Path]] = {}
         self._segmenters: dict[str, Segmenter] = {}
         self._begun: dict[str, Future[Segmenter]] = {}
@@ -308,8 +308,7 @@ class NetworkLoader:
                 remedy="name a YOLO ONNX export (measure --instances FILE, detect --model FILE)",
             )
         both = file is None and keypoints and own_pose is not None
-        # With a pose network's vote a find may come to more than the detector alone gives it.
-        least = self._confidence * (FLOOR_SHARE if both or pose is not None else 1)
+        least = detector_floor(self._confidence, votes=both or pose is not None)
         chosen = own.name if file is None and own is not None else file or ""
         detector = self.yolo(chosen, least)
         if pose is None and both and own_pose is not None:

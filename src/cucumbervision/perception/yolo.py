@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.boxes import suppress
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import Letterbox, fit
@@ -432,8 +432,7 @@ class YoloDetector:
         ModelError
             If the network fails, or its output has no known layout.
         """
-        several = len(self._sizes_px) > 1
-        least = self._confidence * (FLOOR_SHARE if several else 1)
+        least = detector_floor(self._confidence, votes=len(self._sizes_px) > 1)
         every = [self._detect_at(color_rgb, size_px, least) for size_px in self._sizes_px]
         merged = merge_sizes(every)
         found = tuple(one for one in merged if one.confidence > self._confidence)[: self._most]

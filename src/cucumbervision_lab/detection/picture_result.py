@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
@@ -215,8 +215,9 @@ def shipped(
     if segmented is None or posed is None:
         found = posed if segmented is None else segmented
         return each_fruit_once(found or (), None, color_rgb, depth_m, confidence=confidence)
-    detected = [one for one in segmented if one.confidence > confidence * FLOOR_SHARE]
-    poses = [one for one in posed if one.confidence > min(confidence, POSE_CONFIDENCE)]
+    least = detector_floor(confidence, votes=True)
+    detected = [one for one in segmented if one.confidence > least]
+    poses = [one for one in posed if one.confidence > pose_floor(confidence)]
     return each_fruit_once(detected, poses, color_rgb, depth_m, confidence=confidence, looks=looks)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from cucumbervision.capture.files import read_color
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, FLOOR_SHARE, POSE_CONFIDENCE
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.detection.lengths import length_records
@@ -275,7 +275,7 @@ def evaluate_real_photos(
         "mobile-sam",
         runtime=runtime,
         confidence=confidence,
-        floor=min(confidence * FLOOR_SHARE, POSE_CONFIDENCE),
+        floor=min(detector_floor(confidence, votes=True), pose_floor(confidence)),
         input_sizes=input_sizes,
     )
     tell = None if report is None else (lambda count: report("photos", count, len(photos)))

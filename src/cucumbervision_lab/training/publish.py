@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -102,7 +103,7 @@ def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
     Parameters
     ----------
     card : ModelCard
-        The card.
+        The card; a metric that is no number, since there was nothing to judge it by, is left out.
     out : Path
         Folder; the files are named as the network.
 
@@ -112,9 +113,11 @@ def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
         The Markdown file and the JSON file.
     """
     out.mkdir(parents=True, exist_ok=True)
+    known = {name: value for name, value in card.metrics.items() if math.isfinite(value)}
+    card = replace(card, metrics=known)
     page, record = out / f"{card.name}.md", out / f"{card.name}.json"
     page.write_text(card_markdown(card), encoding="utf-8")
-    text = json.dumps(asdict(card), indent=2, ensure_ascii=False)
+    text = json.dumps(asdict(card), indent=2, ensure_ascii=False, allow_nan=False)
     record.write_text(text + "\n", encoding="utf-8")
     return page, record
 

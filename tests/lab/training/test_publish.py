@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -105,3 +107,11 @@ def test_cards_survive_the_disk(tmp_path: Path) -> None:
     for name in ("bad.json", "none.json"):
         with pytest.raises(TrainingError, match="; export the network again"):
             read_card(tmp_path / name)
+
+
+def test_what_could_not_be_judged_is_left_out_of_a_card(tmp_path: Path) -> None:
+    card = read_card(exported(tmp_path / "a", b"first") / "c-seg.json")
+    judged = replace(card, metrics={"sure": 0.0, "right of these": math.nan})
+    page, record = write_card(judged, tmp_path)
+    assert read_card(record).metrics == {"sure": 0.0}
+    assert "right of these" not in page.read_text()

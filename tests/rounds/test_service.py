@@ -128,6 +128,12 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     grown = np.median([link.length1_m - link.length0_m for link in links])
     assert 0.02 < grown < 0.04
     assert {link.fruit_id for link in links} <= {v.group for v in store.detections(NEXT.key)}
+    # Each has the length that the list of fruit gives it, by all its views.
+    table = fruit_table(read_round(store, NEXT.key))
+    listed = {one.fruit_id: one.length_m for one in fruit_states(table, 0.0, LONG)}
+    assert {link.fruit_id: link.length1_m for link in links}.items() <= listed.items()
+    by_one_view = {view.key: view.record.length_m for view in store.detections(NEXT.key)}
+    assert any(by_one_view[line.view.key] != line.view.record.length_m for line in table)
     assert store.shifts(NEXT.key)[0].shift_m == pytest.approx(found.shift_m)
     content = read_round(store, NEXT.key)
     [report] = row_reports(content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecast
@@ -93,7 +94,7 @@ def forecast_for(
     states = fruit_states(table, day, profile, picked_before_s)
     return forecast(
         states,
-        fit_growth(growth_links(store, round_key, content.views), GrowthPrior.of(profile)),
+        fit_growth(growth_links(store, round_key, content), GrowthPrior.of(profile)),
         profile,
         days,
         today=None if today_s is None else max(today_s / DAY_S, day),
@@ -188,44 +189,65 @@ def _believed_length(record: DetectionRecord) -> tuple[float, float]:
     return length, max(record.length_sd_m or 0.0, _UNKNOWN_SD * length)
 
 
-def growth_links(
-    store: Store, round_key: str, detections: Sequence[DetectionView] | None = None
-) -> list[Link]:
+def growth_links(store: Store, round_key: str, content: RoundContent | None = None) -> list[Link]:
     """Return what is known of growth up to a round: its fruit followed back through earlier ones.
 
-    Links count that are sure enough (`day_linking.SURE`), and all that were made by hand.
-    `detections` are the round's, where they were read already.
+    Links count that are sure enough (`day_linking.SURE`), and all that were made by hand. Lengths
+    are the fruit's, of all their views (`fruit_table`).
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    round_key : str
+        The round.
+    content : RoundContent, optional
+        What `from_store.read_round` gave of the round, where it was read already.
     """
     days = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
-    if detections is None:
-        detections = store.detections(round_key)
-    views = {round_key: {view.key: view for view in detections}}
+    rounds = {round_key: _Measured(content or read_round(store, round_key))}
     # A fruit has one name in all rounds: the key of the view that stands in the last one.
-    names = {key: view.group for key, view in views[round_key].items()}
+    names = {key: view.group for key, view in rounds[round_key].views.items()}
     found: list[Link] = []
     queue = [round_key]
     for later in queue:
         for link in store.links(later, LinkKind.GROWTH):
-            known = link.second in views[later] and link.second in names
+            known = link.second in rounds[later].views and link.second in names
             if not known or not (link.by_hand or (link.score or 0.0) >= SURE):
                 continue
             for key, day in days.items():
-                if day < days[later] and key not in views:
-                    views[key] = {one.key: one for one in store.detections(key)}
-            home = next((key for key, own in views.items() if link.first in own), None)
+                if day < days[later] and key not in rounds:
+                    rounds[key] = _Measured(read_round(store, key))
+            home = next((key for key, own in rounds.items() if link.first in own.views), None)
             if home is None:
                 continue
-            before, after = views[home][link.first], views[later][link.second]
+            before = rounds[home].views[link.first]
             name = names[link.second]
-            for one in views[home].values():
+            for one in rounds[home].views.values():
                 if one.group == before.group:
                     names.setdefault(one.key, name)
-            first = views[home].get(before.group, before).record
-            last = views[later].get(after.group, after)
-            measured = first.length_m is not None and last.record.length_m is not None
+            first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
+            measured = first.record.length_m is not None and last.record.length_m is not None
             if measured and days[home] < days[later]:
-                ends = *_believed_length(first), days[later], *_believed_length(last.record)
+                ends = *_believed_length(first.record), days[later], *_believed_length(last.record)
                 found.append(Link(name, last.row or "", days[home], *ends))
             if home not in queue:
                 queue.append(home)
     return found
+
+
+class _Measured:
+    """A round's views by key, and its fruit with the lengths of all their views."""
+
+    def __init__(self, content: RoundContent) -> None:
+        self.views = {view.key: view for view in content.views}
+        self._content = content
+
+    @cached_property
+    def _table(self) -> dict[str, DetectionView]:
+        return {line.view.group: line.view for line in fruit_table(self._content)}
+
+    def fruit(self, key: str) -> DetectionView:
+        """Return the fruit of a view; where it was rejected, its best view."""
+        group = self.views[key].group
+        return self._table.get(group) or self.views.get(group, self.views[key])

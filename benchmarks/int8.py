@@ -38,7 +38,6 @@ from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception.boxes import box_iou
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.resize import fit
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision.pipeline.measurer import Measurer
@@ -191,11 +190,10 @@ def main() -> None:
         photos, _ = audited_photos(options.photos, options.split)
         for name, one in paths.items():
             networks = open_networks(
-                one,
-                None,
+                *chosen_networks(one, None),
                 None,
                 runtime=RUNTIMES[0],
-                floor=DEFAULT_CONFIDENCE,
+                ranked=False,
                 input_sizes=(options.size,),
             )
             result = evaluate_photos(photos, networks)

@@ -1,14 +1,15 @@
 """A house whose fruit look unlike ours teaches its detector: recall before and after.
 
-    OMP_NUM_THREADS=1 python benchmarks/teaching_house.py --out RUN [--photos PICTURES]
+    OMP_NUM_THREADS=1 python benchmarks/teaching_house.py --out RUN [--photos PICTURES [--beside]]
 
 The house is drawn: yellow fruit with green stripes, under warm lamps. Its captures go through the
 real pipeline into a store, where they are corrected as a user would, by the truth: finds that hit
 no fruit are rejected, fruit that were missed are added by a box or a tap, which SAM draws, masks
 far off are corrected, the other finds of the picture accepted. After 30, 100 and 300 corrections
 `data from-store` and `train house` do what they do. All networks are judged on the places that the
-last set keeps back, on drawn frames and, with `--photos`, on the audited photos. What is done
-already is not done again.
+last set keeps back, on drawn frames and, with `--photos`, on the audited photos; with `--beside`
+those of train scenes are trained on, too, as the shipped mixture has them. What is done already is
+not done again.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.errors import InstancesError
 from cucumbervision.perception.boxes import box_iou
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
@@ -249,6 +251,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--photos", type=Path, help="audited photos to judge on")
+    parser.add_argument("--beside", action="store_true", help="train on the shipped photos, too")
     parser.add_argument("--init", type=Path, default=Path("checkpoints/cucumber-seg.pt"))
     parser.add_argument("--stops", type=int, default=130)
     parser.add_argument("--corrections", default="30,100,300")
@@ -283,7 +286,15 @@ def main() -> None:
             # The shipped mixture's drawn frames are the same in every run.
             if not (own.exists() or first.name.startswith("house")):
                 shutil.copytree(first, own)
-        train_house(house, run, init=asked.init, plan=plan, options=options, say=lambda _: None)
+        train_house(
+            house,
+            run,
+            photos=asked.photos if asked.beside else None,
+            init=asked.init,
+            plan=plan,
+            options=options,
+            say=lambda _: None,
+        )
         if not table:
             old = judge_on(Path(load_registry().resolve("cucumber-seg")["network"]), *tests)
             heads = " | ".join(f"{one.test} ({one.fruit})" for one in old)
@@ -294,7 +305,8 @@ def main() -> None:
         )
         print("\n".join(table), flush=True)
         print((run / "judgement.md").read_text(encoding="utf-8").splitlines()[-1], flush=True)
-    print(f"recall, precision at 0.30 (of how many fruit); {time.monotonic() - began:.0f} s")
+    seconds = time.monotonic() - began
+    print(f"recall, precision at {DEFAULT_CONFIDENCE} (of how many fruit); {seconds:.0f} s")
 
 
 if __name__ == "__main__":

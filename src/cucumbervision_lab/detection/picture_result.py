@@ -85,7 +85,7 @@ def open_networks(
     *,
     runtime: str = "auto",
     confidence: float = DEFAULT_CONFIDENCE,
-    floor: float = _FLOOR,
+    ranked: bool = True,
     input_sizes: tuple[int, ...] = (),
 ) -> Networks:
     """Load the networks.
@@ -100,8 +100,9 @@ def open_networks(
         As in `open_network`.
     confidence : float
         At which detections count.
-    floor : float
-        Below it there are no detections at all; average precision needs it low.
+    ranked : bool
+        Whether average precision is asked for, which judges also what is not reported. Masks of
+        so many detections take long.
     input_sizes : tuple of int
         Long sides that the detectors see, as in `NetworkLoader`.
 
@@ -110,9 +111,10 @@ def open_networks(
     ModelError
         If a file cannot be loaded.
     """
+    reported = min(detector_floor(confidence, votes=True), pose_floor(confidence))
     loader = NetworkLoader(
         runtime=runtime,
-        confidence=floor,
+        confidence=_FLOOR if ranked else reported,
         full_precision=True,
         most=MOST,
         input_sizes=input_sizes,

@@ -12,7 +12,7 @@ import numpy as np
 from cucumbervision.capture.files import read_color
 from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.detection.lengths import length_records
@@ -268,14 +268,12 @@ def evaluate_real_photos(
         If a network is missing or cannot be loaded.
     """
     photos, missing = audited_photos(folder, split)
-    # No average precision here: detections so unsure that no vote lifts them are not wanted, since
-    # their masks take long.
     networks = open_networks(
         *chosen_networks(segment, pose),
         "mobile-sam",
         runtime=runtime,
         confidence=confidence,
-        floor=min(detector_floor(confidence, votes=True), pose_floor(confidence)),
+        ranked=False,
         input_sizes=input_sizes,
     )
     tell = None if report is None else (lambda count: report("photos", count, len(photos)))

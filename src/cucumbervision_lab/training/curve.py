@@ -15,10 +15,10 @@ from cucumbervision_lab.detection.average_precision import Judged, average_preci
 from cucumbervision_lab.detection.photos import Photo, audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import Networks, detect_picture, open_networks
 from cucumbervision_lab.detection.pictures import Stage, frame_of, read_held_out
+from cucumbervision_lab.detection.run import chosen_networks
 from cucumbervision_lab.training.export import export_yolo
 from cucumbervision_lab.training.tables import read_rows, write_rows
 
-_CONFIDENCE = 0.30
 _DRAWN = ("photos all", "half all: recall", "drawn")  # of the columns, as lines
 _FRAMES = 40
 
@@ -55,8 +55,8 @@ class Curve:
         Returns
         -------
         dict of str to float
-            Recall and precision at a confidence of 0.30 on photos, by test and at half the size,
-            and mAP on drawn frames: of boxes and masks, or of boxes and points.
+            Recall and precision on photos, by test and at half the size, at the confidence that
+            is asked by default; mAP on drawn frames: of boxes and masks, or of boxes and points.
         """
         onnx = export_yolo(network, self.run / "curve.onnx", dynamic=True, half=True)
         point = self._on_photos(onnx) | self._on_drawn(onnx)
@@ -69,16 +69,17 @@ class Curve:
         draw_curve(self.run / "curve.csv", self.run / "curve.png")
         return point
 
-    def _networks(self, onnx: Path, floor: float) -> Networks:
-        seg = self.task == "seg"
-        return open_networks(onnx if seg else None, None if seg else onnx, None, floor=floor)
+    def _networks(self, onnx: Path, *, ranked: bool) -> Networks:
+        """Load a checkpoint: a detector beside the pose network in use, a pose network alone."""
+        pair = chosen_networks(onnx, None) if self.task == "seg" else (None, onnx)
+        return open_networks(*pair, None, ranked=ranked)
 
     @cached_property
     def _audited(self) -> list[Photo]:
         return audited_photos(self._photos)[0]
 
     def _on_photos(self, onnx: Path) -> dict[str, float]:
-        found = evaluate_photos(self._audited, self._networks(onnx, _CONFIDENCE))
+        found = evaluate_photos(self._audited, self._networks(onnx, ranked=False))
         point = {}
         for words, scores in (("photos", found.scores[:1] + found.tests), ("half", found.small)):
             for name, score in scores:
@@ -90,7 +91,7 @@ class Curve:
     def _on_drawn(self, onnx: Path) -> dict[str, float]:
         if self._drawn is None:
             return {}
-        networks = self._networks(onnx, 0.001)
+        networks = self._networks(onnx, ranked=True)
         held_out = read_held_out(self._drawn, "test", _FRAMES)
         frames = []
         for picture in held_out.pictures:

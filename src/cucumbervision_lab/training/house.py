@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import TrainingError
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.in_use import JUDGEMENT
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
@@ -36,7 +37,6 @@ from cucumbervision_lab.training.train import TrainWatcher, train
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
 
-_CONFIDENCE = 0.30
 _GAIN, _LOSS = 0.01, 0.02
 """By how much F1 must rise on the house, and may fall on our tests."""
 
@@ -85,7 +85,7 @@ class Judged:
     test : str
         'house, kept back', 'drawn', 'photos' or 'photos at half size'.
     recall, precision : float
-        At a confidence of 0.30; 0 where there was nothing to find.
+        At the confidence that is asked by default; 0 where there was nothing to find.
     fruit, finds : int
         How many each is of.
     """
@@ -295,7 +295,7 @@ def _judge(
         "file": new.name,
         "old": file_sha256(old),
         "new": card.sha256,
-        "confidence": _CONFIDENCE,
+        "confidence": DEFAULT_CONFIDENCE,
         "better": better,
         "why": why,
         "scores": {
@@ -325,7 +325,7 @@ def _drawn_test(out: Path, frames: int, workers: int) -> Path:
 def judge_on(
     network: Path, house: Path, drawn: Path, photos: Path | None = None, most: int = 256
 ) -> tuple[Judged, ...]:
-    """Judge a detector as it is shipped, by boxes, at a confidence of 0.30.
+    """Judge a detector by what is reported with it: by boxes, beside the pose network in use.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def judge_on(
     most : int
         Photos at most, evenly spread.
     """
-    networks = open_networks(network, None, None, floor=_CONFIDENCE)
+    networks = open_networks(*chosen_networks(network, None), None, ranked=False)
     dataset, held_back = kept_back(house)
     test = read_coco(drawn)
     found = []
@@ -352,7 +352,8 @@ def judge_on(
             detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
             for one in pictures
         ]
-        score = overall(fruit_rows(frames, _CONFIDENCE), found_rows(frames, _CONFIDENCE))
+        asked = networks.confidence
+        score = overall(fruit_rows(frames, asked), found_rows(frames, asked))
         found.append(Judged.of(name, score))
     if photos is not None:
         result = evaluate_photos(spread(tuple(audited_photos(photos)[0]), most), networks)

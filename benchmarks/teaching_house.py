@@ -138,6 +138,9 @@ class User:
         views = self.store.detections(WALK.key, DetectionFilter(stop_key=stop_key))
         hit_by, wrong = self._matched(views, true)
         masks = {one.number: one.mask for one in record.fruit}
+        if wrong:  # first, since no fruit is added where a find still stands
+            self.store.set_verdict(wrong, Verdict.REJECTED)
+            self.corrections += len(wrong)
         for k, label in enumerate(true):
             view = hit_by.get(k)
             if view is not None:
@@ -150,15 +153,15 @@ class User:
             drawn = self._drawn(capture, label)
             if drawn is None:
                 continue
-            if view is None:
-                self.measurer.add(self.store, stop, capture, drawn, OPTIONS)
-            else:
-                detail = self.store.detection(view.key)
-                self.measurer.correct(self.store, detail, drawn, OPTIONS)
+            try:
+                if view is None:
+                    self.measurer.add(self.store, stop, capture, drawn, OPTIONS)
+                else:
+                    detail = self.store.detection(view.key)
+                    self.measurer.correct(self.store, detail, drawn, OPTIONS)
+            except InstancesError:  # SAM draws a neighbour that is there already
+                continue
             self.corrections += 1
-        if wrong:
-            self.store.set_verdict(wrong, Verdict.REJECTED)
-            self.corrections += len(wrong)
         rest = [one.key for one in views if one.key not in wrong]
         if rest:
             self.store.set_verdict(rest, Verdict.ACCEPTED)

@@ -11,16 +11,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 pytest.importorskip("fastapi")
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.errors import AccessError
+from cucumbervision.cli.app import app
+from cucumbervision.errors import AccessError, CaptureError
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.client import Client, ServiceError
-from cucumbervision.service.settings import check_access
+from cucumbervision.service.settings import TOKEN_VARIABLE, check_access
 
 TOKEN = "a-token-of-the-tests"
 
@@ -55,6 +57,22 @@ def test_captures_go_and_rows_come(service: str) -> None:
     lengths = [row["length_cm"] for row in own]
     assert [row["length_cm"] for row in measured["fruit"]] == lengths
     assert told["failures"] == []
+
+
+def test_a_folder_goes_as_the_captures_that_it_holds(service: str, tmp_path: Path) -> None:
+    client = Client(service, TOKEN)
+    folder = bundled_captures() / "simulated-bench"
+    (of_folder,) = client.measure(folder)["captures"]
+    (of_capture,) = client.measure(next(iter(open_source(folder))).load())["captures"]
+    assert of_folder["fruit"] == of_capture["fruit"] != []
+    with pytest.raises(CaptureError, match=r"none\.zip: cannot be read"):
+        client.measure(tmp_path / "none.zip")
+
+
+def test_where_other_machines_reach_it_nothing_is_said_to_listen_without_a_token() -> None:
+    said = CliRunner().invoke(app, ["serve", "--address", "0.0.0.0"], env={TOKEN_VARIABLE: ""})
+    assert isinstance(said.exception, AccessError)
+    assert "http" not in said.output
 
 
 def test_pictures_that_are_none_are_named(service: str, tmp_path: Path) -> None:

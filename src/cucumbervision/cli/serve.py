@@ -62,5 +62,8 @@ def serve(
         calibration=calibration,
     )
     settings = ServiceSettings(token, request_limits(most_mb), waiting)
-    typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
-    run(options, settings, address=address, port=port)
+
+    def ready() -> None:
+        typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
+
+    run(options, settings, address=address, port=port, ready=ready)

@@ -13,9 +13,10 @@ import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import safe_name
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CaptureError, CucumberVisionError, refusing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -55,7 +56,7 @@ class Client:
         return self._ask("/health")
 
     def measure(self, *given: Capture | Path) -> dict[str, Any]:
-        """Measure captures, or files of them.
+        """Measure captures, or files and folders of them.
 
         Returns
         -------
@@ -66,8 +67,15 @@ class Client:
         ------
         ServiceError
             If the service cannot be reached, or refuses the request.
+        CaptureError
+            If a file or folder cannot be read.
         """
-        files = [_file(one) if isinstance(one, Path) else packed(one) for one in given]
+        files: list[tuple[str, bytes]] = []
+        for one in given:
+            if isinstance(one, Path) and one.is_dir():
+                files += [packed(found.load()) for found in open_source(one)]
+            else:
+                files.append(_file(one) if isinstance(one, Path) else packed(one))
         return self._ask("/measure", files)
 
     def detect(self, *pictures: Path) -> dict[str, Any]:
@@ -82,6 +90,8 @@ class Client:
         ------
         ServiceError
             As `measure`.
+        CaptureError
+            If a file cannot be read.
         """
         return self._ask("/detect", [_file(one) for one in pictures])
 
@@ -140,7 +150,8 @@ def packed(capture: Capture) -> tuple[str, bytes]:
 
 
 def _file(path: Path) -> tuple[str, bytes]:
-    return path.name, path.read_bytes()
+    with refusing(path, CaptureError, "check the path"):
+        return path.name, path.read_bytes()
 
 
 def _form(files: Iterable[tuple[str, bytes]]) -> tuple[str, bytes]:

@@ -13,6 +13,8 @@ from cucumbervision.service.settings import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cucumbervision.pipeline.options import MeasureOptions
 
 
@@ -22,6 +24,7 @@ def serve(
     *,
     address: str = "127.0.0.1",
     port: int = 8600,
+    ready: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve until it is interrupted; what is being measured then is answered first.
 
@@ -35,6 +38,8 @@ def serve(
         Address to bind to.
     port : int
         TCP port.
+    ready : callable
+        Called when the networks are loaded, before it listens.
 
     Raises
     ------
@@ -56,4 +61,5 @@ def serve(
     measurer = Measurer(options)
     measurer.warm_up()
     app = create_app(measurer, settings)
+    ready()
     uvicorn.run(app, host=address, port=port, log_level="warning", server_header=False)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -91,6 +92,30 @@ def test_a_wrong_token_is_said(service: str) -> None:
     picture = bundled_captures() / "simulated-bench" / "color_000000.jpg"
     with pytest.raises(ServiceError, match="the token is missing or wrong") as refused:
         Client(service, "another-token-0123").detect(picture)
+    assert refused.value.status == 401
+
+
+def test_a_refusal_in_the_midst_of_what_is_sent_is_heard(tmp_path: Path) -> None:
+    """A service that refuses by the head of a request does not read the rest before it hangs up."""
+    large = tmp_path / "large.zip"
+    large.write_bytes(bytes(20_000_000))
+    body = b'{"message": "the token is missing or wrong"}'
+    answer = b"HTTP/1.1 401 Unauthorized\r\nContent-Length: %d\r\n\r\n%s" % (len(body), body)
+
+    def refuse(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        with connection:
+            read = b""
+            while b"\r\n\r\n" not in read:
+                read += connection.recv(256)
+            connection.sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening, ThreadPoolExecutor(1) as executor:
+        refused_at = executor.submit(refuse, listening)
+        url = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        with pytest.raises(ServiceError, match="the token is missing or wrong") as refused:
+            Client(url, "wrong").measure(large)
+        refused_at.result()
     assert refused.value.status == 401
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import io
 import json
 import re
@@ -103,7 +105,7 @@ class Client:
             kind, request.data = _form(files)
             request.add_header("Content-Type", kind)
         try:
-            with urllib.request.urlopen(request, timeout=self._timeout_s) as answer:
+            with _OPENER.open(request, timeout=self._timeout_s) as answer:
                 reply: dict[str, Any] = json.load(answer)
                 return reply
         except urllib.error.HTTPError as error:
@@ -123,6 +125,34 @@ class Client:
         refused = ServiceError(message, source=self._url)
         refused.status = status
         return refused
+
+
+class _Refusable:
+    """A connection whose other end may refuse, and hang up, while the body is still being sent."""
+
+    def send(self, data: Any) -> None:
+        # What it answered before it hung up can still be read, and says why.
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            super().send(data)  # type: ignore[misc]
+
+
+class _Connection(_Refusable, http.client.HTTPConnection):
+    pass
+
+
+class _SecureConnection(_Refusable, http.client.HTTPSConnection):
+    pass
+
+
+class _Handler(urllib.request.HTTPHandler, urllib.request.HTTPSHandler):
+    def http_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_Connection, request)
+
+    def https_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_SecureConnection, request)
+
+
+_OPENER = urllib.request.build_opener(_Handler)
 
 
 def packed(capture: Capture) -> tuple[str, bytes]:

@@ -235,6 +235,8 @@ class _Worker:
         """Take what the process reports; return the number of the next input."""
         before, since = -2, time.monotonic()
         while True:
+            # Asked before the pipe is emptied: what a process says before it ends is in it by then.
+            alive = self._process.is_alive()
             with suppress(EOFError, ConnectionResetError):
                 while self._here.poll(1.0):
                     message = self._here.recv()
@@ -256,7 +258,7 @@ class _Worker:
             if stuck:
                 self._process.kill()
                 self._process.join()
-            if stuck or not self._process.is_alive():
+            if stuck or not alive:
                 return self._ended(result, out, at, stuck=stuck)
 
     def _ended(self, result: FuzzResult, out: Path | None, at: int, *, stuck: bool) -> int:

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
 
@@ -115,6 +116,38 @@ def test_of_runs_with_one_seed_the_longest_counts_however_short_the_others(tmp_p
     add_to_log(short, log)
     together = add_to_log(fuzz(30, seed=1, targets=targets), log)
     assert (together.runs, together.inputs) == (1, 30)
+
+
+def test_what_a_process_says_last_is_heard_on_a_busy_machine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It ends between the moment when there was nothing to hear yet and the look at it."""
+    follow = fuzzing._Worker.follow
+
+    class Late:
+        def __init__(self, worker: fuzzing._Worker) -> None:
+            self.pipe, self.process, self.asked = worker._here, worker._process, 0
+
+        def poll(self, seconds: float) -> bool:
+            self.asked += 1
+            if self.asked == 1:
+                self.process.join()
+                return False
+            return self.pipe.poll(seconds)
+
+        def recv(self) -> Any:
+            return self.pipe.recv()
+
+        def close(self) -> None:
+            self.pipe.close()
+
+    def late(self: fuzzing._Worker, *given: Any) -> int:
+        self._here = Late(self)  # type: ignore[assignment]
+        return follow(self, *given)
+
+    monkeypatch.setattr(fuzzing._Worker, "follow", late)
+    result = fuzz(30, seed=1, targets=find_targets(["poses"]))
+    assert (sum(result.tried.values()), result.found) == (30, Counter())
 
 
 def test_the_sum_says_which_readers_had_fewest_inputs(tmp_path: Path) -> None:

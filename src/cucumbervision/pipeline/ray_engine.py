@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 from dataclasses import dataclass
@@ -97,6 +98,7 @@ class RayEngine:
         context = ray.data.DataContext.get_current()
         context.execution_options.preserve_order = True
         context.enable_progress_bars = False
+        logging.getLogger("ray.data").setLevel(logging.ERROR)
         items = [
             {"task": pickle.dumps(one if isinstance(one, Outcome) else one.portable())}
             for one in listed
@@ -106,7 +108,7 @@ class RayEngine:
         return dataset.map(
             _Measuring,
             fn_constructor_args=(options, out, max(1, int(share))),
-            concurrency=workers,
+            compute=ray.data.ActorPoolStrategy(size=workers),
             num_cpus=share,
             num_gpus=gpus / workers if options.runtime in ("cuda", "tensorrt") else 0,
         )

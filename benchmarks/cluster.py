@@ -1,0 +1,107 @@
+"""Measure on a Ray cluster of two nodes, one of which is killed meanwhile; needs extra 'cluster'.
+
+    python benchmarks/cluster.py [--captures 60] [--seed 1]
+
+Both nodes are Ray's own on this machine, each with one CPU and a worker of its own, joined over
+loopback as two machines would be. The bundled captures, again and again, are measured with
+`measure --engine ray --address …`; once the seed's share of them is done, signal 9 ends one node
+with all that runs there. The tables must be those of one process without a cluster, bit by bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from cucumbervision.capture.source import bundled_captures
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.run import measure_inputs
+
+PORT = 6399
+ADDRESS = f"127.0.0.1:{PORT}"
+TABLES = ("measurements.csv", "failures.csv")
+ENVIRONMENT = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
+BIN = Path(sys.executable).parent
+
+
+def processes() -> dict[int, tuple[int, str]]:
+    """Return parent and command of every process."""
+    lines = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True)
+    found = (line.split(None, 2) for line in lines.stdout.splitlines())
+    return {int(pid): (int(parent), words) for pid, parent, *rest in found for words in [rest[0]]}
+
+
+def nodes() -> list[int]:
+    """Return the process of each node, the head's first."""
+    return sorted(p for p, (_, words) in processes().items() if "/raylet/raylet " in words)
+
+
+def start_node(*words: str) -> None:
+    """Start a node with one CPU."""
+    own = ["--num-cpus", "1", "--node-ip-address", "127.0.0.1", *words]
+    subprocess.run([BIN / "ray", "start", *own], env=ENVIRONMENT, check=True, capture_output=True)
+
+
+def measuring(node: int) -> int:
+    """Return how many actors measure on a node."""
+    return sum(
+        parent == node and words.startswith("ray::") and "_Measuring" in words
+        for parent, words in processes().values()
+    )
+
+
+def kill_node(node: int) -> None:
+    """End a node and all that runs on it at once, as a machine that loses its power."""
+    mine = [pid for pid, (parent, _) in processes().items() if parent == node]
+    for pid in (node, *mine):
+        os.kill(pid, signal.SIGKILL)
+
+
+def main() -> int:
+    """Start the nodes, measure, kill one, compare, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--captures", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    share = random.Random(asked.seed).uniform(0.2, 0.6)
+    with tempfile.TemporaryDirectory() as folder:
+        house, out, alone = (Path(folder) / name for name in ("house", "out", "alone"))
+        bundled = sorted(path for path in bundled_captures().iterdir() if path.is_dir())
+        for number in range(asked.captures):
+            one = bundled[number % len(bundled)]
+            shutil.copytree(one, house / f"stop-{number:04d}-{one.name}")
+        subprocess.run([BIN / "ray", "stop", "--force"], capture_output=True)
+        start_node("--head", "--port", str(PORT), "--include-dashboard=false")
+        start_node("--address", ADDRESS)
+        _, second = nodes()
+        command = [BIN / "cucumbervision", "measure", house, "--out", out]
+        ran = [*command, "--engine", "ray", "--address", ADDRESS, "--workers", "2"]
+        most, done = [0, 0], 0
+        with subprocess.Popen(ran, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
+            while process.poll() is None and done < share * asked.captures:
+                most = [max(a, measuring(b)) for a, b in zip(most, nodes(), strict=True)]
+                done = sum(len(one.read_bytes().splitlines()) for one in out.glob("journal/*"))
+                time.sleep(0.1)
+            kill_node(second)
+            code = process.wait()
+        subprocess.run([BIN / "ray", "stop", "--force"], capture_output=True)
+        measure_inputs([house], alone, MeasureOptions())
+        same = [name for name in TABLES if (out / name).read_bytes() == (alone / name).read_bytes()]
+        rows = len((out / TABLES[0]).read_text(encoding="utf-8").splitlines()) - 1
+    print(f"actors that measured: {most[0]} on the first node, {most[1]} on the second")
+    print(f"the second was killed after {done} of {asked.captures} captures; exit code {code}")
+    print(f"{rows} rows; as without a cluster, bit by bit: {', '.join(same) or 'none'}")
+    kept = code == 0 and min(most) > 0 and done < asked.captures and len(same) == len(TABLES)
+    return 0 if kept else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

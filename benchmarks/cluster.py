@@ -82,7 +82,7 @@ def main() -> int:
         start_node("--head", "--port", str(PORT), "--include-dashboard=false")
         start_node("--address", ADDRESS)
         _, second = nodes()
-        command = [BIN / "cucumbervision", "measure", house, "--out", out]
+        command = [str(BIN / "cucumbervision"), "measure", str(house), "--out", str(out)]
         ran = [*command, "--engine", "ray", "--address", ADDRESS, "--workers", "2"]
         most, done = [0, 0], 0
         with subprocess.Popen(ran, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:

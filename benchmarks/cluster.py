@@ -11,8 +11,10 @@ with all that runs there. The tables must be those of one process without a clus
 from __future__ import annotations
 
 import argparse
+import atexit
 import os
 import random
+import secrets
 import shutil
 import signal
 import subprocess
@@ -28,7 +30,13 @@ from cucumbervision.pipeline.run import measure_inputs
 PORT = 6399
 ADDRESS = f"127.0.0.1:{PORT}"
 TABLES = ("measurements.csv", "failures.csv")
-ENVIRONMENT = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
+ENVIRONMENT = {
+    **os.environ,
+    "RAY_USAGE_STATS_ENABLED": "0",
+    # Whatever an earlier cluster of this user has left behind.
+    "RAY_AUTH_MODE": "token",
+    "RAY_AUTH_TOKEN": secrets.token_hex(32),
+}
 BIN = Path(sys.executable).parent
 
 
@@ -47,7 +55,15 @@ def nodes() -> list[int]:
 def start_node(*words: str) -> None:
     """Start a node with one CPU."""
     own = ["--num-cpus", "1", "--node-ip-address", "127.0.0.1", *words]
-    subprocess.run([BIN / "ray", "start", *own], env=ENVIRONMENT, check=True, capture_output=True)
+    command = [BIN / "ray", "start", *own]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"a node does not start:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+
+
+def stop_nodes() -> None:
+    """End all that Ray runs on this machine."""
+    subprocess.run([BIN / "ray", "stop", "--force"], capture_output=True)
 
 
 def measuring(node: int) -> int:
@@ -72,13 +88,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     share = random.Random(asked.seed).uniform(0.2, 0.6)
+    atexit.register(stop_nodes)
     with tempfile.TemporaryDirectory() as folder:
         house, out, alone = (Path(folder) / name for name in ("house", "out", "alone"))
         bundled = sorted(path for path in bundled_captures().iterdir() if path.is_dir())
         for number in range(asked.captures):
             one = bundled[number % len(bundled)]
             shutil.copytree(one, house / f"stop-{number:04d}-{one.name}")
-        subprocess.run([BIN / "ray", "stop", "--force"], capture_output=True)
+        stop_nodes()
         start_node("--head", "--port", str(PORT), "--include-dashboard=false")
         start_node("--address", ADDRESS)
         _, second = nodes()
@@ -92,7 +109,7 @@ def main() -> int:
                 time.sleep(0.1)
             kill_node(second)
             code = process.wait()
-        subprocess.run([BIN / "ray", "stop", "--force"], capture_output=True)
+        stop_nodes()
         measure_inputs([house], alone, MeasureOptions())
         same = [name for name in TABLES if (out / name).read_bytes() == (alone / name).read_bytes()]
         rows = len((out / TABLES[0]).read_text(encoding="utf-8").splitlines()) - 1

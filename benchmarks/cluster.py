@@ -55,7 +55,7 @@ def nodes() -> list[int]:
 def start_node(*words: str) -> None:
     """Start a node with one CPU."""
     own = ["--num-cpus", "1", "--node-ip-address", "127.0.0.1", *words]
-    command = [BIN / "ray", "start", *own]
+    command = [str(BIN / "ray"), "start", *own]
     done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"a node does not start:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")

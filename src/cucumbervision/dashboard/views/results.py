@@ -57,9 +57,12 @@ def _files(one: RoundView) -> None:
         st.error(plain(job.error), icon=":material/error:")
     elif job is not None:
         path: Path = job.result
+        # Read here, for an address that stays: a button whose file is made at the click has another
+        # one whenever the page is drawn, and a tap just then loads nothing.
         load.download_button(
             "Download",
-            data=path.read_bytes,
+            data=path.read_bytes(),
+            on_click="ignore",
             file_name=f"{safe_name(one.record.name or 'round')}.zip",
             mime="application/zip",
             icon=":material/download:",

@@ -83,14 +83,20 @@ def copies(folder: Path, count: int) -> Path:
     return folder
 
 
-def pace(options: MeasureOptions, engine: Engine, count: int, skip: int) -> float:
+def pace(
+    options: MeasureOptions,
+    engine: Engine,
+    count: int,
+    skip: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
     """Give seconds a capture, after the first few, of a whole batch as the command does it."""
     at: list[float] = []
     with tempfile.TemporaryDirectory() as tmp:
         house = copies(Path(tmp) / "house", count)
         batch = BatchOptions(engine=engine)
         result = measure_inputs(
-            [house], Path(tmp) / "out", options, lambda _: at.append(time.perf_counter()), batch
+            [house], Path(tmp) / "out", options, lambda _: at.append(clock()), batch
         )
     if result.failures or len(at) != count:
         raise SystemExit(f"{len(result.failures)} failures: {result.failures[:1]}")

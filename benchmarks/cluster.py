@@ -15,7 +15,6 @@ import atexit
 import os
 import random
 import secrets
-import shutil
 import signal
 import subprocess
 import sys
@@ -23,7 +22,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from cucumbervision.capture.source import bundled_captures
+from speed import copies
+
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 
@@ -91,10 +91,7 @@ def main() -> int:
     atexit.register(stop_nodes)
     with tempfile.TemporaryDirectory() as folder:
         house, out, alone = (Path(folder) / name for name in ("house", "out", "alone"))
-        bundled = sorted(path for path in bundled_captures().iterdir() if path.is_dir())
-        for number in range(asked.captures):
-            one = bundled[number % len(bundled)]
-            shutil.copytree(one, house / f"stop-{number:04d}-{one.name}")
+        copies(house, asked.captures)
         stop_nodes()
         start_node("--head", "--port", str(PORT), "--include-dashboard=false")
         start_node("--address", ADDRESS)

@@ -103,13 +103,13 @@ def pace(
     return (at[-1] - at[skip - 1]) / (count - skip)
 
 
-def processor_ms(clock: NetworkClock, rounds: int) -> tuple[float, float]:
+def processor_ms(rounds: int) -> tuple[float, float]:
     """Give a capture's processor time in its networks, and in all else from reading to drawing.
 
     Each step waits for the one before, so that nobody else's work falls into the networks' time;
     what else runs on the machine matters little.
     """
-    inside, beyond = [], []
+    inside, beyond, clock = [], [], NetworkClock()
     with tempfile.TemporaryDirectory() as tmp:
         worker = Worker(MODELS, OutputFolder(Path(tmp)))
         captures = list_captures([bundled_captures()], MODELS.reading)
@@ -154,7 +154,7 @@ def pipeline(quick: bool) -> list[Figure]:
 
 def processor(quick: bool) -> list[Figure]:
     """Compare the processor time of a capture beyond its networks with that within them."""
-    inside_ms, beyond_ms = processor_ms(NetworkClock(), 2 if quick else 9)
+    inside_ms, beyond_ms = processor_ms(2 if quick else 9)
     return [
         Figure("processor time of a capture in its networks", inside_ms, "ms"),
         Figure("processor time of a capture beyond them", beyond_ms, "ms"),

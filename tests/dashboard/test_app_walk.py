@@ -11,7 +11,6 @@ import shutil
 import time
 import zipfile
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from cucumbervision.store.repository import open_store
 from cucumbervision.store.views import StopView
 from cucumbervision.store.waiting import WaitingCaptures
 
-playwright = pytest.importorskip("playwright.sync_api")
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
 
 NARROW = ("", "capture", "upload", "results", "map")
@@ -190,19 +188,11 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     tablet.get_by_role("button", name="Make the files").tap()
     load = tablet.get_by_role("button", name="Download", exact=True)
     load.wait_for()  # making them may take as long as the download is waited for
+    with tablet.expect_download() as loading:
+        load.tap()
     packed = tmp_path / "round.zip"
-    tapped_until_loaded(tablet, load).save_as(packed)
+    loading.value.save_as(packed)
     open_exports(packed, tablet, fruit_of(house))
-
-
-def tapped_until_loaded(page: Any, button: Any) -> Any:
-    """What a button loads down, tapped again where the page moved under the finger."""
-    for _ in range(4):
-        with suppress(playwright.TimeoutError):
-            with page.expect_download(timeout=75_000) as loading:
-                button.tap()
-            return loading.value
-    raise AssertionError("nothing was loaded down")
 
 
 def cell(table: Any, column: int, line: int) -> str:

@@ -198,6 +198,18 @@ def test_auto_steps_down_and_says_why(caplog: pytest.LogCaptureFixture) -> None:
     assert network.run({"x": np.diag([2.0, 4.0])})["y"] == 8
 
 
+def printed_alone(code: str, network: Path, home: Path) -> str:
+    """Return what a process of its own prints that is given a network."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(network)],
+        env={"HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2] / "src")},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
 def test_nothing_is_sent_or_stored(tmp_path: Path) -> None:
     """Load both runtimes in a fresh process with an empty home, and count what they leave."""
     (tmp_path / "tiny.onnx").write_bytes(scaled_sum())
@@ -212,14 +224,7 @@ def test_nothing_is_sent_or_stored(tmp_path: Path) -> None:
     )
     home = tmp_path / "home"
     home.mkdir()
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "tiny.onnx")],
-        env={"HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2] / "src")},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == "[]"
+    assert printed_alone(code, tmp_path / "tiny.onnx", home) == "[]"
     assert list(home.rglob("*")) == []
 
 
@@ -237,13 +242,7 @@ def test_two_threads_may_load_the_first_networks_of_a_process(tmp_path: Path) ->
         "    return open_network(sys.argv[1], 'openvino').runtime\n"
         "print(len(list(ThreadPoolExecutor(4).map(load, range(4)))))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "tiny.onnx")],
-        env={"HOME": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2] / "src")},
-        capture_output=True,
-        text=True,
-    )
-    assert done.stdout.strip() == "4", done.stderr
+    assert printed_alone(code, tmp_path / "tiny.onnx", tmp_path) == "4"
 
 
 def test_without_openvino_auto_takes_onnx_runtime(monkeypatch: pytest.MonkeyPatch) -> None:

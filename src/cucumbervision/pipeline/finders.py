@@ -101,9 +101,9 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
     )
     by_stage: dict[Stage, list[dict[str, Any]]] = {}
     name = options.segmenter or "mobile-sam"
-    boxes = _box_finder(options, _Staged(networks, by_stage, name))
     if options.segmenter not in (None, "none"):
         networks.verify(options.segmenter)
+    boxes = _box_finder(options, _Staged(networks, by_stage, name))
 
     def find(capture: Capture) -> Found:
         found = boxes(capture)

@@ -341,6 +341,7 @@ def judge_on(
         Photos at most, evenly spread.
     """
     networks = open_networks(*chosen_networks(network, None), None, ranked=False)
+    asked = networks.confidence
     dataset, held_back = kept_back(house)
     test = read_coco(drawn)
     found = []
@@ -352,7 +353,6 @@ def judge_on(
             detect_picture(frame_of(one, data, None), read_color(data.path(one)), networks).frame
             for one in pictures
         ]
-        asked = networks.confidence
         score = overall(fruit_rows(frames, asked), found_rows(frames, asked))
         found.append(Judged.of(name, score))
     if photos is not None:

@@ -25,7 +25,7 @@ BACKDROPS = {"at its own depth": DEPTH_M, "empty": 0.0, "far, 1.2 m": 1.2}
 
 
 def read(tube: Tube, backdrop_m: float = 0.0) -> list[str]:
-    """Give every method's length in cm, as text."""
+    """Return every method's length in cm, as text."""
     scene = render(Scene.of(tube, backdrop_m=backdrop_m), CAMERA)
     mask = scene.mask(0)
     region = Region(scene.depth_m.astype(np.float32), CAMERA, box_of_mask(mask), mask)

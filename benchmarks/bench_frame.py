@@ -100,7 +100,7 @@ def both_clocks() -> NDArray[np.float64]:
 def plant(
     outputs: Sequence[NDArray[Any]], masks: Sequence[NDArray[np.bool_]], size: tuple[int, int]
 ) -> list[NDArray[Any]]:
-    """Give a raw YOLO answer of the same shapes that names these masks and nothing else."""
+    """Return a raw YOLO answer of the same shapes that names these masks and nothing else."""
     height, width = masks[0].shape
     box = fit(height, width, size)
     rows = np.zeros_like(outputs[0])
@@ -134,7 +134,7 @@ def five_fruit() -> Capture:
 
 
 def peak_mib() -> float:
-    """Give the peak resident memory of this process in MiB."""
+    """Return the peak resident memory of this process in MiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

@@ -75,19 +75,19 @@ def floor(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], box: NDArray[An
 
 
 def milliseconds(task: Callable[[], object]) -> float:
-    """Give one call's processor time, which what else runs touches less than the clock's."""
+    """Return one call's processor time, which what else runs touches less than the clock's."""
     start = process_time()
     task()
     return 1e3 * (process_time() - start)
 
 
 def fresh(drawn: Region) -> Region:
-    """Give the region without its clouds, which each timing must build anew."""
+    """Return the region without its clouds, which each timing must build anew."""
     return Region(drawn.depth_m, CAMERA, drawn.box, drawn.mask, drawn.keypoints)
 
 
 def timed(drawn: Region, rounds: int) -> tuple[list[float], list[float], list[float]]:
-    """Give the milliseconds of the floor, of M1 to M5 and of M6, taken in turns."""
+    """Return the milliseconds of the floor, of M1 to M5 and of M6, taken in turns."""
     mask = drawn.mask
     assert mask is not None
     floors, papers, tubes = [], [], []
@@ -99,7 +99,7 @@ def timed(drawn: Region, rounds: int) -> tuple[list[float], list[float], list[fl
 
 
 def times_the_floor(floors: list[float], papers: list[float]) -> float:
-    """Give the median ratio of the pairs."""
+    """Return the median ratio of the pairs."""
     return median(p / f for p, f in zip(papers, floors, strict=True))
 
 

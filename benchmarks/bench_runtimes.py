@@ -34,7 +34,7 @@ def open_all(path: str, threads: int | None) -> list[Network]:
 
 
 def feeds_for(network: Network, size: int) -> dict[str, np.ndarray]:
-    """Give random pictures; free sides get `size`, a free batch 1."""
+    """Return random pictures; free sides get `size`, a free batch 1."""
     rng = np.random.default_rng(0)
     feeds = {}
     for info in network.inputs:

@@ -45,7 +45,7 @@ def drawn_scene(fruit: int) -> tuple[NDArray[np.uint8], list[Instance]]:
 
 
 def resident_mib() -> float:
-    """Give the resident memory of this process now, in MiB."""
+    """Return the resident memory of this process now, in MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20
 

@@ -29,7 +29,7 @@ STEP_PX = 12
 
 
 def walk(frames: int) -> list[Capture]:
-    """Give frames of a camera that walks to and fro before three fruit."""
+    """Return frames of a camera that walks to and fro before three fruit."""
     one = next(iter(open_source(bundled_captures() / "simulated-row-a"))).load()
     moved = []
     for k in range(frames):

@@ -73,7 +73,7 @@ class Shown:
 
 
 def pictures(options: argparse.Namespace) -> Iterator[Shown]:
-    """Give the pictures, one at a time: photos, photos at half size, drawn frames."""
+    """Yield the pictures, one at a time: photos, photos at half size, drawn frames."""
     if options.photos is not None:
         photos, _ = audited_photos(options.photos, options.split)
         for photo in spread(tuple(photos), options.limit):
@@ -104,7 +104,7 @@ def found_at(
     confidences: Sequence[float],
     shown: Iterator[Shown],
 ) -> Frames:
-    """Give the frames by test, and by what was asked."""
+    """Return the frames by test, and by what was asked."""
     # Both its sizes and the pose network have a vote.
     least = detector_floor(detector_floor(min(confidences), votes=True), votes=True)
     single = {size: detector(path, "auto", (size,), least) for sizes in asked for size in sizes}
@@ -147,12 +147,12 @@ def chosen_by_halves(frames: Frames) -> Iterator[str]:
 
 
 def name(asked: tuple[Sizes, float]) -> str:
-    """Give sizes and confidence as text."""
+    """Return sizes and confidence as text."""
     return f"{'+'.join(map(str, asked[0])):>10} px, {asked[1]:.2f}"
 
 
 def busy_ms(path: Path, sizes: Sizes, turns: int) -> dict[str, float]:
-    """Give the median processor time of one frame by runtime."""
+    """Return the median processor time of one frame by runtime."""
     color = np.random.default_rng(0).integers(0, 255, (*FRAME_PX, 3), np.uint8)
     networks: dict[str, YoloDetector] = {}
     for runtime in RUNTIMES:
@@ -172,7 +172,7 @@ def busy_ms(path: Path, sizes: Sizes, turns: int) -> dict[str, float]:
 
 
 def line(frames: Sequence[Frame], confidence: float) -> str:
-    """Give recall, precision and recall by hidden share as text."""
+    """Return recall, precision and recall by hidden share as text."""
     fruit, found = fruit_rows(frames, confidence), found_rows(frames, confidence)
     score = overall(fruit, found)
     precision = score.precision.value if score.precision is not None else float("nan")

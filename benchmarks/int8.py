@@ -60,12 +60,12 @@ class Photos(CalibrationDataReader):  # type: ignore[misc]
         self._inputs = ({name: as_input(read_color(path), size_px)} for path in paths)
 
     def get_next(self) -> dict[str, Any] | None:
-        """Give the next photo, or None."""
+        """Return the next photo, or None."""
         return next(self._inputs, None)
 
 
 def as_input(color: np.ndarray[Any, Any], size_px: int) -> np.ndarray[Any, Any]:
-    """Give a picture as a batch of one, float32, letterboxed."""
+    """Return a picture as a batch of one, float32, letterboxed."""
     height, width = color.shape[:2]
     box = fit(height, width, (size_px, size_px), minimal=True, stride=32)
     return box.as_input(color)
@@ -116,7 +116,7 @@ def quantise(source: Path, out: Path, photos: list[Path], size_px: int) -> None:
 
 
 def busy_ms(paths: dict[str, Path], size_px: int, turns: int) -> Iterator[str]:
-    """Give the median processor time of one frame by runtime, the networks in turns."""
+    """Return the median processor time of one frame by runtime, the networks in turns."""
     color = np.random.default_rng(0).integers(0, 255, (*FRAME_PX, 3), np.uint8)
     for runtime in RUNTIMES:
         try:
@@ -138,7 +138,7 @@ def busy_ms(paths: dict[str, Path], size_px: int, turns: int) -> Iterator[str]:
 
 
 def lengths(path: Path, folder: Path, limit: int, size_px: int) -> list[list[Any]]:
-    """Give boxes and M6's lengths of the fruit of each capture."""
+    """Return boxes and M6's lengths of the fruit of each capture."""
     options = MeasureOptions(
         instances=str(path),
         keypoints=False,
@@ -155,7 +155,7 @@ def lengths(path: Path, folder: Path, limit: int, size_px: int) -> list[list[Any
 
 
 def length_changes(first: list[list[Any]], second: list[list[Any]]) -> list[float]:
-    """Give the relative difference of every fruit that both networks found and measured."""
+    """Return the relative difference of every fruit that both networks found and measured."""
     changes = []
     for before, after in zip(first, second, strict=True):
         for box, length_m in before:

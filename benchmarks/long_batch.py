@@ -29,7 +29,7 @@ GROWTH = 1.10
 
 
 def held_mib() -> float:
-    """Give the memory that this process holds now, in MiB."""
+    """Return the memory that this process holds now, in MiB."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 

@@ -40,7 +40,7 @@ def rows_of(folder: Path, prompt: str | None) -> list[dict[str, Any]]:
 
 
 def carrot_table(folder: Path) -> Table:
-    """Give mean and spread (sd / mean) of each method over the frames."""
+    """Return mean and spread (sd / mean) of each method over the frames."""
     table = Table(title="Carrot, one rigid object in ten frames: mean cm (sd/mean %) [frames]")
     table.add_column("masks")
     for method in AVAILABLE:
@@ -61,7 +61,7 @@ def carrot_table(folder: Path) -> Table:
 
 
 def ycb_table(folder: Path) -> Table:
-    """Give the signed error of each method against the objects' known lengths."""
+    """Return the signed error of each method against the objects' known lengths."""
     truth = json.loads((folder / "lengths.json").read_text())
     table = Table(title="YCB objects: error against the mesh's length, % (– unknown)")
     for head in ("masks", "object", "length cm", *(str(m) for m in AVAILABLE)):

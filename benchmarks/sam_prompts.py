@@ -20,7 +20,7 @@ from cucumbervision.pipeline.finders import dataset_instances
 
 
 def overlaps(folder: Path, segmenter: Segmenter) -> tuple[list[float], int]:
-    """Give the IoU of every mask of a folder, and how many masks were refused (IoU 0)."""
+    """Return the IoU of every mask of a folder, and how many masks were refused (IoU 0)."""
     found, refused = [], 0
     for reference in open_source(folder):
         capture = reference.load()

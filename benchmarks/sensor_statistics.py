@@ -117,7 +117,7 @@ def pair_of(capture: Capture, seed: int) -> Pair:
 
 
 def wall_residual(color: Intrinsics, distance_m: float, window_px: int) -> float:
-    """Give the simulated camera's plane residual on a wall at a distance, metres."""
+    """Return the simulated camera's plane residual on a wall at a distance, metres."""
     frames = []
     for seed in range(WALLS):
         wall = Scene((), planes=(Plane.facing(distance_m, tilt_deg=5.0, turn_deg=5.0),))
@@ -133,7 +133,7 @@ def row(name: str, real: float, twin: float, form: str = "8.2f") -> None:
 
 
 def mean_profile(profiles: list[EdgeProfile]) -> EdgeProfile:
-    """Give the median profile of several frames."""
+    """Return the median profile of several frames."""
     heights = np.array([p.height for p in profiles])
     invalid = np.array([p.invalid for p in profiles])
     # An offset at which no frame has a reading stays empty, without a warning.
@@ -187,7 +187,7 @@ def print_edges(pairs: list[Pair]) -> None:
 
 
 def jumps_per_mille(depth_m: NDArray[np.float32], focal_baseline: float) -> float:
-    """Give the share of neighbours in a row that both read and differ by over 2 px disparity."""
+    """Return the share of neighbours in a row that both read and differ by over 2 px disparity."""
     read = valid_depth(depth_m)
     disparity = focal_baseline / np.where(read, depth_m, np.inf)
     both = read[:, 1:] & read[:, :-1]

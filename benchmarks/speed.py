@@ -90,7 +90,7 @@ def pace(
     skip: int,
     clock: Callable[[], float] = time.perf_counter,
 ) -> float:
-    """Give seconds a capture, after the first few, of a whole batch as the command does it."""
+    """Return seconds a capture, after the first few, of a whole batch as the command does it."""
     at: list[float] = []
     with tempfile.TemporaryDirectory() as tmp:
         house = copies(Path(tmp) / "house", count)
@@ -104,7 +104,7 @@ def pace(
 
 
 def processor_ms(rounds: int) -> tuple[float, float]:
-    """Give a capture's processor time in its networks, and in all else from reading to drawing.
+    """Return a capture's processor time in its networks, and in all else from reading to drawing.
 
     Each step waits for the one before, so that nobody else's work falls into the networks' time;
     what else runs on the machine matters little.
@@ -179,7 +179,7 @@ app.main()
 
 
 def started(*words: str) -> float:
-    """Give the seconds from the process's start to the first journalled capture."""
+    """Return the seconds from the process's start to the first journalled capture."""
     with tempfile.TemporaryDirectory() as tmp:
         one = str(bundled_captures() / "simulated-row-b")
         command = [sys.executable, "-c", _START, str(HERE), "measure", one, "--out", tmp, *words]
@@ -229,7 +229,7 @@ def stream(quick: bool) -> list[Figure]:
 
 
 def in_turns(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Give each task's milliseconds, the tasks taking turns; the first three rounds warm up."""
+    """Return each task's milliseconds, the tasks taking turns; the first three rounds warm up."""
     taken: dict[str, list[float]] = {name: [] for name in tasks}
     for k in range(rounds + 3):
         for name, task in tasks.items():

@@ -37,7 +37,7 @@ FPS = 6
 
 
 def pass_by(seed: int, places: int, frames: int) -> tuple[float, list[Length | None], int]:
-    """Give a fruit's true thread length, the track's length after each frame, and its tracks."""
+    """Return a fruit's true thread length, the track's length after each frame, and its tracks."""
     rng = np.random.default_rng(seed)
     camera = replace(D4xx.like(CAMERA), scale_error=float(rng.normal(0, SCALE_SD)))
     far_m = float(rng.uniform(0.45, 0.65))

@@ -181,7 +181,7 @@ class MissingExtraError(CucumberVisionError):
 
 @contextmanager
 def as_errors_of(source: object) -> Iterator[None]:
-    """Give the named errors that are raised inside a source.
+    """Name the source in every named error that is raised inside.
 
     Examples
     --------

@@ -426,7 +426,7 @@ def grow_plants(
     new_share: float = 0.15,
     swing_m: float = 0.03,
 ) -> Plants:
-    """Let a row grow, be picked, lowered and re-hung.
+    """Simulate a row that grows, is picked, lowered and hung anew.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class RgbdCamera(Protocol):
         """Open it; raises `CameraError` where there is none."""
 
     def __exit__(self, *error: object) -> None:
-        """Let it go, on every way out."""
+        """Close it, however the block ends."""
 
     def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
         """Return the next capture, depth aligned to colour, in metres.

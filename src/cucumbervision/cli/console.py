@@ -75,7 +75,7 @@ def print_table(console: Console, figures: page.Table) -> None:
 
 @contextmanager
 def stopping_gently() -> Iterator[Callable[[], bool]]:
-    """Give what tells whether Ctrl-C was pressed; the second time it interrupts as ever."""
+    """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual."""
     pressed = False
 
     def press(*_: object) -> None:

@@ -142,7 +142,7 @@ def _measuring() -> list[Job]:
 
 
 def wake() -> Job | None:
-    """Let what waits be measured; return the job that does so, None where nothing waits."""
+    """Start measuring what waits; return the job that does so, None where nothing waits."""
     jobs = _measuring()
     if jobs and not jobs[0].finished:
         return jobs[0]

@@ -60,7 +60,7 @@ class UploadGuard:
     async def __call__(
         self, scope: MutableMapping[str, Any], receive: Callable[..., Any], send: Callable[..., Any]
     ) -> None:
-        """Let a request through, or refuse it."""
+        """Pass a request on, or refuse it."""
         if scope["type"] != "http" or _may_upload(scope["path"]):
             await self._app(scope, receive, send)
             return

@@ -257,7 +257,7 @@ def _printed(table: Table) -> int:
 
 
 def _set_page(sheet: Any, high: int = 0) -> None:
-    """Let a sheet be printed on A4, as wide as the paper, its head on every page."""
+    """Set a sheet up to print on A4, as wide as the paper, its header on every page."""
     sheet.set_paper(_A4)
     sheet.set_landscape()
     sheet.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)

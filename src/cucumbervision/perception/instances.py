@@ -222,7 +222,7 @@ def each_once(
 def apart(
     instances: Sequence[Instance], depth_m: NDArray[np.float32] | None = None
 ) -> tuple[Instance, ...]:
-    """Give each pixel that several masks share to one fruit, as `disjoint_masks` does.
+    """Assign each pixel that several masks share to one fruit, as `disjoint_masks` does.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ def disjoint_masks(
     scores: Sequence[float],
     depth_m: NDArray[np.float32] | None = None,
 ) -> list[NDArray[np.bool_] | None]:
-    """Give each pixel that two masks share to one of them.
+    """Assign each pixel that two masks share to one of them.
 
     The smaller one gets it where the larger holds half of it or more, and so has swallowed it;
     else the one whose own pixels are nearer in depth to what both share; else the surer one.

@@ -131,7 +131,7 @@ _most_threads: int | None = None
 
 
 def limit_threads(threads: int | None) -> None:
-    """Let every network that this process loads from now on use so many threads at most."""
+    """Limit the threads of every network that this process loads from now on."""
     global _most_threads
     _most_threads = threads
 

@@ -350,7 +350,7 @@ def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
 
 
 def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Give each pixel to one fruit; a mask of which too little is left is refused."""
+    """Assign each pixel to one fruit; a mask of which too little is left is refused."""
     masks = [one.mask for one in instances]
     left = disjoint_masks(masks, [one.confidence for one in instances])
     out = []

@@ -63,7 +63,7 @@ class OutputFolder:
 
     @contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """Give a file of this machine to fill; it takes the name when the block ends well.
+        """Yield a file of this machine to fill; it takes the name when the block ends well.
 
         Raises
         ------

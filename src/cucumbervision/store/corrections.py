@@ -64,7 +64,7 @@ class Corrections(Edits):
         return action
 
     def correct(self, key: str, record: DetectionRecord, *, by: str = "") -> int:
-        """Let a new measurement, with a corrected mask, stand for the first one.
+        """Replace a measurement by one with a corrected mask; the first one is kept.
 
         Raises
         ------

@@ -325,7 +325,7 @@ def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
 
 
 def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
-    """Give whole fruit the polygon whose bounds fit the audited box, each polygon once at most."""
+    """Pair whole fruit with the polygon whose bounds fit the audited box, each used once."""
     file = path.parent.parent / _OUTLINES / f"{path.stem}.txt"
     if path.parent.name != "images" or not file.is_file():
         return picture

@@ -181,7 +181,7 @@ def detect_picture(
 def _placed(
     kept: tuple[Instance, ...], segmenter: Segmenter, color: NDArray[np.uint8]
 ) -> tuple[Instance, ...]:
-    """Give the keypoints that a measurement gets: on the axes of SAM's masks."""
+    """Return the keypoints that a measurement gets: on the axes of SAM's masks."""
     drawn = place_keypoints(segmenter.segment(color, kept))
     return tuple(
         replace(one, keypoints=masked.keypoints) for one, masked in zip(kept, drawn, strict=True)

@@ -71,7 +71,7 @@ def _folder_gone(folder: Path) -> Outcome:
 
 @contextmanager
 def _small_disk(folder: Path, size: str) -> Iterator[str]:
-    """Give a folder little room: a small file system of its own, where one can be mounted."""
+    """Limit the room of a folder: a small file system of its own, where one can be mounted."""
     folder.mkdir()
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)],

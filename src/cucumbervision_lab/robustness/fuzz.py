@@ -370,7 +370,7 @@ def _silence() -> None:
 
 
 def _limit_memory(most: int) -> None:
-    """Let the process hold `most` bytes: libraries that are mapped but not loaded do not count."""
+    """Limit the process to `most` bytes: libraries that are mapped but not loaded do not count."""
     mapped, loaded = (
         int(n) * resource.getpagesize() for n in Path("/proc/self/statm").read_text().split()[:2]
     )

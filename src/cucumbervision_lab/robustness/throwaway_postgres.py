@@ -34,7 +34,7 @@ def _folder_of_tools() -> Path | None:
 
 
 def _user() -> pwd.struct_passwd | None:
-    """Give the user that the server runs as, or None where root finds none."""
+    """Return the user that the server runs as, or None where root finds none."""
     if os.getuid() != 0:
         return pwd.getpwuid(os.getuid())
     known = {entry.pw_name: entry for entry in pwd.getpwall()}
@@ -106,7 +106,7 @@ class Cluster:
         self._run("pg_ctl", "-D", str(self._data), "-m", mode, "-w", "stop")
 
     def url(self, database: str = "postgres") -> str:
-        """Give the address of one of its databases."""
+        """Return the address of one of its databases."""
         return f"postgresql://tester@/{database}?host={quote(str(self._folder), safe='')}"
 
     def say(self, command: str, database: str = "postgres") -> None:

@@ -245,7 +245,7 @@ def _cutouts(folder: str) -> tuple[Cutout, ...]:
 
 @lru_cache(maxsize=1)
 def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...]:
-    """Give the photos to paste onto, by their source: a few of a canopy weigh as much as many."""
+    """Return the photos to paste onto, by their source: a few of a canopy weigh as much as many."""
     data = read_coco(Path(folder))
     wide = [p for p in data.in_split("train") if fruitless(p)]
     if not wide:

@@ -32,7 +32,7 @@ _MOST_HIDDEN = 0.55  # of a fruit, by what is brighter
 
 
 def fruitless(picture: LabelledPicture) -> bool:
-    """Tell whether a photo can be pasted onto: it is large enough and shows no fruit.
+    """Return whether a photo can be pasted onto: it is large enough and shows no fruit.
 
     A region to be ignored may hide fruit.
     """
@@ -125,7 +125,7 @@ def _part_of(
 
 
 def _around(amodal: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Give rows and columns of a fruit and of its shadow."""
+    """Return rows and columns of a fruit and of its shadow."""
     ys, xs = np.nonzero(amodal.any(axis=1))[0], np.nonzero(amodal.any(axis=0))[0]
     margin = int(0.6 * np.sqrt(np.count_nonzero(amodal))) + 8
     rows = slice(max(int(ys[0]) - margin, 0), int(ys[-1]) + margin)
@@ -133,7 +133,7 @@ def _around(amodal: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _upright(cutout: Cutout) -> float:
-    """Give the turn in degrees that lets a cut-out hang, whichever end is up."""
+    """Return the turn in degrees that lets a cut-out hang, whichever end is up."""
     pixels = np.argwhere(cutout.mask)[:, ::-1].astype(np.float64)
     _, axes = np.linalg.eigh(np.cov((pixels - pixels.mean(axis=0)).T))
     x, y = axes[:, -1]
@@ -143,7 +143,7 @@ def _upright(cutout: Cutout) -> float:
 def _behind(
     light: NDArray[np.float32], fruit: Placed, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Give how much of each pixel something brighter in front covers, 0 to 1."""
+    """Return how much of each pixel something brighter in front covers, 0 to 1."""
     none = np.zeros_like(light)
     if rng.random() > _HIDDEN:
         return none
@@ -164,7 +164,7 @@ def _softened(mask: ArrayLike, sigma_px: float) -> NDArray[np.float32]:
 def _leaf_over(
     picture: NDArray[np.float32], fruit: Placed, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Give a leaf-shaped piece of the photo that lies over part of a fruit, and where it does."""
+    """Return a leaf-shaped piece of the photo that lies over part of a fruit, and where it does."""
     height, width = picture.shape[:2]
     ys, xs = np.nonzero(fruit.amodal)
     k = int(rng.integers(len(xs)))
@@ -187,7 +187,7 @@ def _leaf_over(
 def _string_over(
     picture: NDArray[np.float32], fruit: Placed, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Give a string or thin stem that crosses a fruit, and where it does."""
+    """Return a string or thin stem that crosses a fruit, and where it does."""
     height, width = picture.shape[:2]
     ys, xs = np.nonzero(fruit.amodal)
     k = int(rng.integers(len(xs)))

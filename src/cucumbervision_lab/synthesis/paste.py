@@ -253,7 +253,7 @@ def place_cutout(
 
 
 def less(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
-    """Give what is left of a label where something new hides part of it, or None.
+    """Return what is left of a label where something new hides part of it, or None.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def losses_of(model: Any) -> list[Any]:
-    """Give the losses of the one-to-many and the one-to-one head, or the only one.
+    """Return the losses of the one-to-many and the one-to-one head, or the only one.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ _FACTOR = 2
 
 
 def assign_coarsely(model: Any) -> None:
-    """Let a segmenting network's loss assign by masks of half the size in both directions.
+    """Make a segmenting network's loss assign by masks of half the size in both directions.
 
     The masks that the network learns stay whole: only the choice of the anchors is coarser.
 

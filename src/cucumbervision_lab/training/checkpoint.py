@@ -79,7 +79,7 @@ def strip(checkpoint: Path, out: Path, place: dict[str, Any]) -> None:
 
 
 def _named(values: dict[str, Any]) -> dict[str, Any]:
-    """Give paths as their last name."""
+    """Return paths as their last name."""
     return {
         key: Path(value).name if isinstance(value, str) and "/" in value else value
         for key, value in values.items()

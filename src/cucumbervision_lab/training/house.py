@@ -363,7 +363,7 @@ def judge_on(
 
 
 def verdict(old: Sequence[Judged], new: Sequence[Judged]) -> tuple[bool, str]:
-    """Tell whether a network is better than another, and why, in a sentence.
+    """Return whether a network is better than another, and why, in a sentence.
 
     Better is what has an F1 higher by 0.01 on the house, and none lower by more than 0.02 on our
     tests.

@@ -119,7 +119,7 @@ def _between(boxes: Any, out: Any, region: Any) -> Any:
 
 
 def ignore_regions(loss: Any) -> None:
-    """Let a head's loss leave out what a batch's map `ignored` says; without one nothing changes.
+    """Leave out of a head's loss what a batch's map `ignored` marks; without one nothing changes.
 
     Parameters
     ----------

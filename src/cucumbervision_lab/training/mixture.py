@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def sources_of(files: Sequence[str], folders: Sequence[str]) -> list[NDArray[np.int64]]:
-    """Tell which pictures lie in which source's folder.
+    """Return which pictures lie in which source's folder.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def pictures_of_epoch(
 def _stream(
     source: NDArray[np.int64], low: int, high: int, seed: tuple[int, int]
 ) -> NDArray[np.int64]:
-    """Give a stretch of an endless row of shuffled rounds through a source."""
+    """Return a stretch of an endless row of shuffled rounds through a source."""
     size = len(source)
     rounds = range(low // size, (high - 1) // size + 1)
     row = np.concatenate([np.random.default_rng([*seed, k]).permutation(source) for k in rounds])

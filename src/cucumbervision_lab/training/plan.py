@@ -70,15 +70,15 @@ class Plan:
         return ",".join(f"{part.size_px}x{part.pictures}" for part in self.parts)
 
     def size_at(self, epoch: int) -> int:
-        """Give the size of the pictures in an epoch, counted from 0."""
+        """Return the size of the pictures in an epoch, counted from 0."""
         return self.parts[self._part_at(epoch)].size_px
 
     def end_of_part(self, epoch: int) -> int:
-        """Give the first epoch after the part that an epoch is in."""
+        """Return the first epoch after the part that an epoch is in."""
         return sum(self._epochs_of_parts()[: self._part_at(epoch) + 1])
 
     def through(self, epochs: int) -> float:
-        """Give the share of the plan that this many epochs are, 0 to 1."""
+        """Return the share of the plan that this many epochs are, 0 to 1."""
         return min(epochs / self.epochs, 1.0)
 
     def _epochs_of_parts(self) -> list[int]:
@@ -220,7 +220,7 @@ class RunState:
 
     @classmethod
     def exists(cls, run: Path) -> bool:
-        """Tell whether a folder holds a run."""
+        """Return whether a folder holds a run."""
         return (run / _STATE_FILE).is_file()
 
     @classmethod

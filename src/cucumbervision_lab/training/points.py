@@ -19,7 +19,7 @@ _STRICT_FROM = 0.7
 
 
 def tolerance_at(progress: float) -> float:
-    """Give the keypoints' tolerance (OKS sigma) while learning.
+    """Return the keypoints' tolerance (OKS sigma) while learning.
 
     It falls evenly in its logarithm from 0.2, Ultralytics' own for five points, to the 0.05 that
     is asked for, which holds for the last three tenths. A network that knows the points already
@@ -81,7 +81,7 @@ def order_by_place(keypoints: Any, width: float, height: float) -> Any:
 
 
 def knows_points(weights: str) -> bool:
-    """Tell whether a checkpoint's network was trained for the five points already.
+    """Return whether a checkpoint's network was trained for the five points already.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def knows_points(weights: str) -> bool:
 
 
 def set_tolerance(model: Any, sigma: float) -> None:
-    """Let loss and assignment judge all points with one tolerance.
+    """Set the tolerance with which loss and assignment judge all points.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def learn_to_assign(model: Any) -> None:
         def pair_overlaps(
             self, indices: Any, gt_bboxes: Any, pd_bboxes: Any, pd_kpts: Any, gt_kpts: Any
         ) -> Any:
-            """Give the overlap of each candidate."""
+            """Return the overlap of each candidate."""
             points = super().pair_overlaps(indices, gt_bboxes, pd_bboxes, pd_kpts, gt_kpts)
             boxes = TaskAlignedAssigner.pair_overlaps(self, indices, gt_bboxes, pd_bboxes)
             return (points + boxes) / 2
@@ -149,7 +149,7 @@ def learn_to_assign(model: Any) -> None:
 
 
 def learn_to_see(model: Any) -> None:
-    """Let a keypoint's confidence tell points that are seen from points that are hidden.
+    """Train a keypoint's confidence to tell points that are seen from points that are hidden.
 
     Ultralytics' tells labelled points from others: a hidden end whose place is labelled would look
     like a seen one. A fruit none of whose points is labelled teaches nothing of them.

@@ -112,7 +112,7 @@ class Recipe:
     schedules: dict[str, Schedule] = field(default_factory=dict)
 
     def source(self, name: str) -> Source:
-        """Give a source by its name."""
+        """Return a source by its name."""
         return next(source for source in self.sources if source.name == name)
 
 

@@ -101,16 +101,16 @@ class TrainOptions:
     overrides: Mapping[str, Any] | None = None
 
     def batch_on(self, device: str) -> int:
-        """Give the pictures at a time on a device."""
+        """Return the pictures at a time on a device."""
         return self.batch or (_BATCH if device == "cpu" else _BATCH_ON_CARD)
 
     def frozen_on(self, device: str) -> int:
-        """Give the layers that stay as they are on a device."""
+        """Return the layers that stay as they are on a device."""
         return self.freeze if self.freeze >= 0 else _FROZEN if device == "cpu" else 0
 
 
 def rate_at(progress: float) -> float:
-    """Give the learning rate as a share of the first one.
+    """Return the learning rate as a share of the first one.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def rate_at(progress: float) -> float:
 
 
 def one_to_many_at(progress: float, first: float) -> float:
-    """Give the one-to-many head's share of the loss.
+    """Return the one-to-many head's share of the loss.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def one_to_many_at(progress: float, first: float) -> float:
 def trainer_settings(
     state: RunState, model: str, out: Path, options: TrainOptions, device: str
 ) -> dict[str, Any]:
-    """Give Ultralytics' settings from the epoch on that a run has come to.
+    """Return Ultralytics' settings from the epoch on that a run has come to.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _network(state: RunState, model: str) -> dict[str, Any]:
 
 
 def choose_device(asked: str) -> str:
-    """Give the device to train on: 'auto' is the first CUDA card, or the CPU without one.
+    """Return the device to train on: 'auto' is the first CUDA card, or the CPU without one.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
 
 
 def _known_labels(folder: Path) -> dict[tuple[object, ...], tuple[Label, ...]]:
-    """Give the labels whose masks were drawn when the folder was built before."""
+    """Return the labels whose masks were drawn when the folder was built before."""
     if not (folder / "annotations.json").is_file():
         return {}
     return {_identity(p): p.labels for p in read_coco(folder).pictures if p.labels}
@@ -137,7 +137,7 @@ def _few_of_each(pictures: Sequence[LabelledPicture], most: int) -> list[Labelle
 
 
 def with_axis_points(dataset: DataSet) -> DataSet:
-    """Give keypoints along the axis of its mask to every whole fruit that has none.
+    """Add keypoints along the axis of its mask to every whole fruit that has none.
 
     Where nobody said which end is the stem's, the order is by chance of where the fruit lies, which
     the label's extras say: good for a network that learns points by place, not for `train ends`.
@@ -272,7 +272,7 @@ def _sheets(source: Source, of: DataSet, folder: Path) -> DataSet:
 
 
 def _first(dataset: DataSet, split: str, count: int) -> tuple[LabelledPicture, ...]:
-    """Give so many pictures of a split, evenly spread."""
+    """Return so many pictures of a split, evenly spread."""
     own = dataset.in_split(split)
     places = np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)
     return tuple(own[k] for k in np.unique(places))

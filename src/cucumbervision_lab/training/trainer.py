@@ -165,7 +165,7 @@ class _Ours:
     cold_steps: int = _WARM_STEPS
 
     def _setup_scheduler(self) -> None:
-        """Let the learning rate fall over the plan."""
+        """Lower the learning rate over the plan."""
         import torch
 
         self.lf = lambda epoch: rate_at(self.course.plan.through(epoch))
@@ -306,7 +306,7 @@ def _average_sooner(trainer: Any) -> None:
 
 
 def _share_of_heads(trainer: Any) -> None:
-    """Let the one-to-many head's share of the loss fall over the plan; say when to validate."""
+    """Lower the one-to-many head's share of the loss over the plan; say when to validate."""
     course, model = trainer.course, trainer.model
     last = course.plan.end_of_part(trainer.epoch)
     trainer.args.val = (trainer.epoch + 1) % course.validate_every == 0 or trainer.epoch + 1 == last
@@ -319,7 +319,7 @@ def _share_of_heads(trainer: Any) -> None:
 
 
 def _warm_up(trainer: Any) -> None:
-    """Let the learning rate rise over the first steps of an optimiser without a memory."""
+    """Raise the learning rate over the first steps of an optimiser without a memory."""
     if not trainer.cold_steps:
         return
     trainer.cold_steps -= 1
@@ -329,7 +329,7 @@ def _warm_up(trainer: Any) -> None:
 
 
 def _be_stricter(trainer: Any) -> None:
-    """Let the points' tolerance fall over the plan."""
+    """Lower the points' tolerance over the plan."""
     course = trainer.course
     progress = 1.0 if course.strict else course.plan.through(trainer.epoch)
     set_tolerance(trainer.model, tolerance_at(progress))

@@ -81,7 +81,7 @@ def pair_up(
 
 
 def _pair_role(name: str) -> tuple[str, str]:
-    """Tell from a file's name which part of a pair it is: 'depth', 'color' or '', and the key.
+    """Return which part of a pair a file is by its name ('depth', 'color' or ''), and the key.
 
     Both parts of a pair have one key.
 

@@ -289,7 +289,7 @@ def _correct(detail: DetectionDetail, draw: Callable[[], NDArray[np.bool_]]) -> 
 def add_fruit(
     stop: StopRecord, capture: Capture, point: list[float] | None, box: list[float] | None
 ) -> None:
-    """Let the fruit at a point or in a box be segmented, measured and added to its capture's."""
+    """Segment and measure the fruit at a point or in a box, and add it to its capture's."""
     options, measurer, store = (
         resources.settings().options,
         resources.measurer(),

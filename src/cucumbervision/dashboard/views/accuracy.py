@@ -286,10 +286,13 @@ def _scores(one: RoundView, path: Path) -> None:
             "95 %": "needs 3 fruit"
             if score.low_percent != score.low_percent
             else f"{score.low_percent:.1f} to {score.high_percent:.1f} %",
+            "Measured": f"{100 * score.metrics.measured:.0f} %",
         }
         for score in found.scores
     ]
     page_elements.table(lines)
+    if any(score.metrics.measured < 1 for score in found.scores):
+        st.caption("A fruit that a method did not measure counts as an error of 100 %.")
     for note in found.notes:
         st.caption(plain(note))
     st.subheader("Calibrate this site")

@@ -38,7 +38,8 @@ class RowFruit:
     place_m, place_sd_m : ndarray of float64, shape (F, 3)
         Middle in the row's frame: along, up, into the row; metres.
     length_m, length_sd : ndarray of float64, shape (F,)
-        Length of the best view, NaN where none has one, and its relative standard deviation.
+        Length of all whole views together (`combined_length`), or of the best one where none is
+        whole; NaN where none has a length; and its relative standard deviation.
     partial : ndarray of bool, shape (F,)
         Whether that is a lower bound.
     """
@@ -75,8 +76,14 @@ def best_views(merged: Merged, views: RowViews) -> Ints:
 
 
 def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
-    """Return the fruit of a merged row: place from all views, sizes from the best one."""
+    """Return the fruit of a merged row: place and length from all views of each."""
     best = best_views(merged, views)
+    length_m, length_sd = views.length_m[best], views.length_sd[best]
+    for f in np.flatnonzero(~views.partial[best]):
+        own = np.flatnonzero(merged.cluster == f)
+        found = combined_length(views.length_m[own], views.length_sd[own], views.partial[own])
+        if found is not None:
+            length_m[f], length_sd[f] = found[0], found[1] / found[0]
     place = merged.place_m(views)
     weight = 1.0 / views.offset_sd_m**2
     count = len(best)
@@ -89,8 +96,8 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
         best,
         middle / sums,
         np.sqrt(1.0 / sums + stop_sd**2),
-        views.length_m[best],
-        views.length_sd[best],
+        length_m,
+        length_sd,
         views.partial[best],
     )
 

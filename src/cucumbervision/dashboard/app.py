@@ -43,7 +43,7 @@ _KEPT_INPUTS = (
     "round",
     *("source", "fruit", "color_by", "list_page", "pick_row"),
 )
-_SESSION_CHECK_S = 30.0
+_SESSION_CHECK_S = 10.0
 
 _STYLE = """<style>
 .stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {

@@ -51,6 +51,10 @@ def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
         # Beside its own greeting this silences what Streamlit offers to developers on the page.
         "logger.hideWelcomeMessage": "true",
         "server.fileWatcherType": "none",
+        # A collection after each run of a part of a page, several times a second where a camera's
+        # picture is shown, looks through all packages: 0.16 s each, in which nothing is measured.
+        # Python collects by itself when there is something to collect.
+        "runner.postScriptGC": "false",
         "server.maxUploadSize": 200,
         # Streamlit names a large part that it has sent before by its hash; a page that no longer
         # has it ends in "Cached ForwardMsg MISS". Beyond this size, in bytes, it would do so.

@@ -73,6 +73,10 @@ if TYPE_CHECKING:
 
 _PLACE = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m")
 _IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, DetectionLine.number)
+# Once, since an alias reads all columns of its table when it is first used.
+_ONE, _OTHER = aliased(DetectionLine), aliased(DetectionLine)
+_BOTH_STAND = and_(stands(_ONE), stands(_OTHER))
+_FIRST_CAPTURE = aliased(CaptureLine)
 
 
 class Queries(Database):
@@ -316,15 +320,14 @@ def links_of(
 ) -> list[LinkRecord]:
     """Return the links that have not ended and touch a round."""
     round_id = round_id_of(connection, round_key)
-    first, second = aliased(DetectionLine), aliased(DetectionLine)
     query = (
-        select(Link.kind, first.key, second.key, Link.score, Link.action_id)
-        .join(first, first.id == Link.first_id)
-        .join(second, second.id == Link.second_id)
+        select(Link.kind, _ONE.key, _OTHER.key, Link.score, Link.action_id)
+        .join(_ONE, _ONE.id == Link.first_id)
+        .join(_OTHER, _OTHER.id == Link.second_id)
         .where(
             Link.ended_by_id.is_(None),
             or_(Link.first_round_id == round_id, Link.second_round_id == round_id),
-            *(stands(first), stands(second)),
+            _BOTH_STAND,
         )
         .order_by(Link.id)
     )
@@ -345,7 +348,6 @@ def _stop_query(round_id: int) -> Any:
         .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
         .where(CaptureLine.stop_id == StopLine.id, STANDS)
     )
-    first = aliased(CaptureLine)
     return (
         select(
             StopLine.key,
@@ -357,8 +359,11 @@ def _stop_query(round_id: int) -> Any:
             *IMAGE_COLUMNS,
         )
         .outerjoin(Row, Row.id == StopLine.row_id)
-        .outerjoin(first, and_(first.stop_id == StopLine.id, first.number == 0))
-        .outerjoin(Image, Image.sha256 == first.thumbnail_sha256)
+        .outerjoin(
+            _FIRST_CAPTURE,
+            and_(_FIRST_CAPTURE.stop_id == StopLine.id, _FIRST_CAPTURE.number == 0),
+        )
+        .outerjoin(Image, Image.sha256 == _FIRST_CAPTURE.thumbnail_sha256)
         .where(StopLine.round_id == round_id, ~StopLine.deleted)
         .order_by(StopLine.taken_s, StopLine.id)
     )

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
@@ -81,3 +83,27 @@ def test_who_writes_for_too_long_is_named_as_such(
         ):
             pass
     other.close()
+
+
+def test_a_file_that_another_writes_to_just_now_is_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "house.db"
+    with closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False)) as other:
+        # No WAL yet: SQLite refuses to switch to it now, and does not wait by itself.
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(sqlite3.OperationalError), closing(sqlite3.connect(path)) as eager:
+            eager.execute("PRAGMA journal_mode = WAL")
+        end = Timer(0.3, lambda: other.execute("COMMIT"))
+        end.start()
+        with open_store(path) as store:
+            assert store.rounds() == []
+        end.join()
+
+
+def test_a_file_that_another_never_leaves_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cucumbervision.store.engine.BUSY_TIMEOUT_S", 0.1)
+    with closing(sqlite3.connect(tmp_path / "house.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(StoreError, match="is locked; another program is writing"):
+            open_store(tmp_path / "house.db")

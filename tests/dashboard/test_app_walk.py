@@ -188,6 +188,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     tablet.get_by_text("Files of this round").tap()
     for name in ("Parquet", "JSON"):
         tablet.get_by_test_id("stButtonGroup").get_by_text(name, exact=True).tap()
+        tablet.get_by_role("button", name=name, exact=True, pressed=True).wait_for()
     tablet.get_by_role("button", name="Make the files").tap()
     load = tablet.get_by_role("button", name="Download", exact=True)
     load.wait_for()  # making them may take as long as the download is waited for

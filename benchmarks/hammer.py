@@ -194,14 +194,21 @@ def served(path: Path, log: Path, port: int) -> subprocess.Popen[bytes]:
         server = subprocess.Popen(
             [*command, "--store", str(path)], cwd=path.parent, stdout=out, stderr=out
         )
+    if not answers(server, f"http://127.0.0.1:{port}"):
+        raise SystemExit(log.read_text())
+    return server
+
+
+def answers(server: subprocess.Popen[bytes], address: str) -> bool:
+    """Wait until a dashboard answers; return whether it did before it ended."""
     while server.poll() is None:
         try:
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/_stcore/health", timeout=10).close()
+            urllib.request.urlopen(f"{address}/_stcore/health", timeout=10).close()
         except OSError:
             time.sleep(0.3)
         else:
-            return server
-    raise SystemExit(log.read_text())
+            return True
+    return False
 
 
 def main() -> None:

@@ -19,10 +19,9 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from pathlib import Path
 
-from hammer import FLAGS
+from hammer import FLAGS, answers
 from playwright.sync_api import Browser, sync_playwright
 
 from cucumbervision.capture.source import bundled_captures
@@ -48,14 +47,9 @@ def served(store: Path, *, collects: bool) -> tuple[subprocess.Popen[bytes], str
         env={**os.environ, **named},
     )
     address = f"http://127.0.0.1:{port}"
-    while server.poll() is None:
-        try:
-            urllib.request.urlopen(f"{address}/_stcore/health", timeout=10).close()
-        except OSError:
-            time.sleep(0.3)
-        else:
-            return server, address
-    raise SystemExit("the server ended")
+    if not answers(server, address):
+        raise SystemExit("the server ended")
+    return server, address
 
 
 def processor_s(pid: int) -> float:

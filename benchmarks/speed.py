@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the program does, before NumPy is there
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # what is compared with the package too
 
 import argparse
 import json

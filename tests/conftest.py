@@ -290,7 +290,6 @@ def run(
 
         words = [str(one) for one in arguments]
         monkeypatch.setattr("sys.argv", ["cucumbervision", *words])
-        monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")  # main sets it: let it go again
         capfd.readouterr()
         code = 0
         try:

@@ -17,6 +17,7 @@ import numpy as np
 
 from cucumbervision.agronomy.kalman import Basis, Spreads, kalman_filter, measured_histories
 from cucumbervision.errors import ForecastError
+from cucumbervision.geometry.threads import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -235,6 +236,7 @@ class Growth:
     root: NDArray[np.float64]
 
 
+@OneThread()
 def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Growth:
     """Learn growth from links.
 

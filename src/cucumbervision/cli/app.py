@@ -6,7 +6,6 @@ Exit codes are in `cli.choices.EXIT_CODES`.
 from __future__ import annotations
 
 import logging
-import os
 import sys
 import traceback
 from importlib.metadata import entry_points
@@ -83,9 +82,6 @@ def _options(
 
 def main() -> None:
     """Run the command line; the console script's entry point."""
-    # The geometry's matrices are small: threads of its own make NumPy slower, and on a busy
-    # machine, or beside other workers, many times slower. Networks have their own threads.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.basicConfig(level=logging.WARNING, format="cucumbervision: %(message)s")
     try:
         app()

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.geometry.axis import AlignedCloud, align_near
+from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.cloud import box_points, masked_points
 from cucumbervision.measurement.m1 import measure_m1
 from cucumbervision.measurement.m2_m3 import GATE_M, measure_m2, measure_m3
@@ -69,6 +70,7 @@ class Region:
         return box_points(self.depth_m, self.box, self.intrinsics)
 
 
+@OneThread()
 def run_methods(region: Region, methods: Iterable[Method] = AVAILABLE) -> dict[Method, Measurement]:
     """Measure one fruit by each of the methods.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.cloud import box_pixels
 from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.m4 import MIN_VISIBILITY, endpoints_visible
@@ -204,6 +205,7 @@ def _order(mask_points: int | None, box: NDArray[np.float64]) -> tuple[Choice, l
     return Choice.SPARSE_MASK, [Method.M3, *by_box]
 
 
+@OneThread()
 def measure_fruit(
     capture: Capture,
     instance: Instance,

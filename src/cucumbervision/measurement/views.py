@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.geometry.threads import OneThread
 from cucumbervision.geometry.tube_views import SeenFrom, fit_views
 from cucumbervision.measurement.m6 import PART_HIDDEN, fit_view, judged_fit, view_tube
 from cucumbervision.measurement.result import (
@@ -90,6 +91,7 @@ class JointFruit:
     poses: Mapping[int, NDArray[np.float64]]
 
 
+@OneThread()
 def measure_views(
     views: Sequence[FruitView],
     definition: LengthDefinition = LengthDefinition.THREAD,

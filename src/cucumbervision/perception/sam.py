@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import ModelError
+from cucumbervision.geometry.threads import OneThread
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import (
@@ -131,6 +132,7 @@ class Segmenter:
         """What runs the encoder, with the precision."""
         return self._encoder.runtime
 
+    @OneThread()
     def segment(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
     ) -> tuple[Instance, ...]:
@@ -181,6 +183,7 @@ class Segmenter:
             for i, instance in enumerate(instances)
         )
 
+    @OneThread()
     def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
         """Draw the mask of what lies at one pixel, whatever `prompt` says.
 

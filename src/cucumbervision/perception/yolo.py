@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.geometry.threads import OneThread
 from cucumbervision.perception.boxes import suppress
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor
 from cucumbervision.perception.input_sizes import merge_sizes, parse_input_sizes
@@ -412,6 +413,7 @@ class YoloDetector:
         """What runs it, as `Network.runtime`."""
         return self._network.runtime
 
+    @OneThread()
     def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
         """Find fruit in one picture, at every input size.
 

@@ -11,6 +11,7 @@ from cucumbervision.calibration.corrections import Form, corrected
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CalibrationError, InternalError, named_error
+from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.result import (
     Choice,
     Flag,
@@ -258,6 +259,7 @@ class Measurer:
         """
         return self.measure_detected(self.detect(capture))
 
+    @OneThread()
     def detect(self, capture: Capture) -> DetectedCapture:
         """Find the fruit of one capture: the first half of `measure`.
 
@@ -271,6 +273,7 @@ class Measurer:
             capture = calibrated_capture(capture, self.site)
         return DetectedCapture(capture, finder.find(capture))
 
+    @OneThread()
     def measure_detected(
         self, detected: DetectedCapture, chosen: Collection[int] | None = None
     ) -> CaptureResult:

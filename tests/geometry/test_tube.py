@@ -42,19 +42,35 @@ def test_a_swallowed_ball_reaches_no_further_than_its_swallower() -> None:
     step = 0.1 / 49
     axis = axis_path(centres, radii)
     assert axis[-1, 0] == pytest.approx(0.1 - 2 * step + 0.02)
-    # A thread over the same body: straight, and a quarter circle at either end.
-    thread = thread_length(centres, radii, np.array([0.0, 1.0, 0.0]))
-    assert thread == pytest.approx(0.1 - 2 * step + np.pi * 0.02, rel=0.01)
 
 
-def test_a_cone_with_round_ends_has_the_thread_of_its_flank() -> None:
-    # Radii falling by sin a along the axis: the flank is shorter than the axis by cos a, and the
-    # arcs turn by 90 degrees plus a at the thick end and minus a at the thin one.
+def test_the_outer_side_of_a_straight_body_is_its_centreline_whatever_its_girth() -> None:
     radii = np.linspace(0.03, 0.01, 400)
-    a = np.arcsin(0.02 / 0.2)
-    by_hand = 0.2 * np.cos(a) + 0.03 * (np.pi / 2 + a) + 0.01 * (np.pi / 2 - a)
     thread = thread_length(straight(0.2, radii), radii, np.array([0.0, 1.0, 0.0]))
-    assert thread == pytest.approx(by_hand, rel=1e-3)
+    assert thread == pytest.approx(0.2 + 0.03 + 0.01, rel=1e-9)
+
+
+def test_the_outer_side_of_a_quarter_turn_by_hand() -> None:
+    # (R + r) pi / 2 on the outer side, and a radius straight on at each end.
+    t = np.linspace(0, np.pi / 2, 2001)
+    centres = 0.15 * np.stack([np.sin(t), np.cos(t), 0 * t], axis=1)
+    outward = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
+    by_hand = (0.15 + 0.02) * np.pi / 2 + 2 * 0.02
+    assert thread_length(centres, np.full(2001, 0.02), outward) == pytest.approx(by_hand, rel=1e-4)
+    # Which side is called outward does not matter, nor does the direction of travel.
+    again = thread_length(centres[::-1], np.full(2001, 0.02), -outward)
+    assert again == pytest.approx(by_hand, rel=1e-4)
+
+
+def test_where_the_radius_changes_it_weighs_the_turning_there() -> None:
+    # The first half turns by 0.6 rad at 3 cm, the second by 0.4 rad at 1 cm: 0.018 + 0.004 m.
+    heading = np.concatenate([np.linspace(0, 0.6, 2000), np.linspace(0.6, 1.0, 2000)])
+    steps = 5e-5 * np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=1)
+    centres = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    radii = np.where(np.arange(4001) < 2000, 0.03, 0.01)
+    outward = bending_direction(centres)
+    by_hand = 0.2 + 0.03 + 0.01 + 0.6 * 0.03 + 0.4 * 0.01
+    assert thread_length(centres, radii, outward) == pytest.approx(by_hand, rel=1e-4)
 
 
 def test_the_inner_arc_of_a_bend() -> None:

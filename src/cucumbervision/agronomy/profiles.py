@@ -153,7 +153,7 @@ class CropProfile(_Strict):
     """
 
     title: Annotated[str, Field(min_length=1)]
-    length: LengthDefinition = LengthDefinition.THREAD
+    length: LengthDefinition = LengthDefinition.CENTRELINE
     acceptance: LengthLimits
     classes: Annotated[tuple[LengthClass, ...], Field(min_length=1)]
     pick: Annotated[tuple[str, ...], Field(min_length=1)]

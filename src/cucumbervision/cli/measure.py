@@ -92,7 +92,7 @@ def measure(
     pose: Pose = None,
     methods: Methods = "all",
     selector: SelectorChoice = Selector.BEST,
-    length: Length = LengthDefinition.THREAD,
+    length: Length = LengthDefinition.CENTRELINE,
     segmenter: Segmenter = None,
     prompt: Prompt = "box+point",
     confidence: Confidence = DEFAULT_CONFIDENCE,

@@ -110,7 +110,7 @@ def add(
         Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
     ] = None,
     instances: Instances = "auto",
-    length: Length = LengthDefinition.THREAD,
+    length: Length = LengthDefinition.CENTRELINE,
     confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
     calibration: Calibration = None,

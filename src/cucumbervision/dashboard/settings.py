@@ -120,7 +120,7 @@ class Settings(BaseModel):
     confidence: Share = DEFAULT_CONFIDENCE
     input_sizes: Annotated[tuple[InputSize, ...], Field(max_length=2)] = ()
     selector: Selector = Selector.BEST
-    length: LengthDefinition = LengthDefinition.THREAD
+    length: LengthDefinition = LengthDefinition.CENTRELINE
     fruit_from: Annotated[
         Literal["auto", "models", "dataset"],
         BeforeValidator(lambda x: "auto" if x == "automatic" else x),  # as older files say

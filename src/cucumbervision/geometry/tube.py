@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12
 BALLS = 64
-_CAP_STEPS = 40
-_SWALLOWED_M = 1e-5
 
 _ROUNDS = 4
 _DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
@@ -321,7 +319,10 @@ def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArray[Any]) -> float:
-    """Return the length of a thread laid from pole to pole over the convex side.
+    """Compute the length of the outer side of the bend between the two poles.
+
+    It is the centreline's length plus |∫ κ r ds|, where κ is the signed curvature in the plane
+    of bending and r the radius. For a straight body it is the centreline's length.
 
     Parameters
     ----------
@@ -335,32 +336,27 @@ def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArr
     Returns
     -------
     float
-        Metres: along the balls' envelope on that side, and over each end from the envelope's
-        last contact to the pole.
+        Metres.
 
     Examples
     --------
-    A straight body of radius r with its end centres a apart: a + pi r.
+    An arc of radius 0.3 over half a radian, 0.02 thick: (0.3 + 0.02) / 2, and a radius at each
+    end.
 
-    >>> x = np.linspace(0, 0.2, 101)
-    >>> centres = np.stack([x, 0 * x, 0 * x], axis=1)
-    >>> length = thread_length(centres, np.full(101, 0.02), np.array([0.0, 1.0, 0.0]))
-    >>> round(length, 6), round(0.2 + np.pi * 0.02, 6)
-    (0.262828, 0.262832)
+    >>> t = np.linspace(0, 0.5, 801)
+    >>> centres = 0.3 * np.stack([np.sin(t), np.cos(t), 0 * t], axis=1)
+    >>> out = np.array([np.sin(0.25), np.cos(0.25), 0.0])
+    >>> round(thread_length(centres, np.full(801, 0.02), out), 4)
+    0.2
     """
-    centres, radii = _reaching(centres_m, radii_m)
-    contact, slope, tangents, across = _contacts(centres, radii, outward)
-    last = len(radii) - 1
-    caps = []
-    for end, sign, angle in ((0, -1.0, np.arccos(slope[0])), (last, 1.0, np.arccos(-slope[-1]))):
-        turn = np.linspace(0.0, angle, _CAP_STEPS)[:, None]
-        step = sign * np.cos(turn) * tangents[end] + np.sin(turn) * across[end]
-        caps.append(centres[end] + radii[end] * step)
-    line = np.vstack([caps[0], contact[1:-1], caps[1][::-1]])
-    # Where a ball is swallowed by others its contact lies inside the body: no thread runs there.
-    gap = np.sqrt(_squared_distances(line, centres)) - radii
-    line = line[gap.min(axis=1) > -_SWALLOWED_M]
-    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) if len(line) > 1 else 0.0
+    axis = axis_path(centres_m, radii_m)
+    _, radii = _reaching(centres_m, radii_m)
+    chord = _unit(axis[-1] - axis[0])
+    across = _unit(outward - (outward @ chord) * chord)
+    steps = np.diff(axis, axis=0)
+    heading = np.unwrap(np.arctan2(steps @ across, steps @ chord))
+    # The axis turns at its inner points, each the centre of one ball.
+    return float(arc_positions(axis)[-1] + abs(np.diff(heading) @ radii))
 
 
 def inner_arc_height(
@@ -459,11 +455,6 @@ def _contacts(
     lean = slope[:, None]
     touch = -lean * tangents + np.sqrt(1 - lean**2) * across
     return centres_m + radii_m[:, None] * touch, slope, tangents, across
-
-
-def _squared_distances(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-    square = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1) - 2 * a @ b.T
-    return np.asarray(np.maximum(square, 0.0))
 
 
 def _unit(vector: NDArray[Any]) -> NDArray[np.float64]:

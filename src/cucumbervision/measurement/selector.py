@@ -211,7 +211,7 @@ def measure_fruit(
     instance: Instance,
     methods: Iterable[Method] = AVAILABLE,
     selector: Selector = Selector.BEST,
-    definition: LengthDefinition = LengthDefinition.THREAD,
+    definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
     scale_known: bool = False,
     models: IntervalModels | None = None,

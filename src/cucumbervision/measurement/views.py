@@ -94,7 +94,7 @@ class JointFruit:
 @OneThread()
 def measure_views(
     views: Sequence[FruitView],
-    definition: LengthDefinition = LengthDefinition.THREAD,
+    definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
     scale_known: bool = False,
     models: IntervalModels | None = None,

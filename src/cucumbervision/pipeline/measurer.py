@@ -373,7 +373,7 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
 def calibrated_fruit(
     fruit: FruitMeasurement,
     site: SiteCalibration,
-    definition: LengthDefinition = LengthDefinition.THREAD,
+    definition: LengthDefinition = LengthDefinition.CENTRELINE,
 ) -> FruitMeasurement:
     """Return a fruit with its length corrected; the single methods stay as they were read.
 

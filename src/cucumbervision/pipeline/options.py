@@ -66,7 +66,7 @@ class MeasureOptions:
     prompt: str = "box+point"
     methods: tuple[Method, ...] = AVAILABLE
     selector: Selector = Selector.BEST
-    length: LengthDefinition = LengthDefinition.THREAD
+    length: LengthDefinition = LengthDefinition.CENTRELINE
     confidence: float = DEFAULT_CONFIDENCE
     input_sizes: tuple[int, ...] = ()
     runtime: str = "auto"

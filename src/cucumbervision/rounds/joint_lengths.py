@@ -155,7 +155,7 @@ class _StoredView:
         """Which length was asked for."""
         options = [one.details for one in self.stop.artifacts if one.kind == "config"]
         asked = options[0].get("length") if options else None
-        return LengthDefinition(asked or self.record.length_kind or LengthDefinition.THREAD)
+        return LengthDefinition(asked or self.record.length_kind or LengthDefinition.CENTRELINE)
 
 
 class _Source:

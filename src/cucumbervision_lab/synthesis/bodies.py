@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.geometry.curve import polyline_length
+from cucumbervision.geometry.tube import thread_length
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 _BALLS = 800  # at 25 cm a ball every 0.3 mm: the surface ripples by less than a micrometre
-
-_CAP_POINTS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,41 +64,8 @@ class Tube:
 
     @property
     def thread_m(self) -> float:
-        """Length of a taut thread laid from pole to pole over the `outward` side, metres.
-
-        It is the shortest line in the plane of bending that leaves each pole over the round end
-        on that side and never enters the body: on the body where its outline is convex, straight
-        where it is hollow (the far half of an S, the root of a neck). Meant for plane bends.
-        """
-        return polyline_length(self.thread_path_m)
-
-    @property
-    def thread_path_m(self) -> NDArray[np.float64]:
-        """The taut thread of `thread_m` as a polyline, shape (N, 3), metres."""
-        tangents = np.gradient(self.centres_m, axis=0)
-        speed = np.linalg.norm(tangents, axis=1)
-        tangents /= speed[:, None]
-        # The side that stays outward all along a plane bend: perpendicular to the tangent.
-        across = self.outward - (tangents @ self.outward)[:, None] * tangents
-        across /= np.linalg.norm(across, axis=1)[:, None]
-        slope = np.clip(np.gradient(self.radii_m) / speed, -1.0, 1.0)
-        # Angle of the contact with the common envelope, from the tangent towards outward; at the
-        # ends the thread turns from there to the pole (pi at the blossom end, 0 at the stem end).
-        angle = np.arccos(-slope)
-        first, last = (np.full(_CAP_POINTS, k) for k in (0, len(self.radii_m) - 1))
-        k = np.concatenate([first, np.arange(len(self.radii_m)), last])
-        angles = np.concatenate(
-            [
-                np.linspace(np.pi, angle[0], _CAP_POINTS, endpoint=False),
-                angle,
-                np.linspace(0.0, angle[-1], _CAP_POINTS, endpoint=False)[::-1],
-            ]
-        )[:, None]
-        around = np.cos(angles) * tangents[k] + np.sin(angles) * across[k]
-        line = self.centres_m[k] + self.radii_m[k, None] * around
-        chord = self.poles_m[1] - self.poles_m[0]
-        kept = _taut(np.stack([line @ chord, line @ self.outward], axis=1))
-        return np.asarray(line[kept])
+        """Length of the outer side of the bend between the poles, metres."""
+        return thread_length(self.centres_m, self.radii_m, self.outward)
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Tube:
         """Return the body turned about the origin by a 3x3 rotation, then moved by metres."""
@@ -113,21 +79,6 @@ class Tube:
         first = self.centres_m[1] - self.centres_m[0]
         last = self.centres_m[-1] - self.centres_m[-2]
         return first / np.linalg.norm(first), last / np.linalg.norm(last)
-
-
-def _taut(line: NDArray[np.float64]) -> NDArray[np.intp]:
-    # What stays of a line that has the body on its right when it is pulled tight: every point at
-    # which the line would turn left is let go. No two points in a row may coincide.
-    kept: list[int] = []
-    points = line.tolist()
-    for k, (x, y) in enumerate(points):
-        while len(kept) > 1:
-            (x0, y0), (x1, y1) = points[kept[-2]], points[kept[-1]]
-            if (x1 - x0) * (y - y1) <= (y1 - y0) * (x - x1):
-                break
-            kept.pop()
-        kept.append(k)
-    return np.array(kept)
 
 
 def arc_tube(
@@ -166,12 +117,12 @@ def arc_tube(
 
     Examples
     --------
-    By hand, for an arc of radius R over an angle p, the thread is (R + r) p + pi r:
+    By hand, for an arc of radius R over an angle p, the outer side is (R + r) p + 2 r:
 
     >>> tube = arc_tube(0.25, 0.02, 0.30)
     >>> angle = (0.25 - 2 * 0.02) / 0.30
-    >>> round(tube.thread_m, 4), round((0.30 + 0.02) * angle + np.pi * 0.02, 4)
-    (0.2868, 0.2868)
+    >>> round(tube.thread_m, 4), round((0.30 + 0.02) * angle + 2 * 0.02, 4)
+    (0.264, 0.264)
     >>> round(tube.centreline_m, 6)
     0.25
     """
@@ -288,7 +239,7 @@ def bent_tube(
     --------
     >>> tube = bent_tube(0.25, np.full(800, 0.02), np.full(800, 1 / 0.30))
     >>> round(tube.centreline_m, 6), round(tube.thread_m, 4)  # as arc_tube(0.25, 0.02, 0.30)
-    (0.25, 0.2868)
+    (0.25, 0.264)
     """
     run = length_m - radii_m[0] - radii_m[-1]
     if run <= 0:

@@ -226,7 +226,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
         "Measured by hand",
         list(LengthDefinition),
         format_func=lambda x: str(x).capitalize(),
-        default=LengthDefinition.THREAD,
+        default=LengthDefinition.CENTRELINE,
         required=True,
         help="Thread: laid over the outer side, from end to end. Chord: with calipers.",
     )
@@ -252,7 +252,7 @@ def _table(fruit: list[DetectionView], path: Path) -> None:
     if st.button("Save these lengths", type="primary", icon=":material/save:"):
         for view, line in zip(shown, edited, strict=True):
             known[view.key] = _typed_m(line["First"]), _typed_m(line["Second"])
-        write_hand_lengths(path, fruit, known, kind or LengthDefinition.THREAD)
+        write_hand_lengths(path, fruit, known, kind or LengthDefinition.CENTRELINE)
         st.rerun()
 
 

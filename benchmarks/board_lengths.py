@@ -180,8 +180,12 @@ def main() -> None:
             table.add_row(name, str(len(some)), kind, *(f"{x:.1f}" for x in figures))
     Console(width=100, highlight=False).print(table)
     rng = np.random.default_rng(0)
-    drawn = [convention(resampled(fruit, rng)) for _ in range(BOOTSTRAPS)]
-    low, high = np.quantile(drawn, [0.025, 0.975])
+    samples = [resampled(fruit, rng) for _ in range(BOOTSTRAPS)]
+    for kind in KINDS:
+        medians = [100 * np.log(one[kind] / one["tape"]).median() for one in samples]
+        low, high = np.quantile(medians, [0.025, 0.975])
+        print(f"{kind} against the tape by the rulers' scale: 95 % [{low:+.1f}, {high:+.1f}] %")
+    low, high = np.quantile([convention(one) for one in samples], [0.025, 0.975])
     logs = np.log(fruit[list(KINDS)]).sub(np.log(fruit["chord"]), axis=0).sum()
     print(
         f"the tape lies at {convention(fruit):.2f} between chord (0) and thread (1), "

@@ -242,6 +242,16 @@ def _edges(tube: TubeTraits) -> NDArray[np.float64]:
     return np.stack([axis + out, axis - out])
 
 
+def _outer_side(body: Tube) -> NDArray[np.float64]:
+    # The axis moved outward by the radius, straight on beyond the round ends as the axis is.
+    ahead = np.gradient(body.axis_m, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1)[:, None]
+    across = body.outward - (ahead @ body.outward)[:, None] * ahead
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    radii = np.pad(body.radii_m, 1, mode="edge")
+    return np.asarray(body.axis_m + radii[:, None] * across)
+
+
 def draw_lengths() -> Figure:
     """Return the figure of the three lengths of a fruit, in the plane of its bend."""
     body = build_scene(next(demo for demo in SCENES if demo.name == SCENE))[0].fruit[BENT]
@@ -255,7 +265,7 @@ def draw_lengths() -> Figure:
         axes.add_patch(Circle((centre[0], centre[1]), 100 * radius, color=GREY, lw=0))
     for (name, length, path), style in zip(
         (
-            ("thread", body.thread_m, body.thread_path_m),
+            ("thread", body.thread_m, _outer_side(body)),
             ("centreline", body.centreline_m, body.axis_m),
             ("chord", body.chord_m, body.poles_m),
         ),

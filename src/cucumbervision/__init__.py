@@ -10,7 +10,7 @@ Examples
 >>> measurer = cucumbervision.Measurer(cucumbervision.MeasureOptions(instances="dataset"))
 >>> length = measurer.measure(capture).fruit[0].length
 >>> f"{capture.name}: {length.value_m:.2f} m ({length.low_m:.2f} to {length.high_m:.2f})"
-'simulated-bench: 0.18 m (0.18 to 0.19)'
+'simulated-bench: 0.16 m (0.16 to 0.17)'
 """
 
 import os

@@ -12,28 +12,38 @@ LONG = load_profile("long-cucumber")
 STRICT = LONG.model_copy(update={"size_rules": "decide"})
 # 400 g at 960 kg/m3, straight, as long as the weight asks for.
 SOUND = GradingTraits(
-    thread_m=0.30, chord_m=0.28, inner_arc_mm_per_10cm=4.0, volume_m3=0.4 / 960, diameter_max_m=0.04
+    centreline_m=0.30,
+    chord_m=0.28,
+    inner_arc_mm_per_10cm=4.0,
+    volume_m3=0.4 / 960,
+    diameter_max_m=0.04,
 )
 
 
-def sure(thread_m: float, half: float) -> GradingTraits:
-    belief = LengthBelief.from_interval(thread_m, thread_m / (1 + half), thread_m * (1 + half))
-    return replace(SOUND, thread_m=thread_m, belief=belief, belief_of=LengthDefinition.THREAD)
+def sure(centreline_m: float, half: float) -> GradingTraits:
+    belief = LengthBelief.from_interval(
+        centreline_m, centreline_m / (1 + half), centreline_m * (1 + half)
+    )
+    return replace(
+        SOUND, centreline_m=centreline_m, belief=belief, belief_of=LengthDefinition.CENTRELINE
+    )
 
 
 @pytest.mark.parametrize(
-    ("thread_m", "name", "said"),
+    ("centreline_m", "name", "said"),
     [
-        (0.1999, OUT_OF_GRADE, "thread length 20.0 cm is under 20"),
-        (0.20, "II", "class II: thread length 20.0 cm is in [20, 25)"),
-        (0.2499, "II", "class II: thread length 25.0 cm is in [20, 25)"),
-        (0.25, "I", "class I: thread length 25.0 cm is in [25, 35)"),
+        (0.1999, OUT_OF_GRADE, "centreline length 20.0 cm is under 20"),
+        (0.20, "II", "class II: centreline length 20.0 cm is in [20, 25)"),
+        (0.2499, "II", "class II: centreline length 25.0 cm is in [20, 25)"),
+        (0.25, "I", "class I: centreline length 25.0 cm is in [25, 35)"),
         (0.3499, "I", "class I"),
-        (0.35, OUT_OF_GRADE, "out of grade: thread length 35.0 cm is 35 or more"),
+        (0.35, OUT_OF_GRADE, "out of grade: centreline length 35.0 cm is 35 or more"),
     ],
 )
-def test_classes_of_the_paper_hold_their_lower_end(thread_m: float, name: str, said: str) -> None:
-    found = grade(replace(SOUND, thread_m=thread_m), LONG)
+def test_classes_of_the_paper_hold_their_lower_end(
+    centreline_m: float, name: str, said: str
+) -> None:
+    found = grade(replace(SOUND, centreline_m=centreline_m), LONG)
     assert found.name == name
     assert said in found.rules[0]
     assert found.verdict is (Verdict.OUT if name == OUT_OF_GRADE else Verdict.IN_CLASS)
@@ -54,7 +64,7 @@ def test_crooked_fruit_are_lowered(arc: float, shape: str, name: str, best: str)
     if name == "II":
         assert found.rules[0].startswith(f"at best class II, {shape}: inner arc {arc:.1f} mm")
         assert "FFV-15" in found.rules[0]
-        assert found.rules[1].startswith("class I: thread length 30.0 cm")
+        assert found.rules[1].startswith("class I: centreline length 30.0 cm")
 
 
 def test_mass_is_volume_times_the_profiles_density() -> None:
@@ -109,27 +119,27 @@ def test_shape_moves_probability_to_the_class_it_allows() -> None:
 
 def test_interval_of_another_length_says_nothing() -> None:
     belief = LengthBelief.from_interval(0.28, 0.27, 0.29)
-    found = grade(replace(SOUND, belief=belief, belief_of=LengthDefinition.CENTRELINE), LONG)
+    found = grade(replace(SOUND, belief=belief, belief_of=LengthDefinition.THREAD), LONG)
     assert found.probabilities == {}
-    assert found.missing == ("interval of the thread length: no probabilities",)
+    assert found.missing == ("interval of the centreline length: no probabilities",)
 
 
 def test_missing_traits_are_named() -> None:
-    found = grade(GradingTraits(thread_m=0.30), LONG)
+    found = grade(GradingTraits(centreline_m=0.30), LONG)
     assert found.name == "I"
     assert [m.split(":")[0] for m in found.missing] == [
         "inner arc height",
         "volume",
-        "interval of the thread length",
+        "interval of the centreline length",
     ]
-    nothing = grade(GradingTraits(centreline_m=0.3), LONG)
+    nothing = grade(GradingTraits(thread_m=0.3), LONG)
     assert (nothing.verdict, nothing.name) == (Verdict.MISSING, "")
-    assert nothing.missing[0].startswith("thread length: no tube could be fitted")
+    assert nothing.missing[0].startswith("centreline length: no tube could be fitted")
 
 
-@pytest.mark.parametrize(("thread_m", "refused"), [(0.049, True), (0.05, False), (0.801, True)])
-def test_lengths_that_cannot_be_are_refused(thread_m: float, refused: bool) -> None:
-    found = grade(GradingTraits(thread_m=thread_m), LONG)
+@pytest.mark.parametrize(("centreline_m", "refused"), [(0.049, True), (0.05, False), (0.801, True)])
+def test_lengths_that_cannot_be_are_refused(centreline_m: float, refused: bool) -> None:
+    found = grade(GradingTraits(centreline_m=centreline_m), LONG)
     assert (found.verdict is Verdict.REFUSED) == refused
     if refused:
         assert "is accepted from 5 to 80 cm; measure again" in found.rules[0]
@@ -144,25 +154,25 @@ def test_aubergine_and_bean_are_graded_by_width() -> None:
     bean = load_profile("green-bean")
     widths = {0.006: "very fine", 0.0061: "fine", 0.009: "fine", 0.012: "average", 0.0121: ""}
     for width, name in widths.items():
-        pod = GradingTraits(thread_m=0.12, diameter_max_m=width)
+        pod = GradingTraits(centreline_m=0.12, diameter_max_m=width)
         assert grade(pod, bean).diameter_class == name
 
 
 def test_row_of_a_table_is_read_with_its_calibration() -> None:
     row = {
-        "thread_cm": "25.2",
+        "centreline_cm": "25.2",
         "chord_cm": "24",
         "length_cm": "26",
-        "length_kind": "thread",
+        "length_kind": "centreline",
         "interval_low_cm": "25.5",
         "interval_high_cm": "26.5",
-        "interval_of": "thread",
+        "interval_of": "centreline",
         "inner_arc_mm_per_10cm": "3.5",
         "volume_ml": "420",
         "diameter_max_mm": None,
     }
     traits = GradingTraits.from_row(row)
-    assert (traits.thread_m, traits.chord_m, traits.diameter_max_m) == (0.26, 0.24, None)
+    assert (traits.centreline_m, traits.chord_m, traits.diameter_max_m) == (0.26, 0.24, None)
     assert traits.belief is not None
     assert traits.belief.median_m == 0.26
     assert grade(traits, LONG).verdict is Verdict.IN_CLASS
@@ -172,9 +182,9 @@ def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:
     row = {
         "length_cm": 25.2,
         "length_kind": "surface-chord",
-        "thread_cm": None,
+        "centreline_cm": None,
         "interval_low_cm": 24.0,
         "interval_high_cm": 26.0,
-        "interval_of": "centreline",
+        "interval_of": "thread",
     }
     assert grade(GradingTraits.from_row(row), LONG).verdict is Verdict.MISSING

@@ -45,7 +45,7 @@ def test_shipped_profiles_are_read_and_say_where_figures_are_from(name: str) -> 
 
 def test_long_cucumber_has_the_papers_classes_and_growth() -> None:
     profile = load_profile("long-cucumber")
-    assert profile.length is LengthDefinition.THREAD
+    assert profile.length is LengthDefinition.CENTRELINE
     np.testing.assert_allclose(profile.edges_m, [0.20, 0.25, 0.35])
     assert profile.outcomes == ("I", "II", "too short", "too long")
     assert profile.outcome_of_bin == (2, 1, 0, 3)

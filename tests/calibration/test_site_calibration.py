@@ -28,7 +28,7 @@ M3 = MeasureOptions(methods=(Method.M3,))
 
 
 def draw(folder: Path, name: str, length_m: float, spin_deg: float, **more: Any) -> float:
-    """Write a capture of one straight tube; give its thread."""
+    """Write a capture of one straight tube; return its length."""
     far, tilt = more.get("far_m", 0.5), more.get("tilt_deg", 0.0)
     tube = arc_tube(length_m, more.get("radius_m", 0.018)).moved(
         rotation(0.0, tilt, spin_deg), (0.0, 0.0, far)
@@ -44,19 +44,19 @@ def draw(folder: Path, name: str, length_m: float, spin_deg: float, **more: Any)
         provenance={"serial": "841512"},
     )
     write_native(capture, folder / name)
-    return tube.thread_m
+    return tube.centreline_m
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve drawn fruit measured by M3, and what a thread would read on each."""
+    """Twelve drawn fruit measured by M3, and a tape that begins 1 cm before each fruit."""
     folder = tmp_path_factory.mktemp("site")
     rng = np.random.default_rng(5)
     lines = ["capture,fruit,specimen,length_1_cm,length_2_cm,kind"]
     for k, length in enumerate(np.linspace(0.10, 0.30, 12)):
-        thread = 100 * draw(folder / "captures", f"c{k:02}", float(length), 90 * rng.random())
-        first, second = thread + rng.normal(0, 0.05, 2)
-        lines.append(f"c{k:02},1,s{k},{first:.2f},{second:.2f},thread")
+        tape = 1 + 100 * draw(folder / "captures", f"c{k:02}", float(length), 90 * rng.random())
+        first, second = tape + rng.normal(0, 0.05, 2)
+        lines.append(f"c{k:02},1,s{k},{first:.2f},{second:.2f},centreline")
     measure_inputs([folder / "captures"], folder / "run", M3)
     (folder / "truth.csv").write_text("\n".join(lines) + "\n")
     return folder
@@ -82,10 +82,9 @@ def changed(run: Path, folder: Path, change: Any) -> Measured:
 
 def test_a_site_is_calibrated_and_a_new_fruit_comes_out_right(site: Path, tmp_path: Path) -> None:
     made = calibrate_lengths(read_measured(site / "run"), read_truth(site / "truth.csv"), "house")
-    entry = made.entry("M3", LengthDefinition.THREAD)
+    entry = made.entry("M3", LengthDefinition.CENTRELINE)
     assert entry is not None
-    # A straight tube's thread is its chord plus a piece for the two ends that does not grow with
-    # the length: an offset, not a factor.
+    # What the tape adds does not grow with the length: an offset, not a factor.
     assert entry.form is Form.SCALE_OFFSET
     assert entry.scale == pytest.approx(1.0, abs=0.02)
     assert 0.005 < entry.offset_m < 0.03
@@ -98,13 +97,13 @@ def test_a_site_is_calibrated_and_a_new_fruit_comes_out_right(site: Path, tmp_pa
     assert made.measured_with.methods == ["M3"]
     assert len(made.measured_with.config_sha256) == 64
     write_site_calibration(tmp_path / "house.json", made)
-    thread = 100 * draw(tmp_path / "new", "n", 0.217, 33.0)
+    tape = 1 + 100 * draw(tmp_path / "new", "n", 0.217, 33.0)
     options = replace(M3, calibration=tmp_path / "house.json")
     result = measure_inputs([tmp_path / "new"], tmp_path / "out", options)
     (row,) = result.rows
-    assert row["length_cm"] == pytest.approx(thread, rel=0.01)
+    assert row["length_cm"] == pytest.approx(tape, rel=0.01)
     assert row["raw_length_cm"] == row["m3_cm"] != row["length_cm"]
-    assert row["interval_low_cm"] <= thread <= row["interval_high_cm"]  # type: ignore[operator]
+    assert row["interval_low_cm"] <= tape <= row["interval_high_cm"]  # type: ignore[operator]
     assert (row["interval_basis"], row["calibration"]) == ("own truth", made.tag)
     report = json.loads((tmp_path / "out" / "measurements.json").read_text())
     assert report["calibration"]["tag"] == made.tag

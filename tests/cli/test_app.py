@@ -25,7 +25,7 @@ def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
         "8 of 8 fruit measured in 3 captures; masks by data set 8; simulated captures"
         in done.stdout
     )
-    assert "thread" in done.stdout
+    assert "centreline" in done.stdout
     names = {p.name for p in tmp_path.iterdir()}
     assert names == {
         "measurements.csv",

@@ -18,7 +18,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run over the bundled captures by the paper's methods, and a table of their threads."""
+    """A run by the paper's methods, and hand lengths of a camera that reads a fifth too short."""
     folder = tmp_path_factory.mktemp("truth")
     options = MeasureOptions(methods=(Method.M3, Method.M5))
     assert measure_inputs([bundled_captures()], folder / "run", options).failures == []
@@ -27,8 +27,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         table.writerow(["capture", "fruit", "length_1_cm", "length_2_cm", "kind", "specimen"])
         for capture in sorted(bundled_captures().iterdir()):
             for k, true in enumerate(json.loads((capture / "truth.json").read_text()), 1):
-                thread = 100 * true["thread_m"]
-                row = [capture.name, k, f"{thread - 0.05:.2f}", f"{thread + 0.05:.2f}", "thread"]
+                tape = 125 * true["centreline_m"]
+                row = [capture.name, k, f"{tape - 0.05:.2f}", f"{tape + 0.05:.2f}", "centreline"]
                 table.writerow([*row, f"{capture.name} {k}"])
     return folder
 
@@ -48,7 +48,7 @@ def test_evaluate_prints_a_table_and_writes_the_report(
     assert {p.name for p in tmp_path.iterdir()} >= {"report.html", "records.jsonl", "scores.json"}
     scores = json.loads((tmp_path / "scores.json").read_text())
     m5 = next(s for s in scores["scores"] if s["method"] == "M5")
-    assert (m5["kind"], m5["fruit"], m5["metrics"]["measured"]) == ("thread", 8, 1.0)
+    assert (m5["kind"], m5["fruit"], m5["metrics"]["measured"]) == ("centreline", 8, 1.0)
     assert m5["low_percent"] < m5["metrics"]["mape_percent"] < m5["high_percent"]
     assert "Your own fruit" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
@@ -69,7 +69,7 @@ def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -
         assert row["calibration"].startswith("house-3@")
         assert row["length_cm"] == pytest.approx(scale * row["m5_cm"], abs=2e-3)
         assert (row["raw_length_cm"], row["raw_length_kind"]) == (row["m5_cm"], "surface-arc")
-        assert row["length_kind"] == "thread"
+        assert row["length_kind"] == "centreline"
         assert row["interval_basis"] is None
     mixed = run("measure", bundled_captures(), "--out", tmp_path / "m1", "--methods", "m1",
                 "--calibration", site, "--json")  # fmt: skip

@@ -76,8 +76,8 @@ def test_results_count_the_round_and_show_its_fruit(house: Path) -> None:
     test = app("results")
     shown = {metric.label: metric.value for metric in test.metric}
     assert shown["Fruit"] == shown["Measured"] == "8"
-    # Mean of the eight bundled fruit over the thread, as drawn: 24.1 cm.
-    assert float(shown["Mean length"].split()[0]) == pytest.approx(24.1, abs=0.6)
+    # Mean of the eight bundled fruit as drawn: 21.1 cm.
+    assert float(shown["Mean length"].split()[0]) == pytest.approx(21.1, abs=0.6)
     table = test.dataframe[0].value
     assert len(table) == 8
     assert set(table["Class"]) == {"class I", "class II", "out of grade"}

@@ -50,10 +50,10 @@ def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) ->
     assert (row["capture"], row["frame"], row["fruit"], row["score"]) == ("plate", 17, 2, 0.91)
     assert row["method"] == "M6"
     assert row["reason"] == "mask-points-ge-100"
-    assert row["length_kind"] == "thread"
+    assert row["length_kind"] == "centreline"
     assert row["m5_cm"] == pytest.approx(20, rel=0.04)
     assert row["m6_cm"] == row["centreline_cm"] == pytest.approx(20, rel=0.05)
-    assert row["length_cm"] == row["thread_cm"] == pytest.approx(21.5, rel=0.08)
+    assert row["length_cm"] == row["centreline_cm"] == pytest.approx(20, rel=0.05)
     assert row["m4_cm"] is None
     assert row["mask_px"] == 16000
     assert row["fill"] == 0.75

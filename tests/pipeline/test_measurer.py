@@ -53,7 +53,7 @@ def entry(
     form: Form = Form.SCALE_OFFSET, half: float | None = 0.05, **changes: Any
 ) -> CorrectionEntry:
     values: dict[str, Any] = {
-        "method": "M3", "truth_kind": LengthDefinition.THREAD, "form": form, "scale": 1.1,
+        "method": "M3", "truth_kind": LengthDefinition.CENTRELINE, "form": form, "scale": 1.1,
         "offset_m": 0.01, "reason": "", "fruit": 12, "captures": 12, "error_before_percent": 9.0,
         "error_after_percent": 2.0, "residual_sd_percent": 2.0, "raw_range_m": (0.10, 0.30),
         "mask_sources": ["dataset"],
@@ -101,7 +101,7 @@ def test_a_fruit_is_corrected_and_says_so() -> None:
     assert done.length is not None
     assert done.length.value_m == pytest.approx(0.23)
     assert (done.length.low_m, done.length.high_m) == pytest.approx((0.2185, 0.2415))
-    assert done.length.kind is done.length.interval_of is LengthDefinition.THREAD
+    assert done.length.kind is done.length.interval_of is LengthDefinition.CENTRELINE
     assert done.length.basis is IntervalBasis.OWN_TRUTH
     assert done.calibration == chosen.tag
     assert done.flags == (Flag.CUT_BY_FRAME,)
@@ -111,10 +111,10 @@ def test_a_fruit_is_corrected_and_says_so() -> None:
 @pytest.mark.parametrize(
     ("changes", "definition", "flag"),
     [
-        ({"method": Method.M5}, LengthDefinition.THREAD, Flag.NOT_COVERED),
+        ({"method": Method.M5}, LengthDefinition.CENTRELINE, Flag.NOT_COVERED),
         ({}, LengthDefinition.CHORD, Flag.NOT_COVERED),
-        ({"mask_source": MaskSource.SAM}, LengthDefinition.THREAD, Flag.OTHER_MASK),
-        ({"mask_source": None}, LengthDefinition.THREAD, Flag.OTHER_MASK),
+        ({"mask_source": MaskSource.SAM}, LengthDefinition.CENTRELINE, Flag.OTHER_MASK),
+        ({"mask_source": None}, LengthDefinition.CENTRELINE, Flag.OTHER_MASK),
     ],
 )
 def test_what_it_does_not_cover_stays_and_is_flagged(
@@ -154,7 +154,7 @@ def test_no_correction_but_an_interval() -> None:
     done = calibrated_fruit(fruit(), site(entry(Form.NONE))).length
     assert done is not None
     assert (done.value_m, done.low_m, done.high_m) == pytest.approx((0.20, 0.19, 0.21))
-    assert done.kind is LengthDefinition.THREAD
+    assert done.kind is LengthDefinition.CENTRELINE
     bare = calibrated_fruit(fruit(), site(entry(Form.NONE, half=None)))
     assert bare.length == Length(0.20, LengthKind.SURFACE_CHORD)
     assert bare.calibration

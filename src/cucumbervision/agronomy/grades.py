@@ -289,9 +289,9 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     Examples
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> found = grade(GradingTraits(thread_m=0.234), load_profile("long-cucumber"))
+    >>> found = grade(GradingTraits(centreline_m=0.234), load_profile("long-cucumber"))
     >>> found.name, found.rules[0]
-    ('II', 'class II: thread length 23.4 cm is in [20, 25) (greenhouse classes of the ... paper)')
+    ('II', 'class II: centreline length 23.4 cm is in [20, 25) (greenhouse classes ... paper)')
     """
     length = fruit.length_m(profile.length)
     mass = None if fruit.volume_m3 is None else 1000 * fruit.volume_m3 * profile.density.kg_m3

@@ -78,7 +78,7 @@ def grade_name(grade: Grade) -> str:
     --------
     >>> from cucumbervision.agronomy.grades import GradingTraits, grade
     >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> grade_name(grade(GradingTraits(thread_m=0.26), load_profile("long-cucumber")))
+    >>> grade_name(grade(GradingTraits(centreline_m=0.26), load_profile("long-cucumber")))
     'class I'
     """
     if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):

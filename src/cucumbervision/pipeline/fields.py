@@ -194,7 +194,7 @@ FIELDS = (
     _number("interval_low_cm", "cm", "fruit.length.low_m", "lower end of the length's interval"),
     _number("interval_high_cm", "cm", "fruit.length.high_m", "upper end of the length's interval"),
     _number("centreline_cm", "cm", f"{_LENGTHS}.centreline_m", "central axis, stem to blossom end"),
-    _number("thread_cm", "cm", f"{_LENGTHS}.thread_m", "thread over the outer side, end to end"),
+    _number("thread_cm", "cm", f"{_LENGTHS}.thread_m", "outer side of the bend, end to end"),
     _number("chord_cm", "cm", f"{_LENGTHS}.chord_m", "straight from end to end"),
     *(
         _number(f"{m.lower()}_cm", "cm", f"fruit.measurements.{m}.length_m", f"length by {m}")

@@ -195,7 +195,7 @@ class Measurer:
     >>> result = measurer.measure(next(iter(open_source(bundled_captures()))).load())
     >>> length = result.fruit[0].length
     >>> f"{100 * length.low_m:.0f} to {100 * length.high_m:.0f} cm, {length.kind}"
-    '18 to 19 cm, thread'
+    '16 to 17 cm, centreline'
     """
 
     def __init__(

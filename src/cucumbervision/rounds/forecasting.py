@@ -38,7 +38,7 @@ def grade_of(record: DetectionRecord, profile: CropProfile) -> Grade:
     --------
     >>> from cucumbervision.agronomy.profiles import load_profile
     >>> from cucumbervision.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, thread_m=0.30, length_m=0.30, length_kind="thread")
+    >>> fruit = DetectionRecord(1, centreline_m=0.30, length_m=0.30, length_kind="centreline")
     >>> grade_of(fruit, load_profile("long-cucumber")).name
     'I'
     """

@@ -183,7 +183,7 @@ class FruitStream:
     [[1, 2, 3], [1, 2, 3], [1, 2, 3]]
     >>> line = frames[-1].as_json()["fruit"][0]
     >>> line["seen"], line["track_frames"], line["track_places"], round(line["track_length_cm"])
-    (3, 3, 1, 18)
+    (3, 3, 1, 16)
     """
 
     def __init__(self, measurer: Measurer | None = None, *, fits: int | None = None) -> None:

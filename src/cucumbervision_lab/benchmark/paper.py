@@ -35,8 +35,8 @@ _PUBLISHED: dict[str, tuple[Cell, ...]] = {
     "M4": (0.85, 1.01, 5.51, "4.12 to 7.01", 0.55, 0.97),
     "M5": (0.58, 0.61, 4.13, None, 0.40, 0.98),
 }
-"""The paper's table of accuracy (48 captures of 7 cucumbers, against a thread): MAE and RMSE in cm,
-MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the caption of
+"""The paper's table of accuracy (48 captures of 7 cucumbers, against the outer side): MAE and RMSE
+in cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the caption of
 its plot of errors), R². No interval where what is printed contradicts itself."""
 
 _VALIDATION_CM = pd.DataFrame(
@@ -66,16 +66,17 @@ NOTES = {
         "expected to do better."
     ),
     "paper": (
-        "The paper's figures were read on its own captures of seven real cucumbers against thread "
-        "lengths; ours on simulated captures of seven fruit with the same thread lengths. They "
-        "stand side by side, they do not measure the same thing.\n\n"
-        "Why M5 differs here from the paper's 4.13 %: its spline runs along the visible surface "
-        "and not over the outer side, so against the thread it reads short, the more so the "
-        "thicker and shorter the fruit; its tips are the means of the five extreme points, which "
-        "on noisy edges stand beside the axis, so the curve gains a zigzag at each end, most on "
-        "small and distant fruit; and its gate of 3.5 cm about the median depth cuts fruit tilted "
-        "to the camera. The paper's validation table gives M5 an error of exactly zero on five "
-        "fruit, and its interval for M1 does not hold its own mean; neither is reproduced."
+        "The paper's figures were read on its own captures of seven real cucumbers against the "
+        "outer side of the bend; ours on simulated captures of seven fruit whose outer sides are "
+        "as long. They stand side by side; they do not measure the same captures.\n\n"
+        "Reproduced: M2, M3 and the medians of M4 and M5. M5's mean is not: it contains outliers "
+        "on short fruit beyond 0.7 m. There the outermost two or three of its 25 bins hold mostly "
+        "mixed readings of fruit and background, up to 3 cm behind the fruit and still within the "
+        "gate of 3.5 cm, so the spline bends away from the camera at both ends. M4 fails there "
+        "for the same reason: the 5x5 window at an endpoint holds mixed readings. M1 is not "
+        "reproduced: its outer lines leave a fruit that does not fill its box. The paper's "
+        "validation table gives M5 an error of exactly zero on five fruit, and its interval for "
+        "M1 does not contain its own mean; neither is reproduced."
     ),
 }
 """Notes on what the benchmark's numbers mean; the numbers themselves stand in its tables."""

@@ -46,6 +46,7 @@ def benchmark(
     and a stress set of independent fruit: tilted, bent, half hidden, far, wet, in the sun.
     """
     from cucumbervision_lab.benchmark import run
+    from cucumbervision_lab.benchmark.report import write_benchmark_report
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
     if learn_intervals is not None:
@@ -64,12 +65,9 @@ def benchmark(
     with part_bars() as report:
         readings, answers = run.run_benchmark(plan, out, report)
     show_tables(_summary_tables(readings))
-    if not quick:
-        from cucumbervision_lab.benchmark.report import write_benchmark_report
-
-        origin = run.provenance(plan)
-        written = write_benchmark_report(readings, out, experiments=answers, provenance=origin)
-        show(f"The report is {written}")
+    origin = run.provenance(plan)
+    written = write_benchmark_report(readings, out, experiments=answers, provenance=origin)
+    show(f"The report is {written}")
 
 
 _SUMMARY = {

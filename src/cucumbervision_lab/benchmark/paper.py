@@ -36,8 +36,8 @@ _PUBLISHED: dict[str, tuple[Cell, ...]] = {
     "M5": (0.58, 0.61, 4.13, None, 0.40, 0.98),
 }
 """The paper's table of accuracy (48 captures of 7 cucumbers, against the outer side): MAE and RMSE
-in cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the caption of
-its plot of errors), R². No interval where what is printed contradicts itself."""
+in cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the
+caption of its plot of errors), R². No interval where what is printed contradicts itself."""
 
 _VALIDATION_CM = pd.DataFrame(
     [

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +60,21 @@ def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
     assert "logged as action 4" in run("undo", *house)
     assert "logged as action 5" in run("undo", "2", *house)
     assert "picked" not in run("show", *house)
+
+
+def test_a_pair_without_intrinsics_gets_them_by_the_option(
+    house: list[str], tmp_path: Path
+) -> None:
+    native = bundled_captures() / "simulated-row-a"
+    pair = tmp_path / "pair"
+    pair.mkdir()
+    shutil.copy(native / "color_000000.jpg", pair / "rgb_1.jpg")
+    shutil.copy(native / "depth_000000.png", pair / "depth_1.png")
+    with pytest.raises(AssertionError, match="carries no camera intrinsics"):
+        run("add", str(pair), *house)
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps(json.loads((native / "capture.json").read_text())["camera"]))
+    assert "1 stops added" in run("add", str(pair), "--intrinsics", str(camera), *house)
 
 
 def test_a_stop_that_is_put_back_is_merged_at_once(house: list[str]) -> None:

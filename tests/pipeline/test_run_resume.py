@@ -10,16 +10,17 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import ReadOptions, bundled_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
+from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, RunResult, measure_inputs
 from cucumbervision.pipeline.work import Outcome
@@ -263,3 +264,33 @@ from cucumbervision.cli.app import main; main()
     assert "the same command goes on where it stopped" in done.stderr
     report = json.loads((tmp_path / "measurements.json").read_text())
     assert [capture["name"] for capture in report["captures"]] == [NAMES[0]]
+
+
+def test_rows_of_an_older_table_of_fields_are_measured_again(
+    run: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As by an update of the software that knows one column more.
+    for module in ("pipeline.fields", "pipeline.journal", "pipeline.stages", "pipeline.tables"):
+        with suppress(AttributeError):
+            monkeypatch.setattr(f"cucumbervision.{module}.FIELDS", FIELDS[:-1])
+    run()
+    monkeypatch.undo()
+    result = run()
+    assert tuple(run.measured) == NAMES
+    assert [list(row) for row in result.rows] == [[one.name for one in FIELDS]] * len(result.rows)
+
+
+def test_a_changed_file_of_intrinsics_is_seen(run: Watched) -> None:
+    path = run.house / NAMES[0]
+    camera = json.loads((path / "capture.json").read_text())["camera"]
+    given = run.house.parent / "camera.json"
+    given.write_text(json.dumps(camera))
+    options = replace(OPTIONS, reading=ReadOptions(given))
+    [first, *_] = run(options, None, path).rows
+    run(options, None, path)
+    assert run.measured == []
+    camera |= {"fx": 0.99 * camera["fx"], "fy": 0.99 * camera["fy"]}
+    given.write_text(json.dumps(camera))
+    [again, *_] = run(options, None, path).rows
+    assert run.measured == [NAMES[0]]
+    assert again["length_cm"] == pytest.approx(first["length_cm"] / 0.99, rel=1e-3)

@@ -16,6 +16,7 @@ from cucumbervision.cli.choices import (
     Images,
     InputSize,
     Instances,
+    Intrinsics,
     Length,
     Profile,
     RoundName,
@@ -113,11 +114,13 @@ def add(
     length: Length = LengthDefinition.CENTRELINE,
     confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
+    intrinsics: Intrinsics = None,
     calibration: Calibration = None,
     runtime: Runtime = "auto",
     images: Images = None,
 ) -> None:
     """Measure captures and save each as a stop; one that is there already is left as it is."""
+    from cucumbervision.capture.source import ReadOptions
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
@@ -134,6 +137,7 @@ def add(
         confidence=confidence,
         input_sizes=parse_input_sizes(input_size),
         runtime=runtime,
+        reading=ReadOptions(intrinsics=intrinsics),
         calibration=calibration,
     )
     with opened_round(store, round_, images) as (opened, one):

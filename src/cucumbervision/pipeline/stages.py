@@ -1,5 +1,7 @@
 """What a capture's rows depend on besides its own files, as hashes of the stages it went through.
 
+The table of fields is part of each: rows that lack a column of today are measured again.
+
 A change of options or networks then touches the captures that they had a part in, and no others:
 a data set's own masks are not measured again because there is a new detector.
 """
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.registry import file_sha256, load_registry
+from cucumbervision.pipeline.fields import FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -103,7 +106,8 @@ class StageHashes:
         options = self._options
         site = options.calibration and _path_sha256(options.calibration)
         how = [list(options.methods), str(options.selector), str(options.length)]
-        return [__version__, how, site, options.reading.depth_unit_m]
+        table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
+        return [__version__, how, site, options.reading.depth_unit_m, table]
 
     def _of_stage(self, stage: Stage) -> Any:
         options = self._options

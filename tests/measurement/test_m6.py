@@ -159,13 +159,16 @@ def test_an_end_behind_a_leaf_is_no_end(camera: Intrinsics) -> None:
     assert whole.centreline_m > lengths.centreline_m
 
 
-def test_a_leaf_that_touches_the_fruit_hides_its_end_too(camera: Intrinsics) -> None:
-    # 4 mm before the fruit's surface: less than the border test can tell from noise.
+@pytest.mark.parametrize(("before_m", "hidden"), [(0.010, True), (0.002, False), (-0.01, False)])
+def test_only_what_is_clearly_nearer_than_the_fruit_hides_its_end(
+    camera: Intrinsics, before_m: float, hidden: bool
+) -> None:
+    # A stalk, a flower, and depth that bleeds beyond an edge lie about as far away as the fruit.
     tube = arc_tube(0.25, 0.018).moved(rotation(), (0, 0, 0.55))
-    at_m = 0.55 - 0.018 - 0.004
+    at_m = 0.55 - 0.018 - before_m
     _, fit = fitted(measure_m6(*covered(tube, camera, slice(350), at_m), camera))
-    assert "end-hidden" in fit.flags
-    assert sum(fit.ends_seen) == 1
+    assert ("end-hidden" in fit.flags) == hidden
+    assert sum(fit.ends_seen) == 2 - hidden
 
 
 def test_a_bench_behind_the_fruit_hides_nothing(camera: Intrinsics) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.measurement.depth_noise import depth_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
 
 _STEP_M, FARTHEST_M = 0.002, 0.40
 _NEARER_M = 0.005  # what is nearer than the end by this covers it
+# Depth bleeds some pixels beyond a fruit's edge, and stalk and flower are as near as the fruit. An
+# end is covered where most of what lies just beyond it is nearer than the fruit's own surface.
+_RING_PX, _AHEAD = (3.0, 12.0), 0.5  # beyond the end; cosine: within 60 degrees of straight ahead
+_IN_FRONT_M, _IN_FRONT_SD, _COVERED_SHARE = 0.006, 3.0, 0.5
+_LEAST_READINGS = 5
 _SEEN_SD, _REACH_SD_M = 0.03, 0.01  # how sharp both cuts are: of the length seen, and metres
 _LEVEL = 0.9
 _GRID = 400
@@ -103,6 +109,76 @@ def with_hidden_end(
     seen_m = fit.traits.lengths.centreline_m
     whole = hidden_length(seen_m, fit.traits.diameter_max_m, reach_m)
     return replace(measured, fit=replace(fit, whole=whole))
+
+
+def covered_ends(
+    depth_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    intrinsics: Intrinsics,
+    centres_m: NDArray[np.float64],
+    radii_m: NDArray[np.float64],
+) -> tuple[bool, bool]:
+    """Return which ends of a body something nearer covers.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    mask : ndarray of bool, shape (H, W)
+        The fruit's pixels.
+    intrinsics : Intrinsics
+        The colour stream's.
+    centres_m, radii_m : ndarray of float64, shape (K, 3) and (K,)
+        The fitted body's balls in order, camera coordinates.
+
+    Examples
+    --------
+    A fruit at 0.5 m before a wall; a leaf at 0.4 m covers the columns from 320 on:
+
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth, mask = np.full((480, 640), 1.0, np.float32), np.zeros((480, 640), bool)
+    >>> mask[216:264, 200:320] = True
+    >>> depth[mask], depth[:, 320:400] = 0.5, 0.4
+    >>> centres = np.stack([np.linspace(-0.08, -0.02, 9), np.zeros(9), np.full(9, 0.52)], axis=1)
+    >>> covered_ends(depth, mask, camera, centres, np.full(9, 0.02))
+    (False, True)
+    """
+    at = intrinsics.project(centres_m)
+    radii_px = np.maximum(radii_m, 0.0) * intrinsics.fx_px / centres_m[:, 2]
+    body_px = float(np.median(radii_px))
+    inner = max(1, len(at) // 16)
+    found = []
+    for tip, before in ((0, inner), (-1, -1 - inner)):
+        reach = float(radii_px[tip]) + max(body_px, _RING_PX[1])
+        rows, columns = (
+            np.arange(max(int(c - reach), 0), max(min(int(c + reach) + 2, size), 0))
+            for c, size in zip(at[tip, ::-1], depth_m.shape, strict=True)
+        )
+        if not (len(rows) and len(columns)):
+            found.append(False)
+            continue
+        window = np.ix_(rows, columns)
+        z, own = depth_m[window], mask[window]
+        off = np.stack(np.meshgrid(columns - at[tip, 0], rows - at[tip, 1]), axis=-1)
+        away, ahead = np.linalg.norm(off, axis=-1), _unit(at[tip] - at[before])
+        surface = z[own & valid_depth(z) & (away < radii_px[tip] + body_px)]
+        gap = away - radii_px[tip]
+        beyond = ~own & (off @ ahead > _AHEAD * away) & (gap > _RING_PX[0]) & (gap < _RING_PX[1])
+        if len(surface) < _LEAST_READINGS or not beyond.any():
+            found.append(False)
+            continue
+        near_m = float(np.median(surface))
+        near_m -= _IN_FRONT_M + _IN_FRONT_SD * float(
+            depth_noise(np.array(near_m), intrinsics.fx_px)
+        )
+        nearer = beyond & valid_depth(z) & (z < near_m)
+        found.append(bool(nearer.sum() > _COVERED_SHARE * beyond.sum()))
+    return found[0], found[1]
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 def covered_reach(

@@ -14,7 +14,7 @@ from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
-from cucumbervision.measurement.hidden_end import DRAWN_KINDS, with_hidden_end
+from cucumbervision.measurement.hidden_end import DRAWN_KINDS, covered_ends, with_hidden_end
 from cucumbervision.measurement.result import (
     Flag,
     LengthKind,
@@ -242,7 +242,6 @@ _SPARSE_FILL = 0.5  # below it most depth is missing: the fruit is nearer than t
 _SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
 _END_ON_DEG = 70.0
 _STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and longer than a fruit of that girth is
-_BEYOND, _BEYOND_PX = 1.2, 8.0  # how far beyond an end to look for what covers it: radii, pixels
 PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
 
 
@@ -291,7 +290,8 @@ def measure_m6(
     found = fit_view(view)
     if isinstance(found, Reason):
         return Measurement(Method.M6, reason=found)
-    return with_hidden_end(judged_fit(view, found), depth_m, intrinsics)
+    covered = covered_ends(depth_m, mask, intrinsics, *found.shape.balls())
+    return with_hidden_end(judged_fit(view, found, covered), depth_m, intrinsics)
 
 
 def fit_view(view: TubeView) -> TubeFitting | Reason:
@@ -373,7 +373,9 @@ def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
     return guess_from_picture(picture, known, 1.0 / depth[known], by_girth=by_girth)
 
 
-def judged_fit(view: TubeView, fitting: TubeFitting, *, views: int = 1) -> Measurement:
+def judged_fit(
+    view: TubeView, fitting: TubeFitting, covered: tuple[bool, bool] = (False, False)
+) -> Measurement:
     """Return what a fitted tube measures, or why it is none.
 
     Parameters
@@ -382,14 +384,13 @@ def judged_fit(view: TubeView, fitting: TubeFitting, *, views: int = 1) -> Measu
         The view in whose coordinates it is.
     fitting : TubeFitting
         The tube.
-    views : int
-        How many views it was fitted to; of several `fitting` says itself which ends they show.
+    covered : tuple of bool
+        Which ends something nearer covers (`covered_ends`).
     """
     traits = tube_traits(*fitting.shape.balls(_BALLS))
     length = traits.lengths.centreline_m
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)
-    covered = _covered_ends(view, fitting.shape) if views == 1 else (False, False)
     fit = _fit(view, fitting, traits, covered)
     if fit.explained < _MIN_EXPLAINED:
         return Measurement(Method.M6, reason=Reason.NOT_A_TUBE)
@@ -446,26 +447,6 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     unread = int((inside & ~own & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
     either = int((inside | own).sum()) - covered - unread
     return both / max(int(own.sum()), 1), covered / max(int(inside.sum()), 1), both / max(either, 1)
-
-
-def _covered_ends(view: TubeView, shape: TubeShape) -> tuple[bool, bool]:
-    # Whether what lies beyond an end in the picture is nearer than the end: then it covers it.
-    centres, radii = shape.balls()
-    beside = view.grid_rays[~view.grid_mask & (view.grid_depth_m > 0)]
-    depth = view.grid_depth_m[~view.grid_mask & (view.grid_depth_m > 0)]
-    covered = []
-    for tip, inner in ((0, 1), (-1, -2)):
-        far = float(np.linalg.norm(centres[tip]))
-        ray = centres[tip] / far
-        ahead = centres[tip] - centres[inner]
-        ahead -= (ahead @ ray) * ray
-        ahead /= max(float(np.linalg.norm(ahead)), 1e-12)
-        off = beside * far - centres[tip]
-        reach = _BEYOND * max(float(radii[tip]), 0.0) + _BEYOND_PX * far / view.focal_px
-        beyond = (off @ ahead > 0) & (np.linalg.norm(off, axis=1) < reach)
-        z = depth[beyond]
-        covered.append(len(z) > 1 and float(np.median(z)) < centres[tip, 2])
-    return covered[0], covered[1]
 
 
 def _on_surface(view: TubeView, fitting: TubeFitting) -> float:

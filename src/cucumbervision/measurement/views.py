@@ -176,7 +176,7 @@ def _joint(
         fitted = fit_views(seen, first.fitting.shape)
     except np.linalg.LinAlgError:
         return None
-    one_tube = judged_fit(first.tube, fitted.body, views=len(kept))
+    one_tube = judged_fit(first.tube, fitted.body)
     # What is known of the fruit beside its length.
     alone = measure_fruit(first.view.capture, first.view.instance, ())
     return _together(alone, one_tube, kept, fitted.poses), fitted.poses

@@ -2,6 +2,7 @@ from ._version import __version__ as __version__
 from .capture.camera import FolderCamera as FolderCamera
 from .capture.camera import RgbdCamera as RgbdCamera
 from .capture.frames import Capture as Capture
+from .capture.frames import FusedBurst as FusedBurst
 from .capture.frames import Stop as Stop
 from .capture.frames import fuse_burst as fuse_burst
 from .capture.intrinsics import Distortion as Distortion

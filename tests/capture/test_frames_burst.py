@@ -67,9 +67,9 @@ def test_sharpest_color_first_of_equals() -> None:
     soft = GREY.copy()
     soft[:, 1:] = 120
     depths = [np.full((2, 3), 0.5, np.float32)] * 4
-    color, _, kept = fuse_burst([GREY, soft, edge, edge], depths)
-    assert kept == 2
-    np.testing.assert_array_equal(color, edge)
+    fused = fuse_burst([GREY, soft, edge, edge], depths)
+    assert fused.burst_frame == 2
+    np.testing.assert_array_equal(fused.color, edge)
 
 
 @pytest.mark.parametrize(

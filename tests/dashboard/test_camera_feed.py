@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.frames import Capture, Stop
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
@@ -61,6 +62,41 @@ def test_frames_of_the_camera_become_one_capture(recording: Path) -> None:
     assert taken.stop.row == "2"
     block = taken.depth_m[(taken.depth_m > 0.4) & (taken.depth_m < 0.5)]
     assert np.median(block) == pytest.approx(0.452, abs=1e-4)
+
+
+@pytest.mark.parametrize(("step_px", "verdict"), [(0, "good"), (15, "moving")])
+def test_a_camera_that_moves_is_told_while_it_moves(
+    monkeypatch: pytest.MonkeyPatch, step_px: int, verdict: str
+) -> None:
+    blots = np.random.default_rng(1).integers(0, 255, (12, 16, 3), np.uint8)
+    scene = blots.repeat(15, axis=0).repeat(20, axis=1)
+    lens = Intrinsics(320, 180, 227.0, 227.0, 160.0, 90.0)
+
+    class Walking:
+        def __init__(self, config: CameraConfig) -> None:
+            self.shown = 0
+
+        def __enter__(self) -> Walking:
+            return self
+
+        def __exit__(self, *error: object) -> None:
+            pass
+
+        def capture_burst(self) -> Capture:
+            self.shown += 1
+            time.sleep(0.01)
+            color = np.roll(scene, self.shown * step_px, axis=1)
+            return Capture(color, np.full((180, 320), 0.5, np.float32), lens, "live")
+
+    monkeypatch.setattr("cucumbervision.dashboard.camera_feed.RealSenseCamera", Walking)
+    feed = CameraFeed(CameraConfig(warm_up=0))
+    first = wait_for(feed, "live")
+    later = wait_for(feed, "live", other_than=first.number)
+    feed.close()
+    assert later.quality is not None
+    assert later.quality.verdict == verdict
+    assert later.capture is not None
+    assert later.capture.moved_px == 0  # a single frame is of one moment
 
 
 def test_the_camera_is_released_when_nobody_looks(recording: Path) -> None:

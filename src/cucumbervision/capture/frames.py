@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.motion import moved_px, still_px
 from cucumbervision.errors import CaptureError, DepthError
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class Capture:
         Index within the burst of the frame whose colour was kept.
     burst_size : int
         How many frames were fused.
+    moved_px : float
+        How far the picture moved within the burst, pixels; frames that moved too far were left out.
     masks : tuple of ndarray of bool, shape (H, W)
         The data set's own masks of the fruit, where it has them.
     stop : Stop
@@ -91,6 +94,7 @@ class Capture:
     frame: int = 0
     burst_frame: int = 0
     burst_size: int = 1
+    moved_px: float = 0.0
     masks: tuple[NDArray[np.bool_], ...] = ()
     stop: Stop = field(default_factory=Stop)
     timestamp_s: float | None = None
@@ -163,10 +167,35 @@ def valid_depth(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     return (depth_m >= DEPTH_MIN_M) & (depth_m <= DEPTH_MAX_M)
 
 
+@dataclass(frozen=True, eq=False)
+class FusedBurst:
+    """One frame made of a burst.
+
+    Parameters
+    ----------
+    color : ndarray of uint8, shape (H, W, 3)
+        The picture whose Laplacian has the largest variance; the first of equals.
+    depth_m : ndarray of float32, shape (H, W)
+        `median_depth` of the frames that show the same picture as `color`.
+    burst_frame : int
+        Index of `color` in the burst.
+    burst_size : int
+        How many frames `depth_m` is made of; 1 where the camera moved too fast for more.
+    moved_px : float
+        How far the picture moved within the burst, pixels, as `motion.moved_px` says it.
+    """
+
+    color: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+    burst_frame: int = 0
+    burst_size: int = 1
+    moved_px: float = 0.0
+
+
 def fuse_burst(
     colors: Sequence[NDArray[np.uint8]], depths_m: Sequence[NDArray[np.float32]]
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], int]:
-    """Fuse a burst to one frame.
+) -> FusedBurst:
+    """Fuse a burst to one frame; frames that the camera took from elsewhere are left out.
 
     Parameters
     ----------
@@ -174,15 +203,6 @@ def fuse_burst(
         RGB pictures.
     depths_m : sequence of ndarray of float32, shape (H, W)
         Depth in metres, aligned to colour, one to each colour picture.
-
-    Returns
-    -------
-    color : ndarray of uint8, shape (H, W, 3)
-        The picture whose Laplacian has the largest variance; the first of equals.
-    depth_m : ndarray of float32, shape (H, W)
-        `median_depth` of the burst.
-    burst_frame : int
-        Index of `color` in the burst.
 
     Raises
     ------
@@ -195,9 +215,9 @@ def fuse_burst(
     >>> edge = grey.copy()
     >>> edge[:, 2:] = 200
     >>> depths = [np.full((4, 4), z, np.float32) for z in (0.5, 0.0, 0.75)]
-    >>> color, depth_m, burst_frame = fuse_burst([grey, edge, grey], depths)
-    >>> burst_frame, float(depth_m[0, 0])
-    (1, 0.625)
+    >>> fused = fuse_burst([grey, edge, grey], depths)
+    >>> fused.burst_frame, fused.burst_size, float(fused.depth_m[0, 0])
+    (1, 3, 0.625)
     """
     sizes = {c.shape[:2] for c in colors} | {d.shape for d in depths_m}
     if not colors or len(colors) != len(depths_m) or len(sizes) != 1:
@@ -207,9 +227,13 @@ def fuse_burst(
             f"{' of sizes ' + text if text else ''} is no burst",
             remedy="give as many depth as colour pictures, all of one size",
         )
-    scores = [sharpness(c) for c in colors] if len(colors) > 1 else [0.0]
-    best = int(np.argmax(scores))
-    return colors[best], median_depth(depths_m), best
+    if len(colors) == 1:
+        return FusedBurst(colors[0], median_depth(depths_m))
+    best = int(np.argmax([sharpness(c) for c in colors]))
+    moved = moved_px(colors[best], colors)
+    moved[best] = 0.0
+    still = [d for d, by in zip(depths_m, moved, strict=True) if by <= still_px(colors[best])]
+    return FusedBurst(colors[best], median_depth(still), best, len(still), max(moved))
 
 
 def sharpness(color: NDArray[np.uint8]) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.motion import still_px
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -29,7 +30,7 @@ class DepthQuality:
     distance_m : float, optional
         Of the nearest tenth of what is in the middle: the fruit, not what is behind them.
     verdict : str
-        'good', 'too-near', 'too-far', 'poor' or 'none'.
+        'good', 'too-near', 'too-far', 'moving', 'poor' or 'none'.
     advice : str
         What to do, in a few words.
     """
@@ -41,7 +42,7 @@ class DepthQuality:
 
 
 def depth_quality(capture: Capture) -> DepthQuality:
-    """Return the quality of a frame's depth, judged by its middle.
+    """Return the quality of a frame's depth, judged by its middle and how far the picture moved.
 
     Examples
     --------
@@ -67,6 +68,8 @@ def depth_quality(capture: Capture) -> DepthQuality:
         return DepthQuality(fill, distance_m, "too-near", "Too near: step back")
     if distance_m > _FAR_M:
         return DepthQuality(fill, distance_m, "too-far", "Too far: step closer")
+    if capture.moved_px > still_px(capture.color):
+        return DepthQuality(fill, distance_m, "moving", "The camera moves: hold still")
     if fill < _POOR_FILL:
         return DepthQuality(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
     return DepthQuality(fill, distance_m, "good", "Good distance and depth")

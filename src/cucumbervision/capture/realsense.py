@@ -70,17 +70,14 @@ def burst_capture(
     DepthError
         If no pixel of the burst has a reading between 0.1 and 5 m.
     """
-    color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
-    require_readings(depth_m, source=place)
+    fused = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
+    require_readings(fused.depth_m, source=place)
     return Capture(
-        color,
-        depth_m,
-        intrinsics,
-        name,
+        **vars(fused),
+        intrinsics=intrinsics,
+        name=name,
         frame=frames[0].number,
-        burst_frame=kept,
-        burst_size=len(frames),
-        timestamp_s=frames[kept].timestamp_s,
+        timestamp_s=frames[fused.burst_frame].timestamp_s,
         **about,
     )
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.frames import Stop, fuse_burst
+from cucumbervision.capture.motion import moved_px
 from cucumbervision.capture.quality import DepthQuality, depth_quality
 from cucumbervision.capture.readers import CaptureRef, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
@@ -105,15 +106,12 @@ class CameraBurst:
         """
         self._feed.wait_for(self)
         frames = [one.capture for one in self.frames]
-        color, depth_m, kept = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
+        fused = fuse_burst([f.color for f in frames], [f.depth_m for f in frames])
         return replace(
-            frames[kept],
-            color=color,
-            depth_m=depth_m,
+            frames[fused.burst_frame],
+            **vars(fused),
             name=f"capture_{frames[0].frame:06d}",
             frame=frames[0].frame,
-            burst_frame=kept,
-            burst_size=len(frames),
         )
 
 
@@ -297,7 +295,11 @@ class CameraFeed:
                 now, number = time.time(), self._newest.number + 1
                 # A press must not wait for what is only looked at.
                 self._hold(capture, now)
-                self._show(Preview(self._state, capture, depth_quality(capture), number))
+                before, seen = self._newest.capture, capture
+                if before is not None and before.color.shape == seen.color.shape:
+                    [moved] = moved_px(before.color, [seen.color])
+                    seen = replace(seen, moved_px=moved)
+                self._show(Preview(self._state, capture, depth_quality(seen), number))
                 shown += 1
                 if self._paced:
                     time.sleep(max(0.0, begun_s + shown / config.fps - time.monotonic()))

@@ -327,14 +327,10 @@ def simulate(case: Case, frames: int = _FRAMES, paint: bool = False) -> Simulate
     colors = [np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)] * frames
     if paint:
         colors = [paint_scene(scene, view, np.random.default_rng(case.capture_seed + 2))] * frames
-    color, depth_m, burst_frame = fuse_burst(colors, depths)
     capture = Capture(
-        color,
-        depth_m,
-        CAMERA,
+        **vars(fuse_burst(colors, depths)),
+        intrinsics=CAMERA,
         name=case.name,
-        burst_frame=burst_frame,
-        burst_size=frames,
         masks=(truth.visible,),
         simulated=True,
     )

@@ -151,7 +151,7 @@ def draw_frame(
         scale = 1.0 + float(sensor.normal(0, options.scale_sd))
         reader = replace(D4xx.like(camera), scale_error=scale - 1.0)
         burst = sense(staged.scene, reader, sensor, _BURST)
-        _, depth, _ = fuse_burst([color] * _BURST, burst)
+        depth = fuse_burst([color] * _BURST, burst).depth_m
     real = [k for k, cucumber in enumerate(staged.cucumber) if cucumber]
     return Frame(
         color,

@@ -80,19 +80,21 @@ def test_depth_too_far_for_16_bits_is_refused(capture: Capture, tmp_path: Path) 
 
 def test_unfused_burst_is_fused_when_read(capture: Capture, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
+    color = rng.integers(0, 50, (6, 8, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)
     frames = [
         (
-            rng.integers(0, 50 + 40 * (i == 1), (48, 64, 3), dtype=np.uint8),
+            color * 5 // 4 if i == 1 else color,
             (rng.integers(400, 420, (48, 64)) * 0.001).astype(np.float32),
         )
         for i in range(4)
     ]
     write_native(capture, tmp_path / "a", burst=frames, timestamps_s=[1.0, 2.0, 3.0, 4.0])
     read = back(tmp_path / "a")
-    color, depth_m, kept = fuse_burst([c for c, _ in frames], [d for _, d in frames])
-    assert (kept, read.burst_frame, read.burst_size, read.timestamp_s) == (1, 1, 4, 2.0)
-    np.testing.assert_array_equal(read.color, color)
-    np.testing.assert_array_equal(read.depth_m, depth_m)
+    fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
+    assert (fused.burst_frame, read.burst_frame, read.timestamp_s) == (1, 1, 2.0)
+    assert (fused.burst_size, read.burst_size) == (4, 4)
+    np.testing.assert_array_equal(read.color, fused.color)
+    np.testing.assert_array_equal(read.depth_m, fused.depth_m)
     assert (read.name, read.frame, len(read.masks)) == (capture.name, capture.frame, 2)
 
 

@@ -22,7 +22,7 @@ from cucumbervision.capture.files import (
     write_bytes,
     write_png,
 )
-from cucumbervision.capture.frames import Capture, Stop, fuse_burst
+from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
 from cucumbervision.capture.readers.common import (
     choose_intrinsics,
     given_calibration,
@@ -140,27 +140,22 @@ def _load(
     frames = [_read_frame(folder, f, unit_m or manifest.depth_unit_m) for f in manifest.frames]
     if len(frames) == 1:
         # A single frame's depth stays as it is, so that what was written is what is read.
-        (color, depth_m), burst_frame = frames[0], manifest.burst_frame
-        burst_size = manifest.burst_size
+        fused = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size)
     else:
         with as_errors_of(folder):
-            color, depth_m, burst_frame = fuse_burst([c for c, _ in frames], [d for _, d in frames])
-        burst_size = len(frames)
-    height, width = color.shape[:2]
+            fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
+    height, width = fused.depth_m.shape
     intrinsics = choose_intrinsics(
         manifest.camera.intrinsics, given, width, height, source=folder / MANIFEST
     )
-    require_readings(depth_m, source=folder)
-    kept = manifest.frames[burst_frame if len(frames) > 1 else 0]
+    require_readings(fused.depth_m, source=folder)
+    kept = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
     return Capture(
-        color,
-        depth_m,
-        intrinsics,
-        name,
+        **vars(fused),
+        intrinsics=intrinsics,
+        name=name,
         frame=manifest.frame,
-        burst_frame=burst_frame,
-        burst_size=burst_size,
-        masks=_read_masks(folder, manifest.frame, color.shape),
+        masks=_read_masks(folder, manifest.frame, fused.color.shape),
         stop=Stop(**manifest.stop.model_dump()),
         timestamp_s=kept.timestamp_s,
         simulated=manifest.simulated,

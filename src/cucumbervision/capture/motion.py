@@ -1,0 +1,106 @@
+"""How far the picture moved between frames: sparse optical flow on small grey pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+_STILL_SHARE = 1 / 250  # of the width: 3 px of 848, where fused lengths still are right
+_WIDTH_PX = 320
+_CORNERS, _FEWEST = 100, 8
+_CORNER_STRENGTH = 5e-5  # twenty times that of a plain wall's noise
+_WEAKEST = 0.02  # corner, as a share of the strongest
+_THERE_AND_BACK_PX = 0.5
+_MOST = 0.9  # share of the corners: fruit that swing, or are near, move before all of them do
+
+
+def moved_px(reference: NDArray[np.uint8], others: Sequence[NDArray[np.uint8]]) -> list[float]:
+    """Return how far the picture moved from a reference frame to each other frame.
+
+    Corners of the reference are followed (Lucas and Kanade) there and back.
+
+    Parameters
+    ----------
+    reference : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    others : sequence of ndarray of uint8, shape (H, W, 3)
+        Frames of the same camera.
+
+    Returns
+    -------
+    list of float
+        Pixels: what nine tenths of the corners moved at most; infinity where most of them are
+        not found again, and 0 where the picture has too few corners to say.
+
+    Examples
+    --------
+    >>> import cv2
+    >>> blots = np.random.default_rng(1).integers(0, 255, (30, 40, 3), np.uint8)
+    >>> leaf = cv2.resize(blots, (640, 480))
+    >>> [round(x) for x in moved_px(leaf, [leaf, np.roll(leaf, 12, axis=1)])]
+    [0, 12]
+    """
+    import cv2
+
+    first, scale = _small_grey(reference)
+    strongest = float(np.max(cv2.cornerMinEigenVal(first, 5)))
+    if strongest < _CORNER_STRENGTH:
+        return [0.0] * len(others)
+    level = max(_CORNER_STRENGTH / strongest, _WEAKEST)
+    found = cv2.goodFeaturesToTrack(first, _CORNERS, level, 5, blockSize=5)
+    corners = np.asarray(found, np.float32).reshape(-1, 2)
+    if len(corners) < _FEWEST:
+        return [0.0] * len(others)
+    first = _levelled(first)
+    return [scale * _moved(first, _levelled(_small_grey(other)[0]), corners) for other in others]
+
+
+def still_px(color: NDArray[np.uint8]) -> float:
+    """Return how far a picture of this size may move and still count as the same, pixels.
+
+    Examples
+    --------
+    >>> still_px(np.zeros((720, 1250, 3), np.uint8))
+    5.0
+    """
+    return float(_STILL_SHARE * color.shape[1])
+
+
+def _moved(
+    first: NDArray[np.uint8], second: NDArray[np.uint8], corners: NDArray[np.float32]
+) -> float:
+    import cv2
+
+    # OpenCV writes into the last argument where it is given one.
+    there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.zeros_like(corners))
+    back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, np.zeros_like(corners))
+    same = np.linalg.norm(np.asarray(back) - corners, axis=1) < _THERE_AND_BACK_PX
+    same &= (np.ravel(found) == 1) & (np.ravel(again) == 1)
+    if np.count_nonzero(same) < len(corners) / 2:
+        return float("inf")
+    by = np.linalg.norm(np.asarray(there) - corners, axis=1)[same]
+    return float(np.quantile(by, _MOST))
+
+
+def _levelled(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture at one brightness and contrast: exposure adapts between frames."""
+    off = grey - np.float32(grey.mean())
+    spread = max(float(off.std()), 1.0)
+    return np.asarray(np.clip(128 + off * np.float32(40 / spread), 0, 255), np.uint8)
+
+
+def _small_grey(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+    """Return a small grey picture, and how many of its pixels' widths a pixel of it is."""
+    import cv2
+
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    scale = max(grey.shape[1] / _WIDTH_PX, 1.0)
+    size = round(grey.shape[1] / scale), max(round(grey.shape[0] / scale), 1)
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if scale > 1 else grey
+    return np.asarray(cv2.GaussianBlur(small, (3, 3), 0), np.uint8), scale

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.camera import FolderCamera
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import bundled_captures
@@ -120,6 +120,45 @@ def test_frames_without_a_time_are_not_forgotten_because_networks_loaded(
     # With times of their own, a minute is a minute.
     late = replace(walk[0], timestamp_s=1e9)
     assert [one.track for one in stream.take(late).fruit] == [4, 5, 6]
+
+
+def test_captures_of_different_stops_share_no_fruit() -> None:
+    # Three scenes of a row, a stop each, that give no time: fruit lie at like places in them.
+    given = by_masks().follow(open_stream(bundled_captures()))
+    numbers = [
+        [one.track for one in frame.fruit] for frame in given if not isinstance(frame, Failure)
+    ]
+    assert numbers == [[1, 2, 3], [4, 5, 6], [7, 8]]
+
+
+def test_pictures_of_different_scenes_share_no_fruit_without_stops_either() -> None:
+    stream, numbers = by_masks(), []
+    for ref in open_source(bundled_captures()):
+        frame = stream.take(replace(ref.load(), stop=Stop()))
+        assert all(one.seen == 1 and one.frames <= 1 for one in frame.fruit)
+        numbers += [one.track for one in frame.fruit]
+    assert numbers == list(range(1, 9))
+
+
+def test_a_length_that_contradicts_is_another_fruits(walk: list[Capture]) -> None:
+    stream = by_masks()
+    first = stream.take(walk[0])
+    # One fruit of three is replaced by its half; the others are who they were.
+    masks = list(walk[1].masks)
+    rows = np.flatnonzero(masks[0].any(axis=1))
+    masks[0] = masks[0].copy()
+    masks[0][rows[len(rows) // 2] :] = False
+    depth_m = np.where(walk[1].masks[0] & ~masks[0], np.float32(1.5), walk[1].depth_m)
+    frame = stream.take(replace(walk[1], masks=tuple(masks), depth_m=depth_m))
+    assert [one.track for one in frame.fruit] == [4, 2, 3]
+    new = frame.fruit[0]
+    assert new.length is not None
+    assert new.fruit.length is not None
+    assert new.length.value_m == pytest.approx(new.fruit.length.value_m)
+    assert first.fruit[0].length is not None
+    assert new.length.value_m < 0.8 * first.fruit[0].length.value_m
+    again = stream.take(replace(walk[2], masks=walk[2].masks[1:]))
+    assert [one.track for one in again.fruit] == [2, 3]
 
 
 def test_a_frame_that_fails_does_not_end_the_stream(folder: Path) -> None:

@@ -20,6 +20,7 @@ BALLS = 64
 
 _ROUNDS = 4
 _DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
+_LEAST_MIDLINE = 9  # points of a mask, and readings, that a middle line needs
 _PLANE_ROUNDS, _PLANE_RIDGE, _LEAST_OFF_M = 6, 1e-6, 0.002
 
 
@@ -259,6 +260,86 @@ def guess_from_picture(
     curve = np.column_stack([line, np.ones(len(line))]) * far[:, None]
     curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
     return shape_from_curve(curve, radius)
+
+
+def guess_from_midline(
+    picture: NDArray[np.float64],
+    mask: NDArray[np.bool_],
+    depth_m: NDArray[np.float64],
+) -> TubeShape | None:
+    """Guess a tube along the middle line of its mask, however much the fruit bends.
+
+    The line is the cheapest path between the two points of the mask that are farthest apart
+    within it, where a step costs the more the nearer it is to the outline (Dijkstra 1959).
+
+    Parameters
+    ----------
+    picture : ndarray of float64, shape (G, 2)
+        A grid over the mask's window as x / z and y / z.
+    mask : ndarray of bool, shape (G,)
+        Which of its points belong to the mask.
+    depth_m : ndarray of float64, shape (G,)
+        The depth there, metres; 0 where there is none.
+
+    Returns
+    -------
+    TubeShape or None
+        Its ends one radius short of the mask's; None without outline, depth, or a path.
+
+    Examples
+    --------
+    A half ring of 8 cm radius, 3 cm wide, at 0.5 m:
+
+    >>> sides = np.linspace(-0.25, 0.25, 81), np.linspace(0, 0.25, 41)
+    >>> x, y = (m.ravel() for m in np.meshgrid(*sides))
+    >>> ring = np.abs(np.hypot(x, y) - 0.16) < 0.03
+    >>> guess = guess_from_midline(np.stack([x, y], axis=1), ring, np.full(len(x), 0.5))
+    >>> centres, radii = guess.balls(9)
+    >>> bool(np.abs(np.hypot(*centres[2:-2, :2].T) - 0.082).max() < 0.005), float(radii[4].round(2))
+    (True, 0.02)
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
+    points, known = picture[mask], mask & (depth_m > 0)
+    if len(points) < _LEAST_MIDLINE or known.sum() < _LEAST_MIDLINE or mask.all():
+        return None
+    tree = cKDTree(points)
+    step = float(np.median(tree.query(points, k=2)[0][:, 1]))
+    inside = cKDTree(picture[~mask]).query(points)[0]
+    pairs = tree.query_pairs(1.6 * step, output_type="ndarray")
+    long = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    size = (len(points), len(points))
+    paths = coo_array((long, pairs.T), shape=size).tocsr()
+    middle = int(np.argmax(inside))
+    first = _farthest(dijkstra(paths, directed=False, indices=middle))
+    last = _farthest(dijkstra(paths, directed=False, indices=first))
+    cost = long / (inside[pairs].mean(axis=1) / inside.max()) ** 2
+    _, before = dijkstra(
+        coo_array((cost, pairs.T), shape=size).tocsr(),
+        directed=False,
+        indices=first,
+        return_predecessors=True,
+    )
+    line = [last]
+    while line[-1] != first and len(line) < len(points):
+        line.append(int(before[line[-1]]))
+    half = float(np.median(inside[line]))
+    along = arc_positions(points[line])
+    short = min(half, 0.4 * along[-1])
+    at = np.linspace(short, along[-1] - short, 33)
+    path = np.stack([np.interp(at, along, points[line][:, k]) for k in (0, 1)], axis=1)
+    near = cKDTree(picture[known]).query(path, k=_LEAST_MIDLINE)[1]
+    far = np.median(depth_m[known][near], axis=1)
+    curve = np.column_stack([path, np.ones(len(path))]) * far[:, None]
+    radius = max(half * float(np.median(far)), 1e-3)
+    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
+    return shape_from_curve(curve, radius)
+
+
+def _farthest(distance: NDArray[np.float64]) -> int:
+    return int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
 
 
 def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:

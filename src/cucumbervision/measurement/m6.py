@@ -9,7 +9,13 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import depth_across, outline_cracks
-from cucumbervision.geometry.tube import TubeShape, guess_from_picture, guess_shape, near_depths
+from cucumbervision.geometry.tube import (
+    TubeShape,
+    guess_from_midline,
+    guess_from_picture,
+    guess_shape,
+    near_depths,
+)
 from cucumbervision.geometry.tube_evidence import Evidence
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
@@ -326,6 +332,10 @@ def _best_fit(view: TubeView) -> TubeFitting:
         or view.sparse
     ):
         fits.append(fit_shape(evidence, _flat_guess(view)))
+        picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
+        bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
+        if bent is not None:
+            fits.append(fit_shape(evidence, bent))
         if view.sparse:
             fits.append(fit_shape(evidence, _flat_guess(view, by_girth=True)))
     return _better(view, fits) if len(fits) > 1 else first

@@ -361,3 +361,13 @@ def test_a_fruit_nearer_than_the_sensor_sees_is_laid_by_its_outlines_width(
     assert (depth[mask] > 0).mean() < 0.15
     lengths, _ = fitted(measure_m6(depth, mask, camera))
     assert lengths.centreline_m == pytest.approx(0.3, rel=0.1)
+
+
+@pytest.mark.parametrize("turn_deg", [120, 200, 240])
+def test_a_fruit_bent_into_a_hook_is_followed_round(turn_deg: float, camera: Intrinsics) -> None:
+    radius, bend = 0.011, 0.05
+    length = bend * np.deg2rad(turn_deg) + 2 * radius
+    tube = arc_tube(length, radius, bend).moved(rotation(30, 15), (0, 0, 0.35))
+    lengths, fit = fitted(measure_m6(*noisy(tube, camera, 3), camera))
+    assert lengths.centreline_m == pytest.approx(length, rel=0.02)
+    assert fit.ends_seen == (True, True)

@@ -241,6 +241,7 @@ _GOOD_EXPLAINED, _GOOD_OUTLINE = 0.9, 0.1
 _ON_SURFACE_SD, _ON_SURFACE_M, _GOOD_ON_SURFACE = 4.0, 0.002, 0.8
 _MAY_BE_FRUIT, _CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
 _GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
+_FULL_OVERLAP, _HOOKED = 0.97, 1.03  # less, and a middle line longer by this: a hook cut short
 _LEAST_SEEN = 6  # readings that such a start needs
 _SPARSE_FILL = 0.5  # below it most depth is missing: the fruit is nearer than the sensor sees
 
@@ -324,9 +325,10 @@ def _best_fit(view: TubeView) -> TubeFitting:
     if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT:
         fits.append(fit_shape(evidence, guess_shape(surface)))
     first = fits[0]
+    overlap = _coverage(view, first.shape)[2]
     seen = view.grid_mask & (view.grid_depth_m > 0)
     if np.count_nonzero(seen) >= _LEAST_SEEN and (
-        _coverage(view, first.shape)[2] < _GOOD_OVERLAP
+        overlap < _GOOD_OVERLAP
         or first.centreline_sd_m > _UNSURE_M
         or _end_on(first.shape.balls()[0])
         or view.sparse
@@ -338,6 +340,11 @@ def _best_fit(view: TubeView) -> TubeFitting:
             fits.append(fit_shape(evidence, bent))
         if view.sparse:
             fits.append(fit_shape(evidence, _flat_guess(view, by_girth=True)))
+    if overlap < _FULL_OVERLAP:
+        picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
+        bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
+        if bent is not None and bent.length_m > _HOOKED * first.shape.length_m:
+            fits.append(fit_shape(evidence, bent))
     return _better(view, fits) if len(fits) > 1 else first
 
 

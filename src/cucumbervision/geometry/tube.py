@@ -298,30 +298,20 @@ def guess_from_midline(
     >>> bool(np.abs(np.hypot(*centres[2:-2, :2].T) - 0.082).max() < 0.005), float(radii[4].round(2))
     (True, 0.02)
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
 
     points, known = picture[mask], mask & (depth_m > 0)
     if len(points) < _LEAST_MIDLINE or known.sum() < _LEAST_MIDLINE or mask.all():
         return None
     tree = cKDTree(points)
-    step = float(np.median(tree.query(points, k=2)[0][:, 1]))
-    inside = cKDTree(picture[~mask]).query(points)[0]
+    step = float(np.median(_nearest(tree, points, 2)[0][:, 1]))
+    inside = _nearest(cKDTree(picture[~mask]), points, 1)[0][:, 0]
     pairs = tree.query_pairs(1.6 * step, output_type="ndarray")
     long = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-    size = (len(points), len(points))
-    paths = coo_array((long, pairs.T), shape=size).tocsr()
-    middle = int(np.argmax(inside))
-    first = _farthest(dijkstra(paths, directed=False, indices=middle))
-    last = _farthest(dijkstra(paths, directed=False, indices=first))
+    first = _farthest(_paths(pairs, long, len(points), int(np.argmax(inside)))[0])
+    last = _farthest(_paths(pairs, long, len(points), first)[0])
     cost = long / (inside[pairs].mean(axis=1) / inside.max()) ** 2
-    _, before = dijkstra(
-        coo_array((cost, pairs.T), shape=size).tocsr(),
-        directed=False,
-        indices=first,
-        return_predecessors=True,
-    )
+    before = _paths(pairs, cost, len(points), first)[1]
     line = [last]
     while line[-1] != first and len(line) < len(points):
         line.append(int(before[line[-1]]))
@@ -330,12 +320,31 @@ def guess_from_midline(
     short = min(half, 0.4 * along[-1])
     at = np.linspace(short, along[-1] - short, 33)
     path = np.stack([np.interp(at, along, points[line][:, k]) for k in (0, 1)], axis=1)
-    near = cKDTree(picture[known]).query(path, k=_LEAST_MIDLINE)[1]
+    near = _nearest(cKDTree(picture[known]), path, _LEAST_MIDLINE)[1]
     far = np.median(depth_m[known][near], axis=1)
     curve = np.column_stack([path, np.ones(len(path))]) * far[:, None]
     radius = max(half * float(np.median(far)), 1e-3)
     curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
     return shape_from_curve(curve, radius)
+
+
+def _nearest(
+    tree: Any, points: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    # Distances and numbers of the nearest points, (N, count) each.
+    far, number = tree.query(points, k=range(1, count + 1))
+    return np.asarray(far), np.asarray(number)
+
+
+def _paths(
+    pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int, start: int
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    # What the way from a point to each other point costs, and the last point before that one.
+    from scipy.sparse import coo_array, csgraph
+
+    graph = coo_array((cost, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    found: Any = csgraph.dijkstra(graph, False, start, True)  # type: ignore[call-overload]
+    return np.asarray(found[0]), np.asarray(found[1])
 
 
 def _farthest(distance: NDArray[np.float64]) -> int:

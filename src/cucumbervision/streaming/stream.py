@@ -8,10 +8,12 @@ measured that gain most by it: frames from one place say nearly the same of a fr
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.motion import moved_px
 from cucumbervision.measurement.result import LOWER_BOUND, Choice, Method
 from cucumbervision.pipeline.fields import FIELDS, Field, SeenFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer
@@ -193,6 +195,7 @@ class FruitStream:
         self._known: dict[int, _Known] = {}
         self._received_s: float | None = None
         self._own_s = 0.0
+        self._before: Capture | None = None
 
     @classmethod
     def fast(cls, options: MeasureOptions | None = None) -> FruitStream:
@@ -260,6 +263,8 @@ class FruitStream:
             at_s = capture.timestamp_s
         if at_s is None:
             at_s = self._own_time(received_s)
+        if self._is_elsewhere(capture):
+            self._tracker.forget()
         detected = self.measurer.detect(capture)
         instances = detected.found.instances
         views = [frame_view(detected.capture, one) for one in instances]
@@ -272,6 +277,18 @@ class FruitStream:
             for k, one in enumerate(result.fruit)
         )
         return StreamedFrame(result, fruit, time.monotonic() - received_s, dropped)
+
+    def _is_elsewhere(self, capture: Capture) -> bool:
+        """Return whether a frame shows another scene than the one before."""
+        before, self._before = self._before, capture
+        if before is None:
+            return False
+        if (before.stop, before.intrinsics) != (capture.stop, capture.intrinsics):
+            return True
+        if before.timestamp_s is not None and capture.timestamp_s is not None:
+            return False
+        # Nothing says how far the camera may have moved meanwhile, but the pictures do.
+        return math.isinf(moved_px(before.color, [capture.color])[0])
 
     def _own_time(self, received_s: float) -> float:
         """Return when a frame without a time was taken, by the arrivals.
@@ -301,26 +318,29 @@ class FruitStream:
     def _tracked(
         self, capture: Capture, k: int, fruit: FruitMeasurement, number: int, view: FrameView
     ) -> TrackedFruit:
-        known = self._known[number]
+        known, length = self._known[number], fruit.length
+        partial = not LOWER_BOUND.isdisjoint(fruit.flags)
+        if length is not None and known.length.contradicts(length, partial=partial):
+            number = self._tracker.split(number)
+            known = self._known[number] = _Known()
         known.seen += 1
         known.waiting += 1
         if fruit.reason is not Choice.WAITING:
             known.measured_at, known.waiting = view, 0
-        if fruit.length is not None:
+        if length is not None:
             site = self.measurer.site
             scale_known = site is not None and site.depth_scale is not None
-            partial = not LOWER_BOUND.isdisjoint(fruit.flags)
-            known.length.add(fruit.length, view.at_m, partial=partial, scale_known=scale_known)
-        length = known.length
-        at_least_m = length.at_least_m if length.length is None else None
+            known.length.add(length, view.at_m, partial=partial, scale_known=scale_known)
+        of_all = known.length
+        at_least_m = of_all.at_least_m if of_all.length is None else None
         return TrackedFruit(
             capture,
             k + 1,
             fruit,
             number,
             known.seen,
-            length.length,
+            of_all.length,
             at_least_m,
-            length.frames,
-            len(length.places),
+            of_all.frames,
+            len(of_all.places),
         )

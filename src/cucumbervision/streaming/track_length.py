@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 FIXED = 0.95  # of a length's variance: what stays in all frames from one place
 _SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
 _MOST_PLACES = 64
+_SURE_SD, _LEAST_APART = 4.0, 0.15  # standard deviations, and log lengths: then it is another fruit
 LENGTH_Z = 1.6449  # of 90 % intervals
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
 
@@ -153,6 +154,34 @@ class TrackLength:
         self.frames += 1
         self._shift += (shift - self._shift) / self.frames
         self.length = self._combined(length, scale)
+
+    def contradicts(self, length: Length, *, partial: bool = False) -> bool:
+        """Return whether a length cannot be this fruit's: it must be another fruit.
+
+        Parameters
+        ----------
+        length : Length
+            As measured in a frame.
+        partial : bool
+            Whether it is a lower bound.
+
+        Examples
+        --------
+        >>> known = TrackLength()
+        >>> known.add(Length(0.30, LengthDefinition.THREAD, 0.285, 0.3158), np.zeros(3))
+        >>> other = Length(0.22, LengthDefinition.THREAD, 0.21, 0.23)
+        >>> known.contradicts(other), known.contradicts(other, partial=True)
+        (True, False)
+        """
+        log, sd, _ = _log_length(length)
+        if self.length is None:
+            least_m = 0.0 if partial or self.at_least_m is None else self.at_least_m
+            return least_m > 0 and np.log(least_m) - log > max(_SURE_SD * sd, _LEAST_APART)
+        if length.kind != self.length.kind:
+            return False
+        before, before_sd, _ = _log_length(self.length)
+        longer = log - before if partial else abs(log - before)
+        return longer > max(_SURE_SD * float(np.hypot(sd, before_sd)), _LEAST_APART)
 
     def _place(self, at_m: NDArray[np.float64]) -> _Place:
         for place in self.places:

@@ -155,6 +155,16 @@ class Tracker:
         """Numbers of the fruit that are remembered."""
         return frozenset(track.number for track in self._tracks)
 
+    def forget(self) -> None:
+        """Forget all fruit: what comes next is another scene. No number is given again."""
+        self._tracks, self._speed_m_s = [], None
+
+    def split(self, number: int) -> int:
+        """Give a fruit that turned out to be another than before a number of its own."""
+        track = next(one for one in self._tracks if one.number == number)
+        track.number, self._next = self._next, self._next + 1
+        return track.number
+
     def assign(self, views: Sequence[FrameView], camera: Intrinsics, now_s: float) -> list[int]:
         """Return the number of each detection's fruit.
 

@@ -122,9 +122,30 @@ def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
     file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
     for name in ("row1/a.png", "a.png", "other/a.jpg", "a"):
         assert len(file.for_capture([name], WIDTH, HEIGHT).instances) == 1
+    # Its image id is no running number: the seventh capture of a folder is another picture.
+    assert file.for_capture(["b"], WIDTH, HEIGHT, frame=7).instances == ()
+
+
+def test_ids_count_only_where_a_file_has_no_names(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    path.write_text(json.dumps([{"image_id": 7, "category_id": 0, "bbox": [1, 1, 2, 2]}]))
+    file = read_instances(path)
     assert len(file.for_capture(["b"], WIDTH, HEIGHT, frame=7).instances) == 1
-    with pytest.raises(InstancesError, match=r"does not name the picture b .it names row1/a\.png"):
-        file.for_capture(["b"], WIDTH, HEIGHT, frame=8)
+    assert file.for_capture(["b"], WIDTH, HEIGHT, frame=8).instances == ()
+    assert file.coverage([(["b"], 7), (["c", ""], 8)]) == (["c"], [])
+
+
+def test_what_has_no_counterpart_is_listed(tmp_path: Path) -> None:
+    path = coco(
+        tmp_path / "c.json",
+        {"bbox": [2, 1, 5, 4]},
+    )
+    data = json.loads(path.read_text())
+    data["annotations"].append({"id": 9, "image_id": 99, "category_id": 3, "bbox": [1, 1, 2, 2]})
+    path.write_text(json.dumps(data))
+    file = read_instances(path)
+    assert file.coverage([(["a"], 1), (["b", "row1/b.png"], 7)]) == (["b"], ["image id 99"])
+    assert file.coverage([(["b"], 7)]) == (["b"], ["row1/a.png", "image id 99"])
 
 
 def test_another_size_is_refused(tmp_path: Path) -> None:
@@ -193,8 +214,7 @@ def test_yolo_folder(tmp_path: Path) -> None:
     assert (first.class_name, first.confidence) == ("cucumber", 1.0)
     assert (second.class_name, second.confidence) == ("leaf", 0.75)
     assert get(folder, "empty").instances == ()
-    with pytest.raises(InstancesError, match="an empty file"):
-        get(folder, "b")
+    assert get(folder, "b").instances == ()
 
 
 def test_yolo_labels_folder_and_single_file(tmp_path: Path) -> None:

@@ -170,6 +170,34 @@ def test_boxes_from_a_file_are_refined_by_sam_and_bad_ones_are_noted(tmp_path: P
     assert set(models[0]["sha256"]) == {"encoder", "decoder"}
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: bool) -> None:
+    # Its image id is the capture's running number, and its name another picture's.
+    names = [ROW_A, "elsewhere.png"] if named else ["elsewhere.png"]
+    content = {
+        "images": [{"id": 1 - k, "file_name": name} for k, name in enumerate(names)],
+        "annotations": [{"id": 1, "image_id": 0, "category_id": 1, "bbox": [180, 85, 80, 295]}],
+        "categories": [{"id": 1, "name": "cucumber"}],
+    }
+    boxes = tmp_path / "boxes.json"
+    boxes.write_text(json.dumps(content))
+    result = measure_inputs(
+        [bundled_captures()],
+        tmp_path / "out",
+        MeasureOptions(instances=str(boxes), segmenter="none"),
+    )
+    assert result.rows == []
+    if named:
+        assert result.failures == []
+        assert result.notes == [
+            f"{boxes}: no fruit given for simulated-bench, simulated-row-b",
+            f"{boxes}: no capture is called elsewhere.png",
+        ]
+    else:
+        (failure,) = result.failures
+        assert "names none of the captures (simulated-bench, " in failure.message
+
+
 def test_without_a_segmenter_boxes_are_measured_by_the_box(tmp_path: Path) -> None:
     label = tmp_path / f"{ROW_A}.txt"
     label.write_text(f"0 {220 / 848} {232 / 480} {80 / 848} {295 / 480}\n")

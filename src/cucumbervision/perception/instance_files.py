@@ -19,7 +19,7 @@ from cucumbervision.perception.mask_codes import mask_of_segmentation, polygon_p
 from cucumbervision.perception.masks import box_of_mask
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -289,18 +289,21 @@ class InstanceFile:
         width, height : int
             The picture's size in pixels.
         frame : int, optional
-            The picture's number, compared with COCO's image ids where no name fits.
+            The picture's number, compared with COCO's image ids where the file has no names.
 
         Returns
         -------
         FileInstances
+            Empty where the file does not name the picture (`coverage` lists those).
 
         Raises
         ------
         InstancesError
-            If the file does not name the picture, names it twice, or gives it another size.
+            If the file names the picture twice, or gives it another size.
         """
         picture = self._find([n for n in names if n], frame)
+        if picture is None:
+            return FileInstances((), (), ())
         if picture.size_px is not None and picture.size_px != (width, height):
             raise InstancesError(
                 f"gives {picture.name or picture.number} the size "
@@ -323,7 +326,33 @@ class InstanceFile:
                 clipped.append(cut)
         return FileInstances(tuple(instances), tuple(clipped), tuple(refused))
 
-    def _find(self, names: Sequence[str], frame: int | None) -> Picture:
+    def coverage(
+        self, captures: Iterable[tuple[Sequence[str], int | None]]
+    ) -> tuple[list[str], list[str]]:
+        """Return which captures the file does not name, and which of its pictures are no capture.
+
+        Parameters
+        ----------
+        captures : iterable of (sequence of str, int or None)
+            Names and number of each, as `for_capture` takes them.
+
+        Returns
+        -------
+        missing, unused : list of str
+            Names of captures, and of pictures of the file.
+        """
+        missing, used = [], set()
+        for names, frame in captures:
+            picture = self._find([n for n in names if n], frame)
+            if picture is None:
+                missing.append(next((n for n in names if n), str(frame)))
+            else:
+                used.add(id(picture))
+        return missing, [
+            p.name or f"image id {p.number}" for p in self.pictures if id(p) not in used
+        ]
+
+    def _find(self, names: Sequence[str], frame: int | None) -> Picture | None:
         for short in (_whole, _file_name, _stem):
             # A capture's name may hold dots and have no ending.
             wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
@@ -336,16 +365,10 @@ class InstanceFile:
                     source=self.source,
                     remedy="give the pictures different names",
                 )
-        for picture in self.pictures:
-            if frame is not None and picture.number == frame:
-                return picture
-        known = ", ".join(p.name or str(p.number) for p in self.pictures[:3]) or "none"
-        raise InstancesError(
-            f"does not name the picture {' or '.join(names) or frame} (it names {known})",
-            source=self.source,
-            remedy="name its pictures as the captures are called; where a picture holds no fruit,"
-            " list it without annotations (YOLO: an empty file)",
-        )
+        # A running number is no name: where the file has names, its ids count something else.
+        if frame is None or any(p.name for p in self.pictures):
+            return None
+        return next((p for p in self.pictures if p.number == frame), None)
 
 
 def read_instances(path: Path | str) -> InstanceFile:

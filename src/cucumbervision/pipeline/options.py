@@ -15,6 +15,9 @@ from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
+INSTANCE_SOURCES = ("auto", "models", "dataset")
+"""What `MeasureOptions.instances` may be beside a file."""
+
 
 @dataclass(frozen=True)
 class MeasureOptions:

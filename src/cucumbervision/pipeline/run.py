@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.urls import as_path
+from cucumbervision.errors import InstancesError
+from cucumbervision.perception.instance_files import read_instances
 from cucumbervision.pipeline.engines import in_process
 from cucumbervision.pipeline.inputs import distinct, each_once, list_captures
 from cucumbervision.pipeline.journal import JOURNAL, Journal, Record
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
+from cucumbervision.pipeline.options import INSTANCE_SOURCES
 from cucumbervision.pipeline.output import OutputFolder
 from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.summary import Summary
@@ -179,6 +182,7 @@ class _Run:
     before: int = 0
     listed: int = 0
     taken: int = 0
+    seen: list[tuple[tuple[str, ...], int | None]] = field(default_factory=list)
 
     def measure(self, inputs: Sequence[Path], report: Report | None) -> RunResult:
         if self.journal.damaged:
@@ -197,6 +201,8 @@ class _Run:
                 report(done)
         with Boundary(self.failures, str(self.out.path)):
             self.journal.flush()
+        with Boundary(self.failures, self.options.instances):
+            self._note_instances()
         about = provenance_of(self.options, self.summary.models, site, self.started)
         self.failures += write_reports(
             self.out,
@@ -258,8 +264,33 @@ class _Run:
         if record is not None:
             self.summary.add(record.rows, record.models)
             self.order.append(bytes.fromhex(record.place))
+            capture = record.capture
+            names = (str(capture["name"]), str(capture.get("source") or ""))
+            self.seen.append((names, capture.get("frame")))
         self.failures += failures
         return replace(outcome, record=record, failures=tuple(failures))
 
+    def _note_instances(self) -> None:
+        """Note which captures and which pictures of a file of instances have no counterpart."""
+        path = Path(self.options.instances)
+        if self.options.instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":
+            return
+        missing, unused = read_instances(path).coverage(self.seen)
+        if missing and len(missing) == len(self.seen):
+            raise InstancesError(
+                f"names none of the captures ({_some(missing)}); it names {_some(unused)}",
+                source=path,
+                remedy="name its pictures as the captures are called",
+            )
+        if missing:
+            self.notes.append(f"{path}: no fruit given for {_some(missing)}")
+        if unused and self.seen:
+            self.notes.append(f"{path}: no capture is called {_some(unused)}")
+
     def _records(self) -> Iterator[Record]:
         return self.journal.records(place.hex() for place in self.order)
+
+
+def _some(names: Sequence[str], most: int = 5) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"

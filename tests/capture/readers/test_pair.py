@@ -12,6 +12,7 @@ from cucumbervision.capture.files import write_png
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.readers.pair import Pair, find_pairs
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 COLOR = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
@@ -218,3 +219,17 @@ def test_greenhouse_foliage(data: Path, tmp_path: Path) -> None:
     assert (capture.width, capture.height) == (1280, 720)
     # 18.8 % of the pixels are holes.
     assert (capture.depth_m == 0).mean() == pytest.approx(0.188, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [
+        ("sample_06.png", "sample_06_depth.npy"),
+        ("a_1_color_clean.png", "a_1_color_clean_depth.npy"),
+        ("a_1_color.jpg", "a_1_depth.png"),
+    ],
+)
+def test_usual_names_of_pairs(tmp_path: Path, color: str, depth: str) -> None:
+    for name in (color, depth, "mask.png", "notes.txt"):
+        (tmp_path / name).touch()
+    assert find_pairs(tmp_path) == [Pair(tmp_path / color, tmp_path / depth)]

@@ -46,7 +46,8 @@ def find_pairs(path: Path) -> list[Pair]:
     """Pair the pictures of a folder, and of the folders in it, by their names.
 
     Names match when they are equal but for the words 'color', 'colour', 'rgb' and 'depth':
-    `rgb_7.png` and `depth_7.png`, or `color/7.jpg` and `depth/7.npy`. A picture left alone is a
+    `rgb_7.png` and `depth_7.png`, `color/7.jpg` and `depth/7.npy`, `7_color_depth.npy` and
+    `7_color.png`, or plain `7.png` and `7_depth.npy`. A picture left alone is a
     pair with one part missing, so that it is not lost silently; an 8-bit 'depth' picture left
     alone is only there to be looked at. Without any whole pair there are none.
     """
@@ -67,21 +68,27 @@ def pair_up(
 ) -> tuple[dict[str, Part], dict[str, Part]]:
     """Return the colour and the depth pictures among files by name, under the key of their pair.
 
-    A depth picture of 8 bits gives way to any other of its key.
+    A depth picture of 8 bits gives way to any other of its key. A picture whose name says neither
+    is the colour of the depth picture that is called so.
     """
     colors: dict[str, Part] = {}
     depths: dict[str, Part] = {}
+    plain: dict[str, Part] = {}
     for name, part in named:
         role, key = _pair_role(name)
         if role == "depth" and (key not in depths or is_8_bit(depths[key])):
             depths[key] = part
         elif role == "color":
             colors.setdefault(key, part)
-    return colors, depths
+        elif role == "picture":
+            plain.setdefault(key, part)
+    return {key: part for key, part in plain.items() if key in depths} | colors, depths
 
 
 def _pair_role(name: str) -> tuple[str, str]:
-    """Return which part of a pair a file is by its name ('depth', 'color' or ''), and the key.
+    """Return which part of a pair a file is by its name, and the key of the pair.
+
+    'depth', 'color', 'picture' for one whose name says neither, or '' for no picture.
 
     Both parts of a pair have one key.
 
@@ -93,14 +100,15 @@ def _pair_role(name: str) -> tuple[str, str]:
     stem, dot, ending = name.rpartition(".")
     suffix = f"{dot}{ending}".lower()
     if _DEPTH_WORD.search(stem) and suffix in DEPTH_SUFFIXES:
-        return "depth", _key(stem, _DEPTH_WORD)
-    if _COLOR_WORD.search(stem) and suffix in COLOR_SUFFIXES:
-        return "color", _key(stem, _COLOR_WORD)
-    return "", ""
+        return "depth", _key(stem)
+    if suffix not in COLOR_SUFFIXES:
+        return "", ""
+    return ("color" if _COLOR_WORD.search(stem) else "picture"), _key(stem)
 
 
-def _key(name: str, word: re.Pattern[str]) -> str:
-    return re.sub(r"[^a-z0-9]+", " ", word.sub(" ", name).lower()).strip()
+def _key(name: str) -> str:
+    without = _DEPTH_WORD.sub(" ", _COLOR_WORD.sub(" ", name))
+    return re.sub(r"[^a-z0-9]+", " ", without.lower()).strip()
 
 
 def is_8_bit_png(path: Path) -> bool:

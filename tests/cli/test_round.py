@@ -77,6 +77,15 @@ def test_a_pair_without_intrinsics_gets_them_by_the_option(
     assert "1 stops added" in run("add", str(pair), "--intrinsics", str(camera), *house)
 
 
+def test_what_has_changed_is_measured_again_and_a_round_on_demand(house: list[str]) -> None:
+    row = (str(bundled_captures() / "simulated-row-a"), "--instances", "dataset")
+    run("add", *row, *house)
+    again = run("add", *row, "--length", "chord", *house)
+    assert "0 stops added with 0 fruit; 0 were there already." in again
+    assert "1 were measured again" in again
+    assert "1 stops measured again." in run("remeasure", "--instances", "dataset", *house)
+
+
 def test_a_stop_that_is_put_back_is_merged_at_once(house: list[str]) -> None:
     row = str(bundled_captures() / "simulated-row-a")
     run("add", row, "--row", "4", "--position", "2", "--instances", "dataset", *house)

@@ -119,7 +119,11 @@ def add(
     runtime: Runtime = "auto",
     images: Images = None,
 ) -> None:
-    """Measure captures and save each as a stop; one that is there already is left as it is."""
+    """Measure captures and save each as a stop.
+
+    One that is there already is measured again only if its intrinsics, the calibration or the
+    options have changed.
+    """
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.options import MeasureOptions
@@ -160,13 +164,58 @@ def _add(
         done = add_captures(store, key, inputs, options, place, lambda _: bar.advance(task))
     new = [one for one in done if one.new]
     failures = [one.failure for one in done if one.failure]
-    there = len(done) - len(new) - len(failures)
+    again = sum(one.again for one in done)
+    there = len(done) - len(new) - len(failures) - again
     fruit = sum(one.fruit for one in new)
     screen().print(f"{len(new)} stops added with {fruit} fruit; {there} were there already.")
+    if again:
+        screen().print(f"{again} were measured again, since what they depend on has changed.")
     if deleted := sum(one.deleted for one in done):
         screen().print(f"{deleted} of these were deleted: undo that to have them back.")
     show_failures(failures)
     return exit_code(len(done) - len(failures), failures)
+
+
+@app.command(epilog=EXIT_CODES)
+def remeasure(
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    instances: Instances = "auto",
+    length: Length = LengthDefinition.CENTRELINE,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
+    calibration: Calibration = None,
+    runtime: Runtime = "auto",
+    images: Images = None,
+) -> None:
+    """Measure a round again from the captures that the store keeps, and merge it.
+
+    Stops stay where they are. Fruit that are found again keep what was decided of them by hand.
+    """
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, show_failures
+    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.rounds.remeasuring import measure_round_again
+
+    options = MeasureOptions(
+        instances=instances,
+        length=length,
+        confidence=confidence,
+        runtime=runtime,
+        calibration=calibration,
+    )
+    with opened_round(store, round_, images) as (opened, one):
+        with progress_bar(Console(stderr=True, highlight=False)) as bar:
+            task = bar.add_task("measuring", total=None)
+            done, failures = measure_round_again(
+                *(opened, one.key, options),
+                lambda k, of: bar.update(task, completed=k, total=of),
+            )
+        settle_round(opened, one.key)
+    screen().print(f"{done} stops measured again.")
+    show_failures(failures)
+    raise typer.Exit(exit_code(done, failures))
 
 
 @app.command("merge")

@@ -17,8 +17,8 @@ from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.rounds.adding import Place, measured_stop, placed_fruit
-from cucumbervision.rounds.poses import stored_pose
+from cucumbervision.rounds.adding import Place, measured_stop
+from cucumbervision.rounds.poses import placed_fruit, stored_pose
 from cucumbervision.store.records import new_key
 from cucumbervision.store.results import fruit_record, stored_capture
 from cucumbervision.store.views import DetectionFilter, Verdict

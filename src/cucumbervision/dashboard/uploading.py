@@ -13,7 +13,12 @@ from cucumbervision.capture.files import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.rounds.adding import Place, capture_sha256, spot_and_camera
+from cucumbervision.rounds.adding import (
+    Place,
+    capture_sha256,
+    measured_otherwise,
+    spot_and_camera,
+)
 from cucumbervision.rounds.demonstration import round_for_capture
 from cucumbervision.rounds.walking import last_step, refuse_taken
 from cucumbervision.store.records import key_of
@@ -174,11 +179,13 @@ def _saved(
             stop = replace(stop, step=last_step(store.stops(home)) + 1)
         key = key_of(home, capture.name, capture_sha256(capture))
         deleted = store.stop_is_deleted(key)
+        if deleted:
+            return Outcome(name, False, "was deleted: undo that to have it back")
         if deleted is not None:
-            words = (
-                "was deleted: undo that to have it back" if deleted else "is in the round already"
-            )
-            return Outcome(name, False, words)
+            fruit = measured_otherwise(store, key, capture, measurer.with_options(options))
+            again = "was there already, and is measured again: its intrinsics or options changed"
+            words = "is in the round already" if fruit is None else again
+            return Outcome(name, fruit is not None, words)
         capture = replace(capture, stop=stop)
         refuse_taken(store, home, *spot_and_camera(capture, 0, Place()))
         taken = measurer.take_stop(store, home, capture, options, key=key)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.fields import SeenFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.stages import StageHashes
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -215,6 +217,11 @@ class Measurer:
         """Return the networks that took part in some stages, as in `models`."""
         by_stage = {} if self._finder is None else self._finder.by_stage
         return [model for stage in stages for model in by_stage.get(stage, [])]
+
+    @cached_property
+    def hashes(self) -> StageHashes:
+        """What its rows depend on, by stage."""
+        return StageHashes(self.options, self._registry)
 
     def load(self) -> Finder:
         """Load what is needed, if it is not loaded already; SAM waits until it is asked for.

@@ -20,7 +20,6 @@ from cucumbervision.pipeline.measurer import (
     Failure,
     Measurer,
 )
-from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.tables import capture_json
 
 if TYPE_CHECKING:
@@ -177,7 +176,6 @@ class Worker:
         self, options: MeasureOptions, out: OutputFolder, registry: Registry | None = None
     ) -> None:
         self._measurer = Measurer(options, registry)
-        self._hashes = StageHashes(options, registry)
         self._out = out
 
     def load(self) -> None:
@@ -241,7 +239,7 @@ class Worker:
             with Boundary(failures, capture.source, capture.name):
                 rows = result.rows()
                 said = capture_json(result, rows)
-                digest = self._hashes.of(result.stages)
+                digest = self._measurer.hashes.of(result.stages)
                 models = self._measurer.models_of(result.stages)
                 stages = tuple(map(str, result.stages))
                 record = Record(done.place, content, stages, digest, said, (), models, None)

@@ -17,13 +17,14 @@ from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
-    offset_of,
+    placed_fruit,
     pose_matrix,
     sign_of_side,
 )
+from cucumbervision.rounds.remeasuring import measure_stop_again
 from cucumbervision.rounds.walking import refuse_taken
 from cucumbervision.store.records import key_of
-from cucumbervision.store.results import records_from_result
+from cucumbervision.store.results import holds_still, records_from_result
 from cucumbervision.store.views import CameraAt, Saved
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
-    from cucumbervision.store.records import DetectionRecord, StopRecord
+    from cucumbervision.store.records import StopRecord
     from cucumbervision.store.repository import Store
 
 Report: TypeAlias = Callable[["Added"], None]
@@ -89,6 +90,9 @@ class Added:
         Whether it was saved now.
     deleted : bool
         Whether it was there already and somebody deleted it: undo that to have it back.
+    again : bool
+        Whether it was there already, and measured again: from other intrinsics, with another
+        calibration or other options.
     failure : Failure, optional
         Why not.
     """
@@ -98,6 +102,7 @@ class Added:
     fruit: int = 0
     new: bool = False
     deleted: bool = False
+    again: bool = False
     failure: Failure | None = None
 
 
@@ -111,8 +116,10 @@ def add_captures(
 ) -> list[Added]:
     """Measure captures and save each as a stop of a round.
 
-    A capture that is in the round already, deleted or not, is not measured again. One that cannot
-    be read or measured, or lies where the same camera took another, is noted, and the others go on.
+    A capture that is in the round already is measured again where what it was measured from has
+    changed: its intrinsics, the calibration or the options. One that was deleted is not. One that
+    cannot be read or measured, or lies where the same camera took another, is noted, and the others
+    go on.
 
     Parameters
     ----------
@@ -144,9 +151,9 @@ def add_captures(
             added = Added(read.name, key_of(round_key, read.name, capture_sha256(read)))
             deleted = store.stop_is_deleted(added.stop_key)
             added = replace(added, deleted=bool(deleted))
+            failures: list[Failure] = []
             if deleted is None:
                 measurer.load()
-                failures: list[Failure] = []
                 with Boundary(failures, read.source, read.name):
                     refuse_taken(store, round_key, *spot_and_camera(read, number, place))
                     result, stop = measured_stop(read, number, place, measurer, store.images)
@@ -155,12 +162,36 @@ def add_captures(
                         stop = replace(stop, key=added.stop_key, round_key=round_key)
                         new = store.save_stop(stop) is Saved.NEW
                         added = replace(added, fruit=len(result.fruit) if new else 0, new=new)
-                if failures:
-                    added = Added(read.name, failure=failures[0])
+            elif not deleted:
+                with Boundary(failures, read.source, read.name):
+                    fruit = measured_otherwise(store, added.stop_key, read, measurer)
+                    added = replace(added, fruit=fruit or 0, again=fruit is not None)
+            if failures:
+                added = Added(read.name, failure=failures[0])
         done.append(added)
         if report is not None:
             report(added)
     return done
+
+
+def measured_otherwise(
+    store: Store, stop_key: str, capture: Capture, measurer: Measurer
+) -> int | None:
+    """Measure a stop again where what it was measured from has changed; its place stays.
+
+    Returns
+    -------
+    int or None
+        How many fruit it shows; None where nothing has changed, and nothing was measured.
+
+    Raises
+    ------
+    CucumberVisionError
+        If it cannot be measured; the stop is then as it was.
+    """
+    if holds_still(store.stop(stop_key).artifacts, capture, measurer):
+        return None
+    return measure_stop_again(store, stop_key, [capture], measurer)
 
 
 def capture_sha256(capture: Capture) -> str:
@@ -244,20 +275,3 @@ def _spot(
     sign = sign_of_side(side) if place.sign is None else place.sign
     pose = pose_matrix(position or 0.0, sign, **turned)
     return Stop(row, side, position, step), None if position is None else sd, pose
-
-
-def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> DetectionRecord:
-    """Return a fruit with its offset along the row from the camera's pose.
-
-    Examples
-    --------
-    >>> from cucumbervision.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
-    >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
-    -0.1
-    """
-    found = offset_of(fruit, pose)
-    if found is None:
-        return fruit
-    offset_m, sd_m = (round(float(values[0]), 5) for values in found)
-    return replace(fruit, offset_m=offset_m, offset_sd_m=sd_m)

@@ -19,15 +19,13 @@ from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
-from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
 from cucumbervision.rounds.from_store import joint_groups, read_round
 from cucumbervision.rounds.poses import MIDDLE_SD_M, stored_pose
 from cucumbervision.rounds.row_views import ALONG
 from cucumbervision.store.records import JointRecord
-from cucumbervision.store.results import fruit_record, stored_capture
+from cucumbervision.store.results import fruit_record, instance_of, stored_capture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -132,16 +130,7 @@ class _StoredView:
     capture: Capture
 
     def as_seen(self, pose: NDArray[np.float64]) -> FruitView:
-        record, shape = self.record, (self.capture.height, self.capture.width)
-        box = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
-        instance = Instance(
-            np.array(box),
-            record.score,
-            record.label,
-            mask=None if record.mask is None else decode_rle(record.mask, *shape),
-            mask_source=MaskSource(record.mask_source) if record.mask_source else None,
-            keypoints=np.array(record.keypoints) if record.keypoints else None,
-        )
+        instance = instance_of(self.record, (self.capture.height, self.capture.width))
         return FruitView(self.capture, instance, pose, shift_sd_m=MIDDLE_SD_M)
 
     @property

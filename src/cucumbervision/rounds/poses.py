@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -231,3 +232,20 @@ def offset_of(
     # is the difference in depth between its left and its right.
     depth = np.hypot(across if tube else SURFACE_DEPTH_SD_M, _TURN_SD * abs(float(offset[0])))
     return offset, np.array([across, up, depth])
+
+
+def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> DetectionRecord:
+    """Return a fruit with its offset along the row from the camera's pose.
+
+    Examples
+    --------
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
+    >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
+    -0.1
+    """
+    found = offset_of(fruit, pose)
+    if found is None:
+        return fruit
+    offset_m, sd_m = (round(float(values[0]), 5) for values in found)
+    return replace(fruit, offset_m=offset_m, offset_sd_m=sd_m)

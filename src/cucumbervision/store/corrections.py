@@ -9,7 +9,7 @@ from sqlalchemy import and_, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.edits import Edits, change_line, log_action
+from cucumbervision.store.edits import MEASURE_AGAIN, Edits, change_line, log_action
 from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
@@ -280,7 +280,7 @@ def _group_of(connection: Connection, one: DetectionId) -> frozenset[str]:
 def _action_to_undo(connection: Connection, number: int | None, round_key: str | None) -> Any:
     undone = select(Action.undoes_id).where(Action.undoes_id.is_not(None))
     query = select(Action.id, Action.kind, Action.round_id, Action.fruit, Action.details).where(
-        Action.kind != "undo", Action.id.not_in(undone)
+        Action.kind.not_in(("undo", MEASURE_AGAIN)), Action.id.not_in(undone)
     )
     if number is not None:
         query = query.where(Action.id == number)

@@ -86,6 +86,21 @@ class Edits(Database):
             return _edit(connection, Round, found, "delete-round", {"deleted": True}, by)
 
 
+MEASURE_AGAIN = "measure-again"
+"""The kind of action that measures a stop again: the one that is not undone."""
+
+
+def stop_line(connection: Connection, key: str) -> Any:
+    """Return all cells of a stop that was not deleted, and keep others from changing it.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    return _line(connection, StopLine, key)
+
+
 _TABLES: dict[str, Any] = {"stops": StopLine, "rounds": Round}
 
 

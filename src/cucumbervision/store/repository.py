@@ -16,7 +16,7 @@ from cucumbervision.store.corrections import (
     lock_rounds,
     mark_added,
 )
-from cucumbervision.store.edits import original_name
+from cucumbervision.store.edits import MEASURE_AGAIN, log_action, original_name, stop_line
 from cucumbervision.store.engine import database_url, make_engine, migrate, named
 from cucumbervision.store.joint import JointRecords
 from cucumbervision.store.queries import Queries, round_id_of
@@ -28,6 +28,7 @@ from cucumbervision.store.records import (
     key_of,
     record_json,
 )
+from cucumbervision.store.remeasured import carry_over, put_aside
 from cucumbervision.store.schema import (
     CAPTURE_CELLS,
     DETECTION_CELLS,
@@ -173,14 +174,65 @@ class Store(Queries, Corrections, JointRecords):
                 if connection.execute(stored).scalar_one() != sha256:
                     raise _conflict("stop", stop.key)
                 return Saved.ALREADY_THERE
-            _add_artifacts(connection, stop_id, stop.artifacts)
-            _add_images(connection, stop.captures)
-            for number, capture in enumerate(stop.captures):
-                capture_id = _add_capture(connection, stop_id, number, capture)
-                # The same key on every machine: from the stop's, the capture's place, the number.
-                keys = [key_of("fruit", stop.key, number, one.number) for one in capture.fruit]
-                _add_detections(connection, capture_id, round_id, keys, capture.fruit)
+            # The same keys on every machine: from the stop's, the capture's place, the number.
+            keys = [
+                [key_of("fruit", stop.key, number, one.number) for one in capture.fruit]
+                for number, capture in enumerate(stop.captures)
+            ]
+            _add_content(connection, stop_id, round_id, stop, keys)
         return Saved.NEW
+
+    def measure_again(
+        self,
+        stop: StopRecord,
+        same: Mapping[str, tuple[str, int]],
+        corrected: Mapping[str, DetectionRecord],
+        *,
+        by: str = "",
+    ) -> int:
+        """Replace what was measured at a stop; logged, and not to be undone.
+
+        The stop stays where it is. A fruit that is the same as before keeps its key and all that
+        was said of it by hand. What was measured before stays in the tables, in no list.
+
+        Parameters
+        ----------
+        stop : StopRecord
+            As measured now, under the key that it has.
+        same : mapping of str to (str, int)
+            Capture and number that a fruit has now, by its key.
+        corrected : mapping of str to DetectionRecord
+            As measured now with its corrected mask, by its key.
+        by : str
+            Who had it measured.
+
+        Raises
+        ------
+        StoreError
+            If the stop is not there.
+        """
+        stop = _checked_stop(stop)
+        sha256 = content_sha256(stop)
+        known = {now: key for key, now in same.items()}
+        with self.writing() as connection:
+            line = stop_line(connection, stop.key)
+            lock_rounds(connection, [line.round_id])
+            old = put_aside(connection, line)
+            keys = [
+                [
+                    known.get((capture.name, one.number))
+                    or key_of("fruit", stop.key, sha256, number, one.number)
+                    for one in capture.fruit
+                ]
+                for number, capture in enumerate(stop.captures)
+            ]
+            _add_content(connection, line.id, line.round_id, stop, keys)
+            carry_over(connection, old, corrected)
+            cells = {"content_sha256": sha256, "failures": [dict(one) for one in stop.failures]}
+            connection.execute(update(StopLine).where(StopLine.id == line.id).values(**cells))
+            gone = sorted(old.keys() - same.keys())
+            details = {"key": stop.key, "gone": gone}
+            return log_action(connection, MEASURE_AGAIN, by, line.round_id, list(same), details)
 
     def add_fruit(
         self, stop_key: str, capture: str, record: DetectionRecord, *, by: str = ""
@@ -317,6 +369,21 @@ def _check_once(names: Sequence[object], source: str, what: str) -> None:
 
 def _cells(record: Any, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(record, name) for name in names}
+
+
+def _add_content(
+    connection: Connection,
+    stop_id: int,
+    round_id: int,
+    stop: StopRecord,
+    keys: Sequence[Sequence[str]],
+) -> None:
+    """Add a stop's artifacts, captures and fruit; the fruit's keys by capture."""
+    _add_artifacts(connection, stop_id, stop.artifacts)
+    _add_images(connection, stop.captures)
+    for number, (capture, own) in enumerate(zip(stop.captures, keys, strict=True)):
+        capture_id = _add_capture(connection, stop_id, number, capture)
+        _add_detections(connection, capture_id, round_id, own, capture.fruit)
 
 
 def _add_artifacts(

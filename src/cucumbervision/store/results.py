@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
@@ -16,8 +17,10 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import InstancesError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.measurement.result import Flag, LengthDefinition
-from cucumbervision.perception.mask_codes import encode_rle
+from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision.perception.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import si_values
+from cucumbervision.pipeline.stages import Stage
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -30,13 +33,14 @@ from cucumbervision.store.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.pipeline.fields import SeenFruit
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
+    from cucumbervision.pipeline.stages import StageHashes
     from cucumbervision.store.images import ImageStore
 
 _PATH_POINTS = 48  # enough to draw a fruit by
@@ -87,7 +91,7 @@ def records_from_result(
         position_sd_m=position_sd_m,
         taken_s=time.time() if when is None else when,
         captures=tuple(_capture_record(one, images) for one in results),
-        artifacts=() if measurer is None else _artifact_records(measurer),
+        artifacts=() if measurer is None else _artifact_records(measurer, results),
         failures=tuple(vars(failure) for one in results for failure in one.failures),
     )
 
@@ -198,7 +202,57 @@ def view_score(fruit: FruitMeasurement) -> float:
     return round(score * 0.5**halved, 6)
 
 
-def _artifact_records(measurer: Measurer) -> tuple[ArtifactRecord, ...]:
+def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
+    """Return a stored fruit as it was found, in a picture of this height and width."""
+    edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+    return Instance(
+        np.array(edges),
+        record.score,
+        record.label,
+        mask=None if record.mask is None else decode_rle(record.mask, *shape),
+        mask_source=MaskSource(record.mask_source) if record.mask_source else None,
+        keypoints=np.array(record.keypoints) if record.keypoints else None,
+    )
+
+
+_MEASURED_FROM = "measured-from"
+
+
+def measured_from(
+    capture: Capture, stages: Iterable[Stage | str], hashes: StageHashes
+) -> ArtifactRecord:
+    """Return what the fruit of a capture depend on besides its pictures.
+
+    These are its intrinsics, the stages that they went through, what these depend on, and the
+    data set's masks where they are its own.
+    """
+    names = [str(stage) for stage in stages]
+    camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
+    own = capture.masks if Stage.DATASET in names else ()
+    masks = sorted(hashlib.sha256(np.packbits(mask).tobytes()).hexdigest() for mask in own)
+    text = json.dumps([hashes.of(names), camera, masks], sort_keys=True)
+    sha256 = hashlib.sha256(text.encode()).hexdigest()
+    return ArtifactRecord(_MEASURED_FROM, " ".join(names), sha256)
+
+
+def holds_still(artifacts: Iterable[ArtifactRecord], capture: Capture, measurer: Measurer) -> bool:
+    """Return whether a stop measured with these would be measured so again from this capture.
+
+    Raises
+    ------
+    CucumberVisionError
+        If a file that the options name cannot be read.
+    """
+    for one in artifacts:
+        if one.kind == _MEASURED_FROM:
+            names, hashes = one.name.split(), measurer.hashes
+            return names[0] in hashes.sources and one == measured_from(capture, names, hashes)
+    return False
+
+
+def _artifact_records(
+    measurer: Measurer, results: Sequence[CaptureResult]
+) -> tuple[ArtifactRecord, ...]:
     """Return software, configuration, networks and calibration that a measurer measures with."""
     options, site = measurer.options, measurer.site
     records = [
@@ -213,7 +267,8 @@ def _artifact_records(measurer: Measurer) -> tuple[ArtifactRecord, ...]:
         sha256 = hashlib.sha256(site.as_text().encode()).hexdigest()
         details = site.model_dump(mode="json")
         records.append(ArtifactRecord("calibration", site.name, sha256, details))
-    return tuple(records)
+    kinds = [measured_from(r.capture, r.stages, measurer.hashes) for r in results if r.stages]
+    return (*records, *kinds[:1])
 
 
 def _method_record(measurement: Measurement) -> MethodRecord:

@@ -1,0 +1,182 @@
+"""Stops measured again: where what they were measured from has changed, or all of a round."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.calibration.calibration_file import SiteCalibration
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.perception.boxes import box_ious
+from cucumbervision.perception.instances import MaskSource
+from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
+from cucumbervision.rounds.poses import placed_fruit, stored_pose
+from cucumbervision.store.results import (
+    fruit_record,
+    instance_of,
+    records_from_result,
+    stored_capture,
+)
+from cucumbervision.store.views import DetectionFilter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.pipeline.measurer import CaptureResult
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.store.records import CaptureRecord, DetectionRecord, StopRecord
+    from cucumbervision.store.repository import Store
+
+_SAME_BOX = 0.5  # intersection over union
+
+
+def measure_round_again(
+    store: Store,
+    round_key: str,
+    options: MeasureOptions,
+    report: Callable[[int, int], None] | None = None,
+) -> tuple[int, list[Failure]]:
+    """Measure all stops of a round again from the captures that the store keeps.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is.
+    round_key : str
+        The round.
+    options : MeasureOptions
+        How to measure.
+    report : callable, optional
+        Given how many stops are done, and of how many.
+
+    Returns
+    -------
+    done : int
+        How many stops were measured again.
+    failures : list of Failure
+        Why others were not; these are as they were.
+    """
+    measurer, failures = Measurer(options), list[Failure]()
+    stops = store.stops(round_key)
+    for number, view in enumerate(stops, 1):
+        with Boundary(failures, store.name, f"stop {view.step or view.key[:8]}"):
+            stop = store.stop(view.key)
+            captures = [_as_read(store, one, stop) for one in stop.captures]
+            measure_stop_again(store, view.key, captures, measurer)
+        if report is not None:
+            report(number, len(stops))
+    return len(stops) - len(failures), failures
+
+
+def _as_read(store: Store, record: CaptureRecord, stop: StopRecord) -> Capture:
+    """Return a stored capture as it was before a calibration, with the data set's own masks."""
+    capture = stored_capture(store.images, record, stop)
+    for one in stop.artifacts:
+        if one.kind == "calibration":
+            site = SiteCalibration.model_validate(dict(one.details))
+            depth_m = capture.depth_m * np.float32(site.depth_divisor)
+            capture = replace(capture, depth_m=depth_m)
+    masks = [
+        decode_rle(fruit.mask, capture.height, capture.width)
+        for fruit in record.fruit
+        if fruit.mask is not None and fruit.mask_source == MaskSource.DATASET
+    ]
+    return replace(capture, masks=tuple(masks))
+
+
+def measure_stop_again(
+    store: Store, key: str, captures: Sequence[Capture], measurer: Measurer
+) -> int:
+    """Measure a stop of the store again, and return how many fruit it shows; logged.
+
+    Its place stays as it is. A fruit that is found again keeps its key, and with it verdict, pick
+    and links. One of which somebody said something is measured with its old mask where it is not
+    found; a corrected mask is measured as it was drawn.
+
+    Parameters
+    ----------
+    store : Store
+        Where it is.
+    key : str
+        The stop's.
+    captures : sequence of Capture
+        What was taken there, under the names that the store has.
+    measurer : Measurer
+        What measures.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing can be measured; the stop is then as it was.
+    """
+    stop = store.stop(key)
+    views = store.detections(stop.round_key, DetectionFilter(stop_key=key))
+    links = [one for one in store.links(stop.round_key) if one.by_hand]
+    said_of = {end for link in links for end in (link.first, link.second)}
+    said_of |= {
+        one.key for one in views if one.verdict or one.corrected or one.picked_s is not None
+    }
+    by_hand = store.corrected(stop.round_key)
+    found: list[CaptureResult] = []
+    same: dict[str, tuple[str, int]] = {}
+    corrected: dict[str, DetectionRecord] = {}
+    for capture, taken in zip(captures, stop.captures, strict=True):
+        result = measurer.attempt(replace(capture, name=taken.name))
+        if result.error is not None:
+            raise CucumberVisionError(result.error.message, source=taken.name)
+        own = {one.number: one for one in taken.fruit}
+        before = {one.key: own[one.record.number] for one in views if one.capture == taken.name}
+        result, numbers = _with_old(result, before, said_of, measurer)
+        same |= {one: (taken.name, number) for one, number in numbers.items()}
+        for one in by_hand.keys() & numbers.keys():
+            fruit = measurer.measure_instance(
+                result.capture, instance_of(by_hand[one], result.capture.depth_m.shape)
+            )
+            record = fruit_record(SeenFruit(result.capture, numbers[one], fruit))
+            corrected[one] = placed_fruit(record, stored_pose(stop.pose, stop.side))
+        found.append(result)
+    store.measure_again(_stop_of(stop, found, measurer, store), same, corrected)
+    return sum(len(result.fruit) for result in found)
+
+
+def _with_old(
+    result: CaptureResult,
+    before: Mapping[str, DetectionRecord],
+    said_of: set[str],
+    measurer: Measurer,
+) -> tuple[CaptureResult, dict[str, int]]:
+    """Return a result with fruit that must not be lost, and the numbers of old fruit by key."""
+    from scipy.optimize import linear_sum_assignment
+
+    fruit, numbers = list(result.fruit), dict[str, int]()
+    shape = (result.capture.height, result.capture.width)
+    old = {key: instance_of(record, shape) for key, record in before.items()}
+    if fruit and old:
+        boxes = np.array([one.box for one in old.values()])
+        overlap = box_ious(boxes, np.array([one.instance.box for one in fruit]))
+        keys = list(old)
+        for i, j in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
+            if overlap[i, j] >= _SAME_BOX:
+                numbers[keys[i]] = int(j) + 1
+    for key in sorted(said_of & (old.keys() - numbers.keys())):
+        fruit.append(measurer.measure_instance(result.capture, old[key]))
+        numbers[key] = len(fruit)
+    return replace(result, fruit=tuple(fruit)), numbers
+
+
+def _stop_of(
+    stop: StopRecord, found: Sequence[CaptureResult], measurer: Measurer, store: Store
+) -> StopRecord:
+    """Return what is saved of a stop that was measured again: its place is as it was."""
+    new = records_from_result(stop.round_key, found, measurer, key=stop.key, images=store.images)
+    pose = stored_pose(stop.pose, stop.side)
+    captures = tuple(
+        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
+        for one in new.captures
+    )
+    return replace(stop, captures=captures, artifacts=new.artifacts, failures=new.failures)

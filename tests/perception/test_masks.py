@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
+from cucumbervision.errors import InstancesError
+from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.mask_codes import Rle, decode_rle, encode_rle
 from cucumbervision.perception.masks import (
+    as_mask,
     box_of_mask,
     disjoint_masks,
     distances_inside,
@@ -200,3 +204,32 @@ def test_distances_are_the_roots_of_whole_numbers_to_the_last_bit(seed: int) -> 
 @given(MASKS)
 def test_a_masks_pixels_are_those_that_are_set(mask: NDArray[np.bool_]) -> None:
     assert np.array_equal(mask_pixels(mask), np.argwhere(mask)[:, ::-1])
+
+
+@pytest.mark.parametrize(
+    ("dtype", "yes"), [("bool", 1), ("uint8", 255), ("uint8", 1), ("int64", 7), ("float32", 1.0)]
+)
+def test_any_mask_of_yes_and_no_is_taken(dtype: str, yes: float) -> None:
+    expected = np.array([[True, False, True], [False, False, True]])
+    given = expected.astype(dtype) * np.array(yes).astype(dtype)
+    assert as_mask(given).tolist() == expected.tolist()
+    instance = Instance(np.array([0.0, 0, 2, 1]), mask=given, detector_mask=given)
+    assert instance.mask is not None
+    assert instance.detector_mask is not None
+    assert instance.mask.dtype == instance.detector_mask.dtype == np.bool_
+    assert not as_mask(np.zeros((2, 2), dtype)).any()
+
+
+@pytest.mark.parametrize(
+    ("mask", "fault"),
+    [
+        (np.array([[0, 1, 2]]), "values from 1 to 2 beside 0"),
+        (np.array([[0.0, 0.4, 0.9]]), "values from 0.4 to 0.9"),
+        (np.zeros(3), "1 dimensions"),
+        (np.array([["a"]]), "<U1"),
+        (np.array([[0.0, np.nan, 1.0]]), "beside 0"),
+    ],
+)
+def test_what_is_no_mask_is_refused(mask: NDArray[Any], fault: str) -> None:
+    with pytest.raises(InstancesError, match=fault):
+        Instance(np.array([0.0, 0, 2, 1]), mask=mask)

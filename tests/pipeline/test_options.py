@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import LengthDefinition, Method, Selector
+from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions, parse_methods
 
 
@@ -28,3 +31,35 @@ def test_options_are_json(tmp_path: object) -> None:
     values = MeasureOptions().as_json()
     assert values["selector"] == "best"
     assert values["reading"]["burst"] == 5
+
+
+def test_names_are_taken_for_what_they_name() -> None:
+    given: dict[str, Any] = {"length": "chord", "selector": "paper", "methods": ("m1", "M5")}
+    assert MeasureOptions(**given) == MeasureOptions(
+        length=LengthDefinition.CHORD, selector=Selector.PAPER, methods=(Method.M1, Method.M5)
+    )
+    given = {"methods": "m6"}
+    assert MeasureOptions(**given).methods == (Method.M6,)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"length": "chrod"}, "length: 'chrod' is no length; give thread or centreline or chord"),
+        ({"selector": "bset"}, "selector: 'bset' is no selector; give best or paper"),
+        ({"methods": ("m9",)}, "methods: 'M9' is no methods; give M1 or M2"),
+        ({"confidence": 25}, "confidence: 25 is no confidence; give a number from 0 to 1"),
+        ({"confidence": float("nan")}, "nan is no confidence"),
+        ({"prompt": "boxes"}, "'boxes' is no prompt; give box or"),
+        ({"runtime": "gpu"}, "'gpu' is no runtime; give auto or"),
+    ],
+)
+def test_what_is_no_choice_is_refused_at_once(given: dict[str, Any], text: str) -> None:
+    with pytest.raises(CucumberVisionError, match=text):
+        MeasureOptions(**given)
+
+
+def test_a_measurer_takes_captures_and_says_how_to_get_one() -> None:
+    folder: Any = "captures"
+    with pytest.raises(CucumberVisionError, match=r"not str; open files .* with open_source"):
+        Measurer(MeasureOptions(instances="dataset")).measure(folder)

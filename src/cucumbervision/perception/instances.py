@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.perception.boxes import box_areas, box_iou
-from cucumbervision.perception.masks import box_of_mask, disjoint_masks, mask_pixels, mask_window
+from cucumbervision.perception.masks import (
+    as_mask,
+    box_of_mask,
+    disjoint_masks,
+    mask_pixels,
+    mask_window,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +66,7 @@ class Instance:
     class_name : str
         Class name.
     mask : ndarray of bool, shape (H, W), optional
-        The mask to measure: SAM's or the data set's own.
+        The mask to measure: SAM's or the data set's own; 0/1 and 0/255 are taken too (`as_mask`).
     mask_source : MaskSource, optional
         Who drew `mask`.
     detector_mask : ndarray of bool, shape (H, W), optional
@@ -88,6 +94,12 @@ class Instance:
     mask_failure: str = ""
     end_confidence: float | None = None
     input_size_px: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("mask", "detector_mask"):
+            mask = getattr(self, name)
+            if mask is not None and getattr(mask, "dtype", None) != np.bool_:
+                object.__setattr__(self, name, as_mask(mask))
 
 
 _SAME_IOU = 0.5  # of two masks of one fruit

@@ -6,10 +6,50 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.errors import InstancesError
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+
+def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return a mask of yes and no: bool, or numbers of which one is 0, as 0/1 and 0/255.
+
+    Parameters
+    ----------
+    values : ndarray, shape (H, W)
+        Of any dtype of numbers.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        The same array where it is bool already.
+
+    Raises
+    ------
+    InstancesError
+        If it has other dimensions, or values that are neither 0 nor one other number.
+
+    Examples
+    --------
+    >>> as_mask(np.array([[0, 255], [255, 0]], np.uint8)).tolist()
+    [[False, True], [True, False]]
+    """
+    array = np.asarray(values)
+    remedy = "give bool, 0 and 1, or 0 and 255, one value a pixel"
+    if array.ndim != 2 or array.dtype.kind not in "buif":
+        fault = f"a mask is {array.dtype} with {array.ndim} dimensions, not yes or no a pixel"
+        raise InstancesError(fault, remedy=remedy)
+    if array.dtype == np.bool_:
+        return array
+    filled = array != 0
+    if filled.any() and not (array[filled] == array[filled][0]).all():
+        least, most = array[filled].min(), array[filled].max()
+        fault = f"a mask has values from {least:g} to {most:g} beside 0, not one"
+        raise InstancesError(fault, remedy=remedy)
+    return np.asarray(filled)
 
 
 def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, slice] | None:

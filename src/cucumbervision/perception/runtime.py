@@ -24,7 +24,7 @@ import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
 
-_RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
+RUNTIMES = ("auto", "onnxruntime", "openvino", "cuda", "tensorrt")
 
 Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 
@@ -179,9 +179,9 @@ def open_network(
     """
     source = (name or "network in memory") if isinstance(path, bytes) else str(path)
     threads = threads or _most_threads
-    if runtime not in _RUNTIMES:
+    if runtime not in RUNTIMES:
         raise ModelError(
-            f"no runtime is called {runtime!r}", remedy=f"choose one of {', '.join(_RUNTIMES)}"
+            f"no runtime is called {runtime!r}", remedy=f"choose one of {', '.join(RUNTIMES)}"
         )
     if not isinstance(path, bytes):
         path = Path(path)

@@ -11,7 +11,7 @@ import numpy as np
 from cucumbervision.calibration.corrections import Form, corrected
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CalibrationError, InternalError, named_error
+from cucumbervision.errors import CalibrationError, CaptureError, InternalError, named_error
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.result import (
     Choice,
@@ -275,6 +275,11 @@ class Measurer:
         CucumberVisionError
             As `measure`.
         """
+        if not isinstance(capture, Capture):
+            raise CaptureError(
+                f"measure takes a Capture, not {type(capture).__name__}",
+                remedy="open files and folders with open_source(PATH), and load() what it lists",
+            )
         finder = self.load()
         if self.site is not None:
             capture = calibrated_capture(capture, self.site)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cucumbervision.capture.files import json_value
 from cucumbervision.capture.source import ReadOptions
@@ -14,6 +15,10 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.perception.runtime import RUNTIMES
+from cucumbervision.perception.sam import PROMPTS
+
+_Enum = TypeVar("_Enum", bound=StrEnum)
 
 INSTANCE_SOURCES = ("auto", "models", "dataset")
 """What `MeasureOptions.instances` may be beside a file."""
@@ -77,6 +82,26 @@ class MeasureOptions:
     reading: ReadOptions = field(default_factory=ReadOptions)
     calibration: Path | None = None
 
+    def __post_init__(self) -> None:
+        """Take the names of enumerations, and refuse what is no choice.
+
+        Raises
+        ------
+        CucumberVisionError
+            Naming the option, its value and what is allowed.
+        """
+        for name, kind in (("length", LengthDefinition), ("selector", Selector)):
+            object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
+        given: Any = self.methods  # people write names, and a single one without brackets
+        names = (str(one).upper() for one in ((given,) if isinstance(given, str) else given))
+        methods = tuple(_choice("methods", one, Method) for one in names)
+        object.__setattr__(self, "methods", methods)
+        for name, allowed in (("prompt", PROMPTS), ("runtime", RUNTIMES)):
+            if getattr(self, name) not in allowed:
+                raise _no_choice(name, getattr(self, name), allowed)
+        if not 0 <= self.confidence <= 1:
+            raise _no_choice("confidence", self.confidence, ("a number from 0 to 1",))
+
     def as_json(self) -> dict[str, Any]:
         """Return the choices as JSON values."""
         values: dict[str, Any] = json_value(asdict(self))
@@ -93,6 +118,19 @@ class MeasureOptions:
         """
         text = json.dumps(self.as_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _choice(name: str, value: Any, kind: type[_Enum]) -> _Enum:
+    try:
+        return kind(value)
+    except ValueError:
+        raise _no_choice(name, value, tuple(map(str, kind))) from None
+
+
+def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> CucumberVisionError:
+    return CucumberVisionError(
+        f"{value!r} is no {name}", source=name, remedy=f"give {' or '.join(allowed)}"
+    )
 
 
 def parse_methods(text: str) -> tuple[Method, ...]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from cucumbervision.capture.source import bundled_captures
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.uploading import CAMERAS, measure_uploads
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.demonstration import DEMONSTRATION
@@ -85,6 +87,23 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
         (False, "was deleted: undo that to have it back"),
         (False, "is in the round already"),
     ]
+
+
+def test_an_upload_with_other_options_is_measured_again(
+    store: Store, measurer: SharedMeasurer
+) -> None:
+    store.save_round(ROUND)
+    places, kinds = [], []
+    for length in (LengthDefinition.CENTRELINE, LengthDefinition.CHORD):
+        options, job = replace(OPTIONS, length=length), Job(1, "uploads")
+        given = [("row.zip", packed())]
+        told = measure_uploads(given, measurer, store, ROUND.key, options, PLACE, job)
+        assert all(one.saved for one in told)
+        places.append([(one.key, one.position_m) for one in store.stops(DEMONSTRATION)])
+        kinds.append({one.record.length_kind for one in store.detections(DEMONSTRATION)})
+    assert "is measured again" in told[0].words
+    assert places[0] == places[1]
+    assert kinds == [{"centreline"}, {"chord"}]
 
 
 def test_one_camera_takes_a_place_once(store: Store, measurer: SharedMeasurer) -> None:

@@ -52,6 +52,7 @@ app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
 for _edit in (round_edits.stops, round_edits.delete_stop, round_edits.delete, round_edits.restore):
     round.app.command()(_edit)
+round.app.command(epilog=EXIT_CODES)(round_edits.remeasure)
 _GROUPS = {
     "dashboard": dashboard.app,
     "evaluate": evaluate.app,

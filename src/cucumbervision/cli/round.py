@@ -176,48 +176,6 @@ def _add(
     return exit_code(len(done) - len(failures), failures)
 
 
-@app.command(epilog=EXIT_CODES)
-def remeasure(
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    instances: Instances = "auto",
-    length: Length = LengthDefinition.CENTRELINE,
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    calibration: Calibration = None,
-    runtime: Runtime = "auto",
-    images: Images = None,
-) -> None:
-    """Measure a round again from the captures that the store keeps, and merge it.
-
-    Stops stay where they are. Fruit that are found again keep what was decided of them by hand.
-    """
-    from rich.console import Console
-
-    from cucumbervision.cli.console import progress_bar, screen, show_failures
-    from cucumbervision.pipeline.measurer import exit_code
-    from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.rounds.remeasuring import measure_round_again
-
-    options = MeasureOptions(
-        instances=instances,
-        length=length,
-        confidence=confidence,
-        runtime=runtime,
-        calibration=calibration,
-    )
-    with opened_round(store, round_, images) as (opened, one):
-        with progress_bar(Console(stderr=True, highlight=False)) as bar:
-            task = bar.add_task("measuring", total=None)
-            done, failures = measure_round_again(
-                *(opened, one.key, options),
-                lambda k, of: bar.update(task, completed=k, total=of),
-            )
-        settle_round(opened, one.key)
-    screen().print(f"{done} stops measured again.")
-    show_failures(failures)
-    raise typer.Exit(exit_code(done, failures))
-
-
 @app.command("merge")
 def merge(
     store: StoreName = "house.db",

@@ -1,4 +1,4 @@
-"""`cucumbervision round`: stops listed, stops and rounds deleted and brought back."""
+"""`cucumbervision round`: stops listed and measured again, deleted and brought back."""
 
 from __future__ import annotations
 
@@ -7,8 +7,19 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import RoundName, StoreName
+from cucumbervision.cli.choices import (
+    Calibration,
+    Confidence,
+    Images,
+    Instances,
+    Length,
+    RoundName,
+    Runtime,
+    StoreName,
+)
 from cucumbervision.cli.round import By, opened_round, settle_round
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 Round = Annotated[str, typer.Argument(help="Name, key or start of a key.")]
 
@@ -70,3 +81,44 @@ def restore(name: Round, store: StoreName = "house.db", by: By = "") -> None:
         key = find_round(opened, name, deleted=True).key
         screen().print(f"logged as action {opened.restore_round(key, by=by)}")
         settle_round(opened, key)
+
+
+def remeasure(
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    instances: Instances = "auto",
+    length: Length = LengthDefinition.CENTRELINE,
+    confidence: Confidence = DEFAULT_CONFIDENCE,
+    calibration: Calibration = None,
+    runtime: Runtime = "auto",
+    images: Images = None,
+) -> None:
+    """Measure a round again from the captures that the store keeps, and merge it.
+
+    Stops stay where they are. Fruit that are found again keep what was decided of them by hand.
+    """
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, show_failures
+    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.rounds.remeasuring import measure_round_again
+
+    options = MeasureOptions(
+        instances=instances,
+        length=length,
+        confidence=confidence,
+        runtime=runtime,
+        calibration=calibration,
+    )
+    with opened_round(store, round_, images) as (opened, one):
+        with progress_bar(Console(stderr=True, highlight=False)) as bar:
+            task = bar.add_task("measuring", total=None)
+            done, failures = measure_round_again(
+                *(opened, one.key, options),
+                lambda k, of: bar.update(task, completed=k, total=of),
+            )
+        settle_round(opened, one.key)
+    screen().print(f"{done} stops measured again.")
+    show_failures(failures)
+    raise typer.Exit(exit_code(done, failures))

@@ -9,6 +9,7 @@ import cucumbervision
 from cucumbervision.agronomy.profiles import load_profile, profiles, profiles_folder
 from cucumbervision.errors import ProfileError
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.pipeline.options import MeasureOptions
 
 SHIPPED = Path(cucumbervision.__file__).parent / "agronomy" / "crops"
 NAMES = ["aubergine", "courgette", "green-bean", "long-cucumber", "mini-cucumber"]
@@ -46,6 +47,8 @@ def test_shipped_profiles_are_read_and_say_where_figures_are_from(name: str) -> 
 def test_long_cucumber_has_the_papers_classes_and_growth() -> None:
     profile = load_profile("long-cucumber")
     assert profile.length is LengthDefinition.CENTRELINE
+    assert profile.accepted_m == MeasureOptions().accepted_m == (0.05, 0.80)
+    assert profile.mass_g(1e-4) == pytest.approx(96.0)  # 100 ml at 960 kg per cubic metre
     np.testing.assert_allclose(profile.edges_m, [0.20, 0.25, 0.35])
     assert profile.outcomes == ("I", "II", "too short", "too long")
     assert profile.outcome_of_bin == (2, 1, 0, 3)

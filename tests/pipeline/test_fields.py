@@ -97,7 +97,6 @@ def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: I
         "inner_arc_mm_per_10cm": round(100 * traits.inner_arc_m / traits.lengths.chord_m, 2),
         "diameter_max_mm": round(1000 * traits.diameter_max_m, 2),
         "volume_ml": round(1e6 * traits.volume_m3, 1),
-        "mass_g": round(1000 * 960 * traits.volume_m3, 1),
         "box_x2_px": 839.5,
         "mask_source": "sam",
         "simulated": False,

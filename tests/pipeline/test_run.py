@@ -14,6 +14,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import (
     CaptureRef,
     CaptureSource,
@@ -288,3 +289,32 @@ def test_a_picture_that_cannot_be_written_costs_no_row(tmp_path: Path) -> None:
     assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 1)
     assert [f.error for f in result.failures] == ["FileError"]
     assert "Is a directory" in result.failures[0].message
+
+
+@pytest.mark.parametrize(
+    ("unit_m", "note"),
+    [(0.01, "is one step of depth really 1 mm? --depth-unit 0.0001 would"), (0.001, None)],
+)
+def test_a_batch_whose_lengths_are_all_impossible_says_what_would_explain_it(
+    tmp_path: Path, unit_m: float, note: str | None
+) -> None:
+    # Depth in tenths of a millimetre, read as millimetres; the fruit lie at 4.2 m then.
+    folder = tmp_path / "in"
+    capture = next(iter(open_source(bundled_captures() / ROW_A).refs())).load()
+    small = replace(capture, depth_m=capture.depth_m * np.float32(unit_m / 0.001), masks=())
+    far = np.where(small.depth_m < 5.5, small.depth_m * np.float32(0.85), 0).astype(np.float32)
+    write_native(replace(small, depth_m=far if note else small.depth_m), folder)
+    boxes = tmp_path / "boxes.json"
+    box = [180.0, 85.0, 80.0, 295.0]
+    image = {"id": 1, "file_name": capture.name}
+    annotation = {"id": 1, "image_id": 1, "category_id": 1, "bbox": box}
+    boxes.write_text(json.dumps({"images": [image], "annotations": [annotation]}))
+    result = measure_inputs([folder], tmp_path / "out", MeasureOptions(instances=str(boxes)))
+    (row,) = result.rows
+    assert (row["length_cm"] is None) == (note is not None)
+    assert (row["reason"] == "implausible-length") == (note is not None)
+    assert bool(result.notes) == (note is not None)
+    if note:
+        assert row["interval_low_cm"] is None
+        assert str(row["fallback"]).endswith(":out-of-range")
+        assert note in result.notes[0]

@@ -294,7 +294,7 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     ('II', 'class II: centreline length 23.4 cm is in [20, 25) (greenhouse classes ... paper)')
     """
     length = fruit.length_m(profile.length)
-    mass = None if fruit.volume_m3 is None else 1000 * fruit.volume_m3 * profile.density.kg_m3
+    mass = None if fruit.volume_m3 is None else profile.mass_g(fruit.volume_m3)
     if length is None:
         no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
         return Grade(Verdict.MISSING, "", (), {}, (no_length,), mass_g=mass)

@@ -195,6 +195,15 @@ class CropProfile(_Strict):
         return self
 
     @property
+    def accepted_m(self) -> tuple[float, float]:
+        """Shortest and longest fruit that can be, metres."""
+        return self.acceptance.min_cm / 100, self.acceptance.max_cm / 100
+
+    def mass_g(self, volume_m3: float) -> float:
+        """Return the mass of a volume in cubic metres, grams."""
+        return 1000 * volume_m3 * self.density.kg_m3
+
+    @property
     def edges_m(self) -> NDArray[np.float64]:
         """Where one class ends and the next begins, metres, ascending, float64."""
         cuts = {c.min_cm for c in self.classes} | {c.max_cm for c in self.classes}

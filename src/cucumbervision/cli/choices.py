@@ -55,6 +55,9 @@ Fast = Annotated[
 Length = Annotated[
     LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
 ]
+Crop = Annotated[
+    str, typer.Option("--profile", help="Crop profile: a length that it does not accept is none.")
+]
 Calibration = Annotated[
     Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
 ]

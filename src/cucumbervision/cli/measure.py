@@ -13,6 +13,7 @@ from cucumbervision.cli.choices import (
     Burst,
     Calibration,
     Confidence,
+    Crop,
     Fast,
     InputSize,
     Instances,
@@ -101,6 +102,7 @@ def measure(
     depth_unit: DepthUnit = None,
     burst: Burst = 5,
     calibration: Calibration = None,
+    profile: Crop = "long-cucumber",
     input_size: InputSize = "",
     runtime: Runtime = "auto",
     fast: Fast = False,
@@ -118,6 +120,7 @@ def measure(
     Started again with the same output folder, it goes on where it stopped: only what is missing
     or what other options and networks touch is measured.
     """
+    from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.capture.readers import open_source
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import measure_and_show
@@ -141,6 +144,7 @@ def measure(
         full_precision=not fast,
         reading=ReadOptions(intrinsics, depth, depth_unit, burst),
         calibration=calibration,
+        accepted_m=load_profile(profile).accepted_m,
     )
     opener = open_guarded if guard else open_source
     where = choose_engine(engine, workers, address)

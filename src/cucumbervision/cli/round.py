@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -145,7 +146,14 @@ def add(
         calibration=calibration,
     )
     with opened_round(store, round_, images) as (opened, one):
+        options = with_limits(options, one)
         raise typer.Exit(_add(opened, one.key, captures, options, place))
+
+
+def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
+    """Return the options with the lengths that the round's crop can have."""
+    profile = chosen_profile(None, one)
+    return options if profile is None else replace(options, accepted_m=profile.accepted_m)
 
 
 def _add(

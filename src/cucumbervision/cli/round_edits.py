@@ -17,7 +17,7 @@ from cucumbervision.cli.choices import (
     Runtime,
     StoreName,
 )
-from cucumbervision.cli.round import By, opened_round, settle_round
+from cucumbervision.cli.round import By, opened_round, settle_round, with_limits
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
@@ -115,7 +115,7 @@ def remeasure(
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)
             done, failures = measure_round_again(
-                *(opened, one.key, options),
+                *(opened, one.key, with_limits(options, one)),
                 lambda k, of: bar.update(task, completed=k, total=of),
             )
         settle_round(opened, one.key)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from cucumbervision.agronomy.picking import Rates
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.measurement.result import LengthDefinition, Selector
@@ -166,6 +167,7 @@ class Settings(BaseModel):
             full_precision=self.full_precision,
             reading=ReadOptions(burst=self.burst),
             calibration=Path(self.calibration) if self.calibration else None,
+            accepted_m=load_profile(self.profile).accepted_m,
         )
 
 

@@ -91,6 +91,7 @@ class Choice(StrEnum):
     COMPACT_BOX = "no-mask-box-compact"
     NO_DEPTH = "no-depth"
     NOTHING = "not-measured"
+    IMPLAUSIBLE = "implausible-length"
     WAITING = "waits-its-turn"
     SEVERAL_VIEWS = "several-views"
 

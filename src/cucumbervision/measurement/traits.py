@@ -82,10 +82,6 @@ class TubeTraits:
         """Mean diameter along the axis from pole to pole, metres."""
         return float(np.trapezoid(self.diameter_m, self.along_m) / self.along_m[-1])
 
-    def mass_kg(self, density_kg_m3: float) -> float:
-        """Return the mass at a density in kg per cubic metre."""
-        return self.volume_m3 * density_kg_m3
-
 
 def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> TubeTraits:
     """Compute the traits of a body of balls along a curve.

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
 
-_DENSITY_KG_M3 = 960.0  # an assumption for cucumbers, until a crop profile says better
 
 # Of a unit of the tables: the SI unit, how many of it that is, and the digits that are written.
 _UNITS = {"cm": ("m", 100.0, 3), "mm": ("m", 1e3, 2), "ml": ("m3", 1e6, 1), "g": ("kg", 1e3, 1)}
@@ -161,11 +160,6 @@ class SeenFruit:
         """Pixels of the mask that was measured."""
         return None if self.fruit.mask is None else int(np.count_nonzero(self.fruit.mask))
 
-    @property
-    def mass_kg(self) -> float | None:
-        """The tube's volume at the assumed density, kilograms."""
-        return None if self.fruit.traits is None else self.fruit.traits.mass_kg(_DENSITY_KG_M3)
-
 
 def _text(name: str, path: str, says: str) -> Field:
     return Field(name, "", "text", says, path)
@@ -221,7 +215,6 @@ FIELDS = (
         "diameter_mean_mm", "mm", "fruit.traits.diameter_mean_m", "mean diameter along the axis"
     ),
     _number("volume_ml", "ml", "fruit.traits.volume_m3", "volume of the fitted tube"),
-    _number("mass_g", "g", "mass_kg", f"volume at {_DENSITY_KG_M3:.0f} kg per cubic metre"),
     _number(
         "tilt_deg", "deg", "fruit.traits.tilt_deg", "angle of the chord out of the picture plane", 2
     ),

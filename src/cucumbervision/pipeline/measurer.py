@@ -20,6 +20,7 @@ from cucumbervision.measurement.result import (
     IntervalBasis,
     Length,
     LengthDefinition,
+    Reason,
     calibration_key,
 )
 from cucumbervision.measurement.selector import measure_fruit
@@ -322,7 +323,9 @@ class Measurer:
             options.length,
             scale_known=self.site is not None and self.site.depth_scale is not None,
         )
-        return fruit if self.site is None else calibrated_fruit(fruit, self.site, options.length)
+        if self.site is not None:
+            fruit = calibrated_fruit(fruit, self.site, options.length)
+        return accepted_fruit(fruit, options.accepted_m)
 
     def attempt(self, capture: Capture) -> CaptureResult:
         """Measure a capture; whatever goes wrong is in the result."""
@@ -349,6 +352,37 @@ def _failed(error: Exception, capture: Capture) -> CaptureResult:
     named = named_error(error, capture.source or capture.name)
     failure = Failure.of(named, capture.source, capture.name)
     return CaptureResult(capture, (), (failure,), named)
+
+
+def accepted_fruit(fruit: FruitMeasurement, limits_m: tuple[float, float]) -> FruitMeasurement:
+    """Return a fruit without its length where no fruit of its crop is so long or so short.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        With its length; of one that goes on out of sight it is a lower bound.
+    limits_m : tuple of float
+        Shortest and longest, metres.
+
+    Returns
+    -------
+    FruitMeasurement
+        Where the length is outside: nothing is selected, the reason is 'implausible-length', and
+        `fallback` ends with the method that gave it. The methods' measurements stay.
+    """
+    length = fruit.length
+    least = 0.0 if fruit.at_least else limits_m[0]
+    if length is None or least <= length.value_m <= limits_m[1]:
+        return fruit
+    tried = f"{fruit.method}:{Reason.OUT_OF_RANGE}"
+    return replace(
+        fruit,
+        selected=None,
+        reason=Choice.IMPLAUSIBLE,
+        fallback=(*fruit.fallback, tried),
+        length=None,
+        raw_length=None,
+    )
 
 
 def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:

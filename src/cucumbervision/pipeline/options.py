@@ -65,6 +65,9 @@ class MeasureOptions:
         What is said of the sources.
     calibration : Path, optional
         A site's calibration file, applied to depth and rows.
+    accepted_m : tuple of float
+        Shortest and longest fruit that can be, metres, as the crop's profile says; by default a
+        long cucumber's. What lies outside gets no length.
     """
 
     instances: str = "auto"
@@ -81,6 +84,7 @@ class MeasureOptions:
     full_precision: bool = True
     reading: ReadOptions = field(default_factory=ReadOptions)
     calibration: Path | None = None
+    accepted_m: tuple[float, float] = (0.05, 0.80)
 
     def __post_init__(self) -> None:
         """Take the names of enumerations, and refuse what is no choice.

@@ -203,6 +203,7 @@ class _Run:
             self.journal.flush()
         with Boundary(self.failures, self.options.instances):
             self._note_instances()
+        self.notes += self.summary.doubts()
         about = provenance_of(self.options, self.summary.models, site, self.started)
         self.failures += write_reports(
             self.out,

@@ -8,10 +8,17 @@ from dataclasses import dataclass, field
 from statistics import fmean, median, stdev
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.measurement.result import Choice, Method
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from cucumbervision.pipeline.fields import Cell
+
+
+# Of a depth step, mm, beside 1 mm: D405 cameras, micrometres, centimetres, metres.
+_STEPS = (0.1, 0.001, 10.0, 1000.0)
+_USUAL_CM = (5.0, 50.0)
 
 
 @dataclass
@@ -24,6 +31,8 @@ class Summary:
         How many were measured, fruit that got no length included.
     lengths_cm : array of float
         Of the fruit that got one.
+    refused_cm : list of float
+        Of the fruit whose length no fruit of the crop can have.
     methods, masks : Counter
         Fruit by the method that was chosen, and by who drew the mask; '' for none.
     simulated : bool
@@ -43,6 +52,7 @@ class Summary:
     captures: int = 0
     fruit: int = 0
     lengths_cm: array[float] = field(default_factory=lambda: array("d"))
+    refused_cm: list[float] = field(default_factory=list)
     methods: Counter[str] = field(default_factory=Counter)
     masks: Counter[str] = field(default_factory=Counter)
     simulated: bool = False
@@ -63,9 +73,30 @@ class Summary:
             if row["length_cm"] is not None:
                 self.lengths_cm.append(float(row["length_cm"]))
             self.methods[str(row["method"] or "")] += 1
+            if row.get("reason") == Choice.IMPLAUSIBLE:
+                read = [row[f"{method.lower()}_cm"] for method in reversed(Method)]
+                self.refused_cm.append(next(float(x) for x in read if x is not None))
             self.masks[str(row["mask_source"] or "")] += 1
             self.simulated = self.simulated or bool(row["simulated"])
         self.models += [model for model in models if model not in self.models]
+
+    def doubts(self) -> list[str]:
+        """Return what would explain lengths that are all impossible; nothing where some are not.
+
+        Examples
+        --------
+        >>> Summary(refused_cm=[148.0, 180.0], fruit=2).doubts()[0]
+        'no fruit has a possible length (median 164 cm): is one step of depth really 1 mm? ...'
+        """
+        if not self.refused_cm or self.lengths_cm:
+            return []
+        middle = median(self.refused_cm)
+        found = f"no fruit has a possible length (median {middle:.3g} cm)"
+        steps = [s for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
+        if not steps:
+            return [f"{found}: do the intrinsics belong to this camera's colour at this size?"]
+        asked = " or ".join(f"--depth-unit {s / 1000:g}" for s in steps)
+        return [f"{found}: is one step of depth really 1 mm? {asked} would explain it"]
 
     def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:
         """Return lines of what and value, for the workbook's first sheet.

@@ -1,6 +1,6 @@
 // The capture button: tells the time of each press at once, whatever the server is doing, with a click and a flash.
 const state = new WeakMap();
-const KEPT = 20;
+const KEPT = 50;
 let sound = null;
 
 // Streamlit gives a page up where parts that draw themselves meet one that is drawn anew (its issue 15084): what was
@@ -32,12 +32,15 @@ function flash() {
   cover.animate([{ opacity: 0.85 }, { opacity: 0 }], { duration: 260, easing: "ease-out" }).onfinish = () => cover.remove();
 }
 
+// A clock that nobody sets.
+const now_s = () => (performance.timeOrigin + performance.now()) / 1000;
+
 export default function (component) {
   const { data, parentElement: root, setStateValue } = component;
   const own = state.get(root) || { presses: [], offset_s: Infinity, made: Math.random().toString(36).slice(2) };
   state.set(root, own);
   // Our clock less the server's, as far as the quickest message so far tells.
-  own.offset_s = Math.min(own.offset_s, Date.now() / 1000 - data.now_s);
+  own.offset_s = Math.min(own.offset_s, now_s() - data.now_s);
   const button = root.querySelector("button");
   const draw = () => {
     root.querySelector(".word").textContent = data.label;
@@ -48,7 +51,7 @@ export default function (component) {
   button.setAttribute("aria-label", data.label);
   const press = () => {
     if (button.disabled) return;
-    const one = { number: `${own.made}-${own.presses.length}-${Date.now()}`, at_s: Date.now() / 1000 - own.offset_s };
+    const one = { number: `${own.made}-${own.presses.length}-${Date.now()}`, at_s: now_s() - own.offset_s };
     own.presses = [...own.presses, one].slice(-KEPT);
     setStateValue("presses", own.presses);
     click();
@@ -59,10 +62,15 @@ export default function (component) {
   button.onpointerdown = (event) => { if (event.isPrimary && event.button === 0) press(); };
   button.onclick = (event) => { if (event.detail === 0) press(); };
   const onKey = (event) => {
-    const typing = /^(input|textarea|select|button)$/i.test(event.target.tagName || "");
-    if (event.key === "Enter" && !event.repeat && !typing) press();
+    if (event.key !== "Enter" && event.key !== " ") return;
+    const target = event.composedPath()[0]; // the event's own target is only the host of a shadow tree
+    // A key that is held down clicks the button again and again.
+    if (target === button && event.repeat) event.preventDefault();
+    const takesKeys = /^(input|textarea|select|button)$/i.test(target.tagName || "");
+    if (event.key === "Enter" && !event.repeat && !takesKeys) press();
   };
-  document.addEventListener("keydown", onKey);
+  // The one handler of the document: this function runs at every redraw, and Streamlit calls only the last clean-up.
+  document.onkeydown = onKey;
   draw();
-  return () => document.removeEventListener("keydown", onKey);
+  return () => { if (document.onkeydown === onKey) document.onkeydown = null; };
 }

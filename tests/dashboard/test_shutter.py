@@ -9,7 +9,7 @@ import pytest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.camera_feed import REACH_S, CameraBurst, CameraFeed, Replay
+from cucumbervision.dashboard.camera_feed import FAR_S, REACH_S, CameraBurst, CameraFeed, Replay
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
 from cucumbervision.dashboard.shutter import Press, Shutter
@@ -95,12 +95,67 @@ def test_presses_that_are_told_late_together_keep_their_order(
 ) -> None:
     replay, shutter = Replay(bundled_captures()), Shutter(store, waiting, lambda: None)
     now = time.time()
-    for number, at_s in (("a", now - 60), ("b", now - 0.5), ("c", now + 60)):
+    for number, at_s in (("a", now), ("b", now + 0.001), ("c", now + 60)):
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, at_s))
     shutter.close()
     kept = waiting.captures()
     assert [one.stop.step for one in kept] == [1, 2, 3]
-    assert all(now - 2 < one.pressed_s < now + 60 for one in kept)
+    assert all(now <= one.pressed_s < now + 60 for one in kept)
+
+
+def test_presses_of_a_gap_each_get_the_picture_of_their_moment(
+    recording: Path, store: Store, waiting: WaitingCaptures
+) -> None:
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
+    while feed.preview().state != "playing":
+        time.sleep(0.01)
+    time.sleep(0.5)
+    pressed_s = []
+    for _ in range(3):  # nobody looks, and nothing reaches us
+        pressed_s.append(time.time())
+        time.sleep(1.0)
+    shutter, stop = Shutter(store, waiting, lambda: None), Stop("1", "left", 0.0)
+    for number, at_s in enumerate(pressed_s):
+        grabbed = feed.grab(1, at_s)
+        assert isinstance(grabbed, CameraBurst)
+        grabbed.capture()
+        assert grabbed.nearest_s < FAR_S
+        assert shutter.press(feed, 1, WALK, stop, Press(str(number), at_s))
+    shutter.close()
+    feed.close()
+    assert [one.pressed_s for one in waiting.captures()] == pytest.approx(pressed_s)
+
+
+def test_a_press_whose_picture_is_gone_is_refused_and_told(
+    recording: Path, store: Store, waiting: WaitingCaptures
+) -> None:
+    stop, now = Stop("1", "left", 0.0), time.time()
+    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
+    for feed_of in (feed, Replay(bundled_captures())):
+        shutter = Shutter(store, waiting, lambda: None)
+        for number in "ab":
+            assert not shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
+            assert not shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
+        shutter.close()
+        errors = [one.error for one in shutter.pressed(WALK)]
+        assert len(errors) == 2
+        assert all("no picture of that moment" in one for one in errors)
+    feed.close()
+    assert waiting.captures() == []
+
+
+def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refused(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    before, replay = Shutter(store, waiting, lambda: None), Replay(bundled_captures())
+    stop, press = Stop("1", "left", 0.0), Press("a", time.time())
+    assert before.press(replay, 1, WALK, stop, press)
+    before.close()
+    again = Shutter(store, waiting, lambda: None)
+    assert not again.press(Replay(bundled_captures()), 1, WALK, stop, press)
+    again.close()
+    assert again.pressed(WALK) == []
+    assert len(waiting.captures()) == 1
 
 
 def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
@@ -27,9 +26,16 @@ if TYPE_CHECKING:
     from cucumbervision.capture.realsense_device import CameraSettings
 
 REACH_S = 0.15  # how far from its press a burst's frames may be: nobody walks far meanwhile
-_HELD_S = 1.5  # how late a press may reach us: frames of so long are held
-_UNWATCHED_S = 6.0  # viewers ask several times a second
+FAR_S = 1.0  # a picture that lies farther from a press is another one
+_HELD_S = 10.0  # how late a press may reach us: frames of so long are held
+_DENSE_S, _SPARSE_S = 1.5, 0.25  # all of them so long, then one in so many: each takes 6 MB
+_UNWATCHED_S = 15.0  # viewers ask several times a second, but where their connection has a gap
 PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
+
+
+def picture_gone() -> CameraError:
+    """Return the error of a press whose picture is not there."""
+    return CameraError("there is no picture of that moment any more", remedy="press again")
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,11 @@ class CameraBurst:
             self.is_full = too_late or len(self.frames) >= self.wanted
 
     @property
+    def nearest_s(self) -> float:
+        """How far in time the nearest frame lies from the press, seconds."""
+        return min(abs(one.at_s - self.pressed_s) for one in self.frames)
+
+    @property
     def farthest_s(self) -> float:
         """How far in time the farthest frame lies from the press, seconds."""
         return max(abs(one.at_s - self.pressed_s) for one in self.frames)
@@ -117,6 +128,8 @@ class CameraBurst:
 
 class ReplayBurst:
     """What a replay shows when the button is pressed."""
+
+    nearest_s = 0.0  # a replay stands still
 
     def __init__(self, replay: Replay, shown: Capture | None) -> None:
         self._replay = replay
@@ -164,7 +177,7 @@ class CameraFeed:
         self._watched_s = 0.0
         self._stopping = False
         self._filling: list[CameraBurst] = []
-        self._held: deque[_Held] = deque()
+        self._held: list[_Held] = []
 
     @property
     def open(self) -> bool:
@@ -202,9 +215,17 @@ class CameraFeed:
             Frames at most, half of them before the moment: those that lie nearest to it.
         pressed_s : float
             The moment, seconds since 1970: up to `_HELD_S` ago.
+
+        Raises
+        ------
+        CameraError
+            If no picture of that moment is held, nor can come any more.
         """
         with self._changed:
             self._begin_watched()
+            ago_s = [abs(pressed_s - one.at_s) for one in self._held]
+            if min([*ago_s, time.time() - pressed_s]) > FAR_S:
+                raise picture_gone()
             reach_s = max(REACH_S, (burst - 1) / 2 / self._config.fps)
             before = [one for one in self._held if 0 < pressed_s - one.at_s <= reach_s]
             # An odd burst has its middle frame where the moment is nearest to one.
@@ -272,6 +293,7 @@ class CameraFeed:
         try:
             while not self._stream_once():
                 pass  # a recording is over, or the settings are new: it begins again
+            self._held = []
             self._show(Preview("opening", number=self._newest.number + 1))
         except CucumberVisionError as error:
             self._show(Preview("absent", number=self._newest.number + 1, message=str(error)))
@@ -314,16 +336,24 @@ class CameraFeed:
         """Keep a frame for presses that are still on their way, and give it to open bursts."""
         own = capture.timestamp_s
         # The camera's own time where its clock is this machine's, else the time of arrival.
-        live = own is not None and 0 <= now - own < _HELD_S
+        live = own is not None and 0 <= now - own < _DENSE_S
         held = _Held(own if live and own is not None else now, capture)
         with self._changed:
-            self._held.append(held)
-            while self._held and now - self._held[0].at_s > _HELD_S:
-                self._held.popleft()
+            self._held = _thinned([*self._held, held], now)
             for grabbed in self._filling:
                 grabbed.offer(held)
             self._filling = [one for one in self._filling if not one.is_full]
             self._changed.notify_all()
+
+
+def _thinned(held: list[_Held], now: float) -> list[_Held]:
+    """Return the frames to be held on: all new ones, some of the older, none that are too old."""
+    kept: list[_Held] = []
+    for one in held:
+        is_new = now - one.at_s <= _DENSE_S
+        if is_new or not kept or one.at_s - kept[-1].at_s >= _SPARSE_S:
+            kept += [one] if now - one.at_s <= _HELD_S else []
+    return kept
 
 
 class Replay:
@@ -342,6 +372,7 @@ class Replay:
         self._refs: Iterator[CaptureRef] = iter(())
         self._lock = threading.Lock()
         self._newest = Preview("opening")
+        self._begun_s = time.time()
         self._loader: threading.Thread | None = None
 
     def preview(self) -> Preview:
@@ -376,7 +407,15 @@ class Replay:
         return replace(preview.capture, stop=stop)
 
     def grab(self, burst: int, pressed_s: float) -> ReplayBurst:  # noqa: ARG002, as a camera's
-        """Take what is shown now, and load the next."""
+        """Take what is shown now, and load the next.
+
+        Raises
+        ------
+        CameraError
+            If the moment lies before the replay began, or as long ago as a camera holds nothing.
+        """
+        if pressed_s < max(self._begun_s, time.time() - _HELD_S):
+            raise picture_gone()
         with self._lock:
             shown = self._newest.capture if self._newest.state == "replay" else None
             if shown is not None:

@@ -9,18 +9,18 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.dashboard.camera_feed import FAR_S, picture_gone
+from cucumbervision.errors import CameraError, CucumberVisionError
 from cucumbervision.rounds.demonstration import round_for_capture
 from cucumbervision.rounds.walking import last_step, unless_taken
 from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
 
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.camera_feed import Burst, Feed
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import StopView
     from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
-_LATEST_S = 1.2  # frames are held so long: of an older press, which came late, the oldest are taken
-_REMEMBERED = 200
+_REMEMBERED = 2000  # each page sends its last presses again and again
 
 
 @dataclass(frozen=True)
@@ -100,33 +99,45 @@ class Shutter:
         self._store, self._waiting, self._kept = store, waiting, kept
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
         self._lock = threading.Lock()
-        self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
+        self._pressed: OrderedDict[tuple[str, str], Pressed | None] = OrderedDict()
 
     def press(self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press) -> bool:
-        """Grab a burst for a press; return False where the same press came before.
+        """Grab a burst for a press; return whether there is one.
 
-        Returns at once: the burst's last frames and the disk are waited for elsewhere.
+        There is none where the same press came before, or where the feed no longer holds the
+        picture of its moment: `pressed` then tells why. Returns at once: the burst's last frames
+        and the disk are waited for elsewhere.
         """
         name = (round_key, press.number)
-        now = time.time()
-        # Presses that come late together keep their order.
-        at_s = min(max(press.at_s, now - _LATEST_S), now)
+        at_s = min(press.at_s, time.time())
         with self._lock:
             if name in self._pressed:
                 return False
-            grabbed = feed.grab(burst, at_s)
-            kept = self._pool.submit(
-                self._keep, grabbed, round_key, stop, Press(press.number, at_s)
-            )
-            self._pressed[name] = Pressed(stop, at_s, kept)
+            kept: Future[Waiting] = Future()
+            grabbed = None
+            try:
+                grabbed = feed.grab(burst, at_s)
+            except CameraError as error:
+                kept.set_exception(error)
+            else:
+                kept = self._pool.submit(
+                    self._keep, grabbed, round_key, stop, Press(press.number, at_s)
+                )
+            is_known = grabbed is None and self._was_kept(key_of("press", *name))
+            self._pressed[name] = None if is_known else Pressed(stop, at_s, kept)
             while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
-        return True
+        return grabbed is not None
+
+    def _was_kept(self, key: str) -> bool:
+        """Tell whether a press was kept before this program was started."""
+        there = (*self._waiting.captures(), *self._waiting.set_aside())
+        return any(one.key == key for one in there) or self._store.stop_is_deleted(key) is not None
 
     def pressed(self, round_key: str) -> list[Pressed]:
         """Return the presses of a round that are remembered, the oldest first."""
         with self._lock:
-            return [one for (key, _), one in self._pressed.items() if key == round_key]
+            return [one for (key, _), one in self._pressed.items() if one and key == round_key]
 
     def close(self) -> None:
         """Keep what was pressed, then end."""
@@ -134,6 +145,8 @@ class Shutter:
 
     def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
         capture = grabbed.capture()
+        if grabbed.nearest_s > FAR_S:
+            raise picture_gone()
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [one.stop for one in self._waiting.captures() if one.round_key == home]
         taken: list[Stop | StopView] = [*self._store.stops(home), *waiting]

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 _PREVIEW_PX = 800
 _PANEL_S = 1.0  # how often what waits is looked at
+_TOLD = 10  # presses of which it is said that they failed
 
 _INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
@@ -221,10 +222,18 @@ def _take(one: RoundView, kind: str, press: Press) -> None:
 def _waits(one: RoundView, home: str) -> None:
     """Say what became of the presses, and draw the page anew when a stop was measured."""
     pressed = resources.shutter().pressed(one.key)
-    for taken in pressed[-3:][::-1]:
+    failed: dict[str, list[str]] = {}
+    for taken in pressed[-_TOLD:]:
         if taken.error:
-            st.error(f"Nothing was captured. {plain(taken.error)}", icon=":material/error:")
-        elif (moved := taken.moved) is not None:
+            when = time.strftime("%H:%M:%S", time.localtime(taken.pressed_s))
+            failed.setdefault(taken.error, []).append(when)
+    for error, when_all in failed.items():
+        presses = counted(len(when_all), "press gave", "presses gave")
+        st.error(
+            f"{presses} no stop ({', '.join(when_all)}): {plain(error)}", icon=":material/error:"
+        )
+    for taken in pressed[-3:][::-1]:
+        if (moved := taken.moved) is not None:
             st.warning(
                 f"Another stop is at {taken.stop.position_m:.2f} m: this one is kept as "
                 f"{plain(stop_name(moved))}. 'Put right' moves it.",

@@ -1,0 +1,158 @@
+"""A press is one stop of its moment: by key and touch, offline and over a restart."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("pyrealsense2")
+
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import open_store
+from cucumbervision.store.results import stored_capture
+from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
+
+WALK = RoundRecord(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
+
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
+
+
+class Walk:
+    """A round that a page of the camera's is open on; a recording plays in its place."""
+
+    def __init__(self, folder: Path, recording: Path, start: Callable[..., Any]) -> None:
+        self.folder, self.store = folder, folder / "house.db"
+        with open_store(self.store) as store:
+            store.save_round(WALK)
+        self._waiting = WaitingCaptures(waiting_folder(str(self.store)))
+        self.address = start(folder, "--store", str(self.store), "--replay", str(recording))
+        self.server: subprocess.Popen[bytes] = self.address.process
+
+    def kill(self) -> None:
+        """Kill the server."""
+        self.server.kill()
+        self.server.wait()
+
+    def start_again(self) -> None:
+        """Start it at its address."""
+        with (self.folder / "server.log").open("ab") as log:
+            self.server = subprocess.Popen(
+                self.server.args, stdout=log, stderr=log, cwd=self.folder
+            )
+
+    def kept(self) -> set[str]:
+        """Return the keys of all presses that were kept."""
+        waiting = {one.key for one in (*self._waiting.captures(), *self._waiting.set_aside())}
+        with open_store(self.store) as store:
+            return waiting | {one.key for one in store.stops(WALK.key)}
+
+    def pictures(self) -> set[float]:
+        """Return how far the block is in each picture: 1 mm farther in each frame."""
+        found = []
+        for one in (*self._waiting.captures(), *self._waiting.set_aside()):
+            depth_m = one.load().depth_m
+            found.append(float(depth_m[depth_m.shape[0] // 2, depth_m.shape[1] // 2]))
+        with open_store(self.store) as store:
+            for stop in store.stops(WALK.key):
+                record = store.stop(stop.key)
+                depth_m = stored_capture(store.images, record.captures[0], record).depth_m
+                found.append(float(depth_m[depth_m.shape[0] // 2, depth_m.shape[1] // 2]))
+        return set(np.round(found, 4))
+
+
+def opened(page: Any, walk: Walk) -> Any:
+    page.goto(f"{walk.address}/capture")
+    page.locator("svg.view image").first.wait_for()
+    page.locator("button.take").wait_for()
+    page.wait_for_timeout(2000)
+    return page
+
+
+def shot(page: Any, name: str) -> None:
+    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
+        page.wait_for_timeout(1500)
+        page.screenshot(path=Path(folder) / f"press-{name}.png")
+
+
+def wait_for_stops(page: Any, walk: Walk, number: int) -> None:
+    for _ in range(600):
+        if len(walk.kept()) >= number:
+            break
+        page.wait_for_timeout(200)
+    page.wait_for_timeout(3000)  # one too many would come now
+    assert len(walk.kept()) == number
+
+
+@pytest.fixture
+def walk(
+    tmp_path: Path, make_recording: Callable[..., Path], start_server: Callable[..., Any]
+) -> Iterator[Walk]:
+    walk = Walk(tmp_path, make_recording(tmp_path / "walk.db3", 300), start_server)
+    yield walk
+    walk.kill()
+
+
+def test_a_press_is_one_stop_after_many_redraws(walk: Walk, new_page: Callable[..., Any]) -> None:
+    page = opened(new_page(has_touch=True), walk)
+    page.wait_for_timeout(15_000)  # the button is drawn anew every second
+    page.keyboard.press("Enter")
+    wait_for_stops(page, walk, 1)
+    shot(page, "key")
+    page.locator("button.take").tap()
+    wait_for_stops(page, walk, 2)
+    shot(page, "touch")
+    page.locator("button.take").click()
+    wait_for_stops(page, walk, 3)
+    for key in ("Enter", "Space"):  # the button has the focus now
+        page.keyboard.press(key)
+        page.wait_for_timeout(300)
+    page.keyboard.down("Enter")
+    for _ in range(5):
+        page.keyboard.down("Enter")  # a key that is held repeats itself
+    page.keyboard.up("Enter")
+    wait_for_stops(page, walk, 6)
+    page.goto(f"{walk.address}/results")
+    page.goto(f"{walk.address}/capture")
+    page.locator("button.take").wait_for()
+    page.wait_for_timeout(3000)
+    page.keyboard.press("Enter")
+    wait_for_stops(page, walk, 7)
+
+
+def test_presses_while_offline_each_get_their_picture(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.context.set_offline(True)
+    for _ in range(4):
+        page.locator("button.take").click()
+        page.wait_for_timeout(1000)
+    page.context.set_offline(False)
+    wait_for_stops(page, walk, 4)
+    shot(page, "offline")
+    assert len(walk.pictures()) == 4
+
+
+def test_presses_that_a_restart_lost_are_refused_and_said(
+    walk: Walk, new_page: Callable[..., Any]
+) -> None:
+    page = opened(new_page(), walk)
+    page.locator("button.take").click()
+    wait_for_stops(page, walk, 1)
+    walk.kill()
+    for _ in range(3):
+        page.locator("button.take").click()
+        page.wait_for_timeout(700)
+    walk.start_again()
+    page.get_by_text("3 presses gave no stop", exact=False).wait_for()
+    shot(page, "restart")
+    assert len(walk.kept()) == 1
+    page.locator("button.take").click()
+    wait_for_stops(page, walk, 2)

@@ -107,7 +107,7 @@ class SoftwareCamera:
         pixels: str = "rgb8",
         pixel_bytes: int = 3,
     ) -> None:
-        self.rs: Any = pytest.importorskip("pyrealsense2")
+        self.rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
         rs = self.rs
         device = rs.software_device()
         device.register_info(rs.camera_info.name, "Software D435")

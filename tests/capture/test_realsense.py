@@ -27,7 +27,7 @@ from cucumbervision.errors import (
 )
 from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 
-pytest.importorskip("pyrealsense2")
+pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 DEPTH_K = np.array([[160.0, 0, 160.3], [0, 160.0, 89.7], [0, 0, 1]])
 COLOR_K = np.array([[227.6, 0, 161.3], [0, 227.4, 91.5], [0, 0, 1]])
@@ -253,7 +253,7 @@ def test_camera_plays_a_recording_through_the_same_driver(recording: Path) -> No
 
 
 def test_no_camera() -> None:
-    rs = pytest.importorskip("pyrealsense2")
+    rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     if len(rs.context().query_devices()):
         pytest.skip("a camera is connected")
     with pytest.raises(CameraError, match="no RealSense camera is connected; plug"):

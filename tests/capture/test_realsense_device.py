@@ -14,7 +14,7 @@ from cucumbervision.capture.realsense_device import (
 )
 from cucumbervision.errors import CameraError
 
-rs = pytest.importorskip("pyrealsense2")
+rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 
 def limits(low: float, high: float, step: float, default: float) -> Any:

@@ -109,7 +109,7 @@ def test_the_camera_is_released_when_nobody_looks(recording: Path) -> None:
 
 
 def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again() -> None:
-    rs = pytest.importorskip("pyrealsense2")
+    rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     if len(rs.context().query_devices()):
         pytest.skip("a camera is connected")
     feed = CameraFeed(CameraConfig(warm_up=0, timeout_s=0.5))

@@ -23,7 +23,7 @@ PIXELS = [(u, v) for u in (0.0, 200.5, 640.0, 1279.0) for v in (0.0, 333.25, 719
 
 
 def sdk_lens(model: Distortion) -> tuple[Any, Any]:
-    rs = pytest.importorskip("pyrealsense2")
+    rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     lens = rs.intrinsics()
     lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = 1280, 720, 910, 911, 645, 366
     lens.model, lens.coeffs = getattr(rs.distortion, model.value), list(COEFFICIENTS)

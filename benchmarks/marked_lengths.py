@@ -13,14 +13,16 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.interpolate import splev, splprep
+from scipy.interpolate import BSpline, splprep
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AXIS_SIGMA_CM = 0.05
 TIP_SIGMA_CM = 0.005
-CAP_SHARE = 1.7  # of the radius: how deep a rounded end is; the median of what the pairs near ends give
+CAP_SHARE = (
+    1.7  # of the radius: how deep a rounded end is; the median of what the pairs near ends give
+)
 NEAR_TIP_CM = 0.4  # a middle so near to a tip says nothing of the axis
 
 
@@ -122,9 +124,7 @@ def rounded_end_excess(radius_cm: float, angle: float) -> float:
     return float(np.hypot(depth, radius_cm / np.tan(angle)) - depth)
 
 
-def marked_lengths(
-    camera: PlaneCamera, marks: Marks, height_share: float = 1.0
-) -> MarkedLengths:
+def marked_lengths(camera: PlaneCamera, marks: Marks, height_share: float = 1.0) -> MarkedLengths:
     """Return the lengths of a marked fruit.
 
     `height_share` lowers or raises the axis against the largest radius, to see what that changes.
@@ -136,9 +136,11 @@ def marked_lengths(
     resting = camera.centre[2] / (half_sine - middles[:, 2]) * half_sine
     height = 0.0
     for _ in range(20):  # a thinner place hangs at the height that the thickest ones give
-        radii = np.maximum(
-            (camera.centre[2] - height) / -middles[:, 2] * half_sine, 0.0
-        ) if height else resting
+        radii = (
+            np.maximum((camera.centre[2] - height) / -middles[:, 2] * half_sine, 0.0)
+            if height
+            else resting
+        )
         height = height_share * float(np.sort(radii)[-2:].mean())
     axis = level_hits(camera, middles, height)
     tips_px = marks.tips.copy()
@@ -162,10 +164,11 @@ def marked_lengths(
     thick = np.r_[radii[0], radii[clear], radii[-1]]
     weights = np.full(len(points), 1 / AXIS_SIGMA_CM)
     weights[[0, -1]] = 1 / TIP_SIGMA_CM
-    spline, at = splprep(points[:, :2].T, w=weights, s=len(points), k=3)
+    (knots, shape, _), at = splprep(points[:, :2].T, w=weights, s=len(points), k=3)
+    spline = BSpline(np.asarray(knots), np.asarray(shape).T, 3)
     steps = np.linspace(0, 1, 801)
-    path, first = np.array(splev(steps, spline)), np.array(splev(steps, spline, 1))
-    second, speed = np.array(splev(steps, spline, 2)), np.hypot(*first)
+    path, first, second = (np.asarray(spline(steps, nu=order)).T for order in (0, 1, 2))
+    speed = np.hypot(*first)
     turning = (first[0] * second[1] - first[1] * second[0]) / speed**2
     centreline = float(np.trapezoid(speed, steps))
     outer = abs(float(np.trapezoid(turning * np.interp(steps, at, thick), steps)))

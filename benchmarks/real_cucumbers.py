@@ -6,9 +6,10 @@ FOLDER holds `beside_ruler/`, `on_grid/` and `intrinsics.json`. 26 colour pictur
 fruit; `real_cucumbers.json` holds what was marked in them, twice, without depth and before anything
 was measured: both ends (the body without stem or flower) and edge to edge across the axis, and the
 crossings of printed lines of 1 cm (a ruler's of 5 mm) as found to a fraction of a pixel around
-places counted by hand. On the mat the edges were moved to the step of colour. `marked_lengths.py`
-turns that into lengths. The lens' distortion comes from the mat's lines; on the ruler, another day,
-it halves what remains of its lines (0.13 to 0.07 px).
+places counted by hand. On the mat the edges were moved to the step of colour, and the second pass
+took other places along the fruit; both ends were marked anew in pictures turned upside down.
+`marked_lengths.py` turns that into lengths. The lens' distortion comes from the mat's lines; on the
+ruler, another day, it halves what remains of its lines (0.13 to 0.07 px).
 
 The plane is the mat's, or the table's, which slid under a camera that stood still: one plane for
 four places of the ruler, 37.9 cm away, tilted by 1.6 degrees to a side and by 0.0 ± 0.3 to the
@@ -23,7 +24,7 @@ import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -112,6 +113,17 @@ class Compared:
         first, second = 10 * ((hits - tips) * outwards).sum(1)
         return float(first), float(second)
 
+    def camera_percent(self) -> float:
+        """Return the error of depth's scale and of the lens, which the intrinsics leave out."""
+        camera, axis = self.truth.camera, self.truth.passes[0].axis_cm
+        points = (axis - camera.centre) @ camera.rotation.T
+        lens = camera.distortion
+        seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)[0]
+        pixels = np.c_[np.asarray(seen).reshape(-1, 2), np.ones(len(points))]
+        read = pixels @ np.linalg.inv(camera.matrix).T * points[:, 2:] * self.scale
+        lengths = [np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (read, points)]
+        return float(100 * (lengths[0] / lengths[1] - 1))
+
 
 def read_truth(matrix: NDArray[np.float64], file: Path = MARKED) -> list[Truth]:
     """Return the marked fruit, seen by a camera of that matrix."""
@@ -181,7 +193,9 @@ def compare(folder: Path, segmenter: str | None) -> tuple[list[Compared], int]:
         for fruit in result.fruit:
             left, top, right, bottom = np.rint(fruit.instance.box).astype(int)
             covered[max(top - 12, 0) : bottom + 12, max(left - 12, 0) : right + 12] |= (
-                True if fruit.mask is None else widened(fruit.mask)[
+                True
+                if fruit.mask is None
+                else widened(fruit.mask)[
                     max(top - 12, 0) : bottom + 12, max(left - 12, 0) : right + 12
                 ]
             )
@@ -189,9 +203,8 @@ def compare(folder: Path, segmenter: str | None) -> tuple[list[Compared], int]:
         for truth in here:
             column, line = np.rint(truth.middle_px).astype(int)
             hit = [f for f in free if f.mask is not None and f.mask[line, column]]
-            fruit = hit[0] if hit else None
-            free = [f for f in free if f is not fruit]
-            compared.append(Compared(truth, fruit, scale))
+            compared.append(Compared(truth, hit[0] if hit else None, scale))
+            free = [f for f in free if f not in hit[:1]]
         others += len(free)
     return compared, others
 
@@ -230,13 +243,15 @@ def methods_table(compared: list[Compared]) -> Table:
 def fruit_table(compared: list[Compared]) -> Table:
     """Return one line a fruit."""
     table = Table(title="Every fruit: centreline, cm; M6's ends against the marked ones, mm")
-    heads = "capture|true|± %|passes %|reported|error %|interval|ends mm|depth scale|flags"
+    heads = "capture|true|± %|passes %|reported|error %|camera's %|interval|ends mm|flags"
     for head in heads.split("|"):
         table.add_column(head, justify="right")
     for one in compared:
         true, read, ends = one.truth.cm("centreline"), one.read_cm(None), one.end_errors_mm()
         length = None if one.fruit is None else one.fruit.length
-        known = length is not None and length.low_m is not None and length.high_m is not None
+        interval = "–"
+        if length is not None and length.low_m is not None and length.high_m is not None:
+            interval = f"{100 * length.low_m:.1f}–{100 * length.high_m:.1f}"
         table.add_row(
             one.truth.capture,
             f"{true:.2f}",
@@ -244,9 +259,9 @@ def fruit_table(compared: list[Compared]) -> Table:
             f"{one.truth.apart_percent('centreline'):.1f}",
             "–" if read is None else f"{read:.2f}",
             "–" if read is None else f"{100 * (read / true - 1):+.1f}",
-            f"{100 * length.low_m:.1f}–{100 * length.high_m:.1f}" if known else "–",
+            f"{one.camera_percent():+.1f}",
+            interval,
             "–" if ends is None else f"{ends[0]:+.1f} {ends[1]:+.1f}",
-            f"{one.scale:.4f}",
             "not found" if one.fruit is None else " ".join(one.fruit.flags),
         )
     return table
@@ -269,17 +284,25 @@ def summary(compared: list[Compared], others: int) -> list[str]:
         if length is not None and length.low_m is not None and length.high_m is not None:
             held.append(length.low_m <= true <= length.high_m)
             widths.append(100 * (length.high_m - length.low_m) / length.value_m)
-    lines.append(
-        f"{len(held)} intervals: cover {100 * np.mean(held):.0f} %, mean width {np.mean(widths):.1f} %"
-    )
+    cover, width = 100 * np.mean(held), np.mean(widths)
+    lines.append(f"{len(held)} intervals: cover {cover:.0f} %, mean width {width:.1f} %")
     said = ", ".join(f"{flag} {flags[flag]}" for flag in END_FLAGS)
     lines.append(f"both ends are in sight, and yet flagged: {said} of {len(compared)}")
     for place in PLACES:
-        scales = [one.scale for one in compared if one.truth.place == place]
+        scales = 100 * (np.array([c.scale for c in compared if c.truth.place == place]) - 1)
         lines.append(
-            f"{place}: the plane by depth lies {100 * (np.median(scales) - 1):+.2f} % from where its "
-            f"lines put it ({100 * (min(scales) - 1):+.2f} to {100 * (max(scales) - 1):+.2f})"
+            f"{place}: the plane by depth is {np.median(scales):+.2f} % further than by its lines "
+            f"({scales.min():+.2f} to {scales.max():+.2f})"
         )
+    reads = [(c.read_cm(None), c) for c in compared]
+    errors = [100 * (read / c.truth.cm("centreline") - 1) for read, c in reads if read]
+    cameras = [c.camera_percent() for read, c in reads if read]
+    own = np.subtract(errors, cameras)
+    lines.append(
+        f"depth's scale and the lens alone: {np.mean(cameras):+.2f} %; without them what is "
+        f"reported errs by {np.median(np.abs(own)):.2f} % (median), bias {np.mean(own):+.2f} "
+        f"(median {np.median(own):+.2f}) %"
+    )
     lines.append(f"{others} other fruit found")
     return lines
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("streamlit")
-pytest.importorskip("pyrealsense2")
+pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import open_store

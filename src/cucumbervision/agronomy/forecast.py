@@ -195,11 +195,6 @@ class Forecast:
         return np.asarray(self.probability[:, 0, self._picked].sum(axis=1), np.float64)
 
     @property
-    def expected_ready(self) -> float:
-        """Fruit expected to be ready today, with those that were not seen."""
-        return float(self.house.expected[0, self._picked].sum())
-
-    @property
     def _picked(self) -> list[int]:
         return [self.classes.index(name) for name in self.pick]
 

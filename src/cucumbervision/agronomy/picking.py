@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,10 @@ from cucumbervision.agronomy.forecast import natural_key
 from cucumbervision.agronomy.profiles import TOO_LONG
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
     from cucumbervision.agronomy.forecast import Forecast, FruitState
 
 
@@ -23,7 +29,8 @@ class Pick:
     fruit : FruitState
         Row, side, position and length.
     name : str
-        Its likeliest class today, or 'too long': to be taken off before it costs others growth.
+        The likeliest of the classes that are picked, or 'too long': to be taken off before it
+        costs others growth.
     ready : float
         Probability to be in a class that is picked.
     """
@@ -61,7 +68,7 @@ def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
     too_long = forecast.classes.index(TOO_LONG)
     chances = forecast.probability[:, 0]
     listed = [
-        Pick(one, forecast.classes[int(own.argmax())], float(ready))
+        Pick(one, TOO_LONG if own[too_long] > ready else _best(forecast, own), float(ready))
         for one, ready, own in zip(forecast.fruit, forecast.ready, chances, strict=True)
         if max(ready, own[too_long]) >= threshold
     ]
@@ -73,6 +80,10 @@ def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
         return at, position, pick.fruit.side, pick.fruit.fruit_id
 
     return tuple(sorted(listed, key=along_the_walk))
+
+
+def _best(forecast: Forecast, chances: NDArray[np.float64]) -> str:
+    return max(forecast.pick, key=lambda name: chances[forecast.classes.index(name)])
 
 
 @dataclass(frozen=True)
@@ -126,6 +137,66 @@ class DayWork:
     complete: bool
 
 
+@dataclass(frozen=True)
+class PickWork:
+    """What is ready of a pick list, and the work of picking it.
+
+    Parameters
+    ----------
+    fruit : int
+        Fruit of a class that is picked.
+    by_class : dict of str to int
+        The same, class by class.
+    hours : float
+        For one person.
+    crates : dict of str to int
+        By class, whole ones.
+    """
+
+    fruit: int
+    by_class: dict[str, int]
+    hours: float
+    crates: dict[str, int]
+
+
+def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
+    """Return what is ready of a pick list, and the work of picking it; too long ones count not.
+
+    Parameters
+    ----------
+    picks : iterable of Pick
+        Those that are still to be picked.
+    rates : Rates, optional
+        The user's own.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.forecast import FruitState
+    >>> picks = [Pick(FruitState(str(k), "1", 0.1 * k, 0.3, 0.004), "I", 1.0) for k in range(70)]
+    >>> work = work_of(picks, Rates(fruit_per_hour=350, minutes_per_row=3))
+    >>> work.fruit, work.hours, work.crates
+    (70, 0.25, {'I': 6})
+    """
+    rates = rates or Rates()
+    ready = [pick for pick in picks if pick.name != TOO_LONG]
+    by_class = Counter(pick.name for pick in ready)
+    walking = rates.minutes_per_row / 60 * len({pick.fruit.row for pick in ready})
+    hours = len(ready) / rates.fruit_per_hour + walking
+    crates = {name: math.ceil(n / rates.fruit_per_crate) for name, n in by_class.items()}
+    return PickWork(len(ready), dict(by_class), hours, crates)
+
+
+def hours_words(hours: float) -> str:
+    """Return hours of work as people say them: few of them in minutes.
+
+    Examples
+    --------
+    >>> hours_words(0.31), hours_words(3.24)
+    ('19 min', '3.2 h')
+    """
+    return f"{hours:.1f} h" if hours >= 1.5 else f"{math.ceil(60 * hours - 1e-9):d} min"
+
+
 def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, ...]:
     """Turn a forecast into hours and crates.
 
@@ -139,7 +210,8 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     Notes
     -----
     The ends of the intervals are those of the counts, class by class; where several classes are
-    picked, their sum holds at least the level.
+    picked, their sum holds at least the level. Today is what the pick list holds (`work_of`), so
+    that it is one number everywhere; its interval allows for fruit that were missed or invented.
 
     Examples
     --------
@@ -155,16 +227,21 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     """
     rates = rates or Rates()
     chosen = [forecast.classes.index(name) for name in forecast.pick]
-    plans = []
+    today, plans = work_of(pick_list(forecast), rates), []
     for day in forecast.days.tolist():
         counts = [getattr(forecast.picks, end)[day, chosen] for end in ("expected", "low", "high")]
+        if day == 0:
+            listed = np.array([today.by_class.get(name, 0) for name in forecast.pick], np.float64)
+            counts = [listed, np.minimum(counts[1], listed), np.maximum(counts[2], listed)]
         rows = forecast.row_picks.expected[:, day][:, chosen].sum(axis=1)
         # A row with half a fruit expected is walked about half of the time.
         walking = rates.minutes_per_row / 60 * float(np.minimum(rows, 1.0).sum())
         fruit = [float(number.sum()) for number in counts]
+        if day == 0:
+            walking = today.hours - today.fruit / rates.fruit_per_hour
         hours = [number / rates.fruit_per_hour + walking for number in fruit]
         crates = {
-            name: Span(*(float(np.ceil(n[k] / rates.fruit_per_crate - 1e-9)) for n in counts))
+            name: Span(*(float(math.ceil(n[k] / rates.fruit_per_crate - 1e-9)) for n in counts))
             for k, name in enumerate(forecast.pick)
         }
         complete = bool(forecast.complete[day, chosen].all())

@@ -480,17 +480,20 @@ def pick_list(
     store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None
 ) -> None:
     """Print today's ready fruit in walking order."""
+    import time
+
     from cucumbervision.agronomy import picking
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision.rounds.forecasting import forecast_for
     from cucumbervision.rounds.from_store import read_round
     from cucumbervision.rounds.service import fruit_table
+    from cucumbervision.rounds.today import forecast_today
 
     with opened_round(store, round_) as (opened, one):
         crop = load_profile(profile or one.record.profile or "long-cucumber")
         content = read_round(opened, one.key)
-        picks = picking.pick_list(forecast_for(opened, one.key, crop, 0, content))
+        found = forecast_today(opened, one, crop, time.time(), content, days=0)
+        picks = picking.pick_list(found)
     numbers = {line.view.key: str(line.number) for line in fruit_table(content)}
     right = ("at, m", "length, cm", "ready")
     table = columns_table(f"{len(picks)} to pick", ("no.", "row", "side"), *right)

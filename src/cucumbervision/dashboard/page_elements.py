@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
+from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_choice import choose_round
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision.agronomy.picking import Rates
+    from cucumbervision.agronomy.picking import PickWork
     from cucumbervision.dashboard.jobs import Job, Work
     from cucumbervision.store.views import RoundView
 
@@ -81,19 +81,17 @@ def link(page: str, label: str) -> None:
         st.page_link(found, label=label, icon=found.icon, width="stretch")
 
 
-def work_words(fruit: int, rows: int, rates: Rates) -> str:
+def work_words(work: PickWork) -> str:
     """Return the work and crates that picking takes, for people.
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.picking import Rates
-    >>> work_words(70, 1, Rates(350.0, 2.0, 12)), work_words(900, 4, Rates(350.0, 2.0, 12))
-    ('14 minutes and 6 crates', '2.7 hours and 75 crates')
+    >>> from cucumbervision.agronomy.picking import PickWork
+    >>> work_words(PickWork(70, {"I": 70}, 0.2333, {"I": 6}))
+    '14 min and 6 crates'
     """
-    hours = fruit / rates.fruit_per_hour + rows * rates.minutes_per_row / 60
-    time = f"{hours:.1f} hours" if hours >= 1.5 else f"{math.ceil(60 * hours - 1e-9)} minutes"
-    crates = math.ceil(fruit / rates.fruit_per_crate)
-    return f"{time} and {crates} {'crate' if crates == 1 else 'crates'}"
+    crates = sum(work.crates.values())
+    return f"{hours_words(work.hours)} and {crates} {'crate' if crates == 1 else 'crates'}"
 
 
 def start_job(key: str, title: str, work: Work) -> None:

@@ -41,13 +41,12 @@ from cucumbervision.dashboard.shutter import Shutter
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
-from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.joint_lengths import measure_jointly
-from cucumbervision.rounds.service import DAY_S, RoundFruit, RowReport, fruit_table, row_reports
+from cucumbervision.rounds.service import RoundFruit, RowReport, fruit_table, row_reports
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.settling import undo as undo_in
-from cucumbervision.rounds.today import Today, age_of, midnight_s, read_today
+from cucumbervision.rounds.today import Today, forecast_today, midnight_s, read_today
 from cucumbervision.store.records import JointRecord, MethodRecord
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionDetail, DetectionView, RoundView
@@ -290,10 +289,7 @@ def fruit_of(one: RoundView) -> list[RoundFruit]:
 @st.cache_resource(show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_OF_ROUND)
 def forecast_of(one: RoundView) -> Forecast:
     """Return a round's forecast from today on; computed again only when something changed."""
-    days, _ = age_of(one.last_s or one.record.started_s, time.time())
-    today_s = one.record.started_s + days * DAY_S
-    crop = profile_of(one)[1]
-    return forecast_for(store(), one.key, crop, content=content_of(one), today_s=today_s)
+    return forecast_today(store(), one, profile_of(one)[1], time.time(), content_of(one))
 
 
 def _unpicked_version(one: RoundView) -> tuple[object, ...]:

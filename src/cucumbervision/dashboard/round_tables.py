@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.forecasting import grade_of
-from cucumbervision.store.views import Verdict
+from cucumbervision.rounds.service import hanging_lengths_m, round_figures
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.rounds.row_fruit import CountEstimate
-    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.rounds.service import RoundFigures, RoundFruit
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.views import DetectionView, StopView
 
@@ -41,25 +39,30 @@ class RoundLists:
     ----------
     fruit : tuple of DetectionView
         Each fruit once: the view that stands, with the length that all views give together.
+    deleted : tuple of DetectionView
+        Those that somebody deleted; no figure counts them.
     grades : dict of str to Grade
-        By fruit key.
-    detections : int
-        How many detections the fruit are made of.
+        By fruit key, of both.
+    figures : RoundFigures
+        Numbers of fruit and their lengths.
     """
 
     fruit: tuple[DetectionView, ...]
+    deleted: tuple[DetectionView, ...]
     grades: Mapping[str, Grade]
-    detections: int
+    figures: RoundFigures
 
 
 def list_round(
-    content: RoundContent, table: Iterable[RoundFruit], profile: CropProfile
+    content: RoundContent, table: Sequence[RoundFruit], profile: CropProfile
 ) -> RoundLists:
-    """Return a round's fruit with their grades, rejected ones too; `table` has its lengths."""
+    """Return a round's fruit with their grades; `table` has its lengths."""
     standing = {line.view.key: line.view for line in table}
-    fruit = tuple(standing.get(view.key, view) for view in content.views if view.best)
-    grades = {view.key: grade_of(view.record, profile) for view in fruit}
-    return RoundLists(fruit, grades, len(content.views))
+    best = [view for view in content.views if view.best]
+    fruit = tuple(standing[view.key] for view in best if view.key in standing)
+    deleted = tuple(view for view in best if view.key not in standing)
+    grades = {view.key: grade_of(view.record, profile) for view in (*fruit, *deleted)}
+    return RoundLists(fruit, deleted, grades, round_figures(content, table))
 
 
 def doubtful(views: Iterable[DetectionView]) -> list[DetectionView]:
@@ -179,28 +182,6 @@ def step_words(step: int | None) -> str:
     return "Stop" if step is None else f"Stop {step}"
 
 
-def statistics(lists: RoundLists) -> dict[str, float | int | None]:
-    """Compute numbers of fruit, mean and spread of lengths in metres; rejected fruit are left out.
-
-    Returns
-    -------
-    dict
-        'fruit', 'measured', 'rejected', 'picked', 'detections', 'mean_m', 'sd_m'.
-    """
-    kept = [view for view in lists.fruit if view.verdict is not Verdict.REJECTED]
-    lengths = np.array([v.record.length_m for v in kept if v.record.length_m is not None])
-    many = len(lengths) > 1
-    return {
-        "fruit": len(kept),
-        "measured": len(lengths),
-        "rejected": len(lists.fruit) - len(kept),
-        "picked": sum(view.picked_s is not None for view in kept),
-        "detections": lists.detections,
-        "mean_m": float(lengths.mean()) if len(lengths) else None,
-        "sd_m": float(lengths.std(ddof=1)) if many else None,
-    }
-
-
 def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
     """Return a line for every figure that the store keeps of a fruit: what it is, and its value.
 
@@ -222,11 +203,11 @@ def figure_lines(record: DetectionRecord) -> list[dict[str, str]]:
 def length_lines(
     fruit: Sequence[DetectionView], grades: Mapping[str, Grade], units: Units
 ) -> list[dict[str, Any]]:
-    """Return a line for each measured fruit for the histogram: length and class."""
+    """Return a line for each measured fruit on the plant for the histogram: length and class."""
     return [
         {"length": units.value(view.record.length_m), "class": grade_name(grades[view.key])}
         for view in fruit
-        if view.record.length_m is not None
+        if hanging_lengths_m([view])
     ]
 
 
@@ -313,16 +294,14 @@ def span_words(of: Span) -> str:
     return words if of.low == of.high else f"{words} ({of.low:.0f} to {of.high:.0f})"
 
 
-def hours_words(of: Span) -> str:
-    """Return hours of work with their interval: in minutes where they are few.
+def hours_span_words(of: Span) -> str:
+    """Return hours of work with their interval, as `hours_words` says each.
 
     Examples
     --------
     >>> from cucumbervision.agronomy.picking import Span
-    >>> hours_words(Span(0.31, 0.2, 0.5)), hours_words(Span(3.24, 2.9, 4.0))
-    ('20 min (15 to 30)', '3.2 h (2.9 to 4.0)')
+    >>> hours_span_words(Span(0.31, 0.2, 0.5)), hours_span_words(Span(3.24, 2.9, 4.0))
+    ('19 min (12 min to 30 min)', '3.2 h (2.9 h to 4.0 h)')
     """
-    if of.expected >= 1.5:
-        return f"{of.expected:.1f} h ({of.low:.1f} to {of.high:.1f})"
-    low, at, high = (5 * math.ceil(12 * x - 1e-9) for x in (of.low, of.expected, of.high))
-    return f"{at} min" if low == high else f"{at} min ({low} to {high})"
+    low, at, high = map(hours_words, (of.low, of.expected, of.high))
+    return at if low == high else f"{at} ({low} to {high})"

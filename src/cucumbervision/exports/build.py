@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
 from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
-from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.agronomy.picking import pick_list, plan_work
+from cucumbervision.agronomy.picking import pick_list, plan_work, work_of
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
 from cucumbervision.exports.tables import Charts, RoundTables, Table, utc
 from cucumbervision.measurement.result import Method
-from cucumbervision.rounds.forecasting import forecast_for, grade_of
+from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import DAY_S, fruit_table, row_reports
+from cucumbervision.rounds.service import (
+    DAY_S,
+    fruit_table,
+    hanging_lengths_m,
+    round_figures,
+    row_reports,
+)
+from cucumbervision.rounds.today import day_0_s, forecast_today
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -82,7 +89,8 @@ def round_tables(
         )
     content = read_round(store, round_key)
     table = fruit_table(content)
-    forecast, note = _forecast(store, content, profile, days)
+    now_s = time.time()
+    forecast, note = _forecast(store, view, content, profile, days, now_s)
     kept = _pictures(store, content, table, view.record.name) if pictures else {}
     measured_with = store.artifacts(round_key)
     called = profile_name or (profile.title if profile else view.record.profile)
@@ -91,7 +99,7 @@ def round_tables(
         {key: name for key, (name, _) in kept.items()},
         {key: _hashes(used) for key, used in measured_with.items()},
     )
-    started_s = view.record.started_s
+    today_s = day_0_s(view, now_s)
     lines: dict[str, Iterable[Any]] = {
         "summary": [_summary(view, content, table, row_reports(content), forecast, called)],
         "rows": row_reports(content),
@@ -100,9 +108,9 @@ def round_tables(
             {"number": n, "stop": one, **beside.of(one.key, one.key)}
             for n, one in enumerate(content.stops, 1)
         ),
-        "forecast": [] if forecast is None else _forecast_lines(forecast, started_s),
+        "forecast": [] if forecast is None else _forecast_lines(forecast, today_s),
         "picks": [] if forecast is None else _pick_lines(forecast, table),
-        "work": [] if forecast is None else _work_lines(forecast, started_s, rates),
+        "work": [] if forecast is None else _work_lines(forecast, today_s, rates),
         "provenance": provenance,
     }
     return RoundTables(
@@ -116,12 +124,17 @@ def round_tables(
 
 
 def _forecast(
-    store: Store, content: RoundContent, profile: CropProfile | None, days: int
+    store: Store,
+    view: RoundView,
+    content: RoundContent,
+    profile: CropProfile | None,
+    days: int,
+    now_s: float,
 ) -> tuple[Forecast | None, str]:
     if profile is None:
         return None, "no crop profile was named"
     try:
-        return forecast_for(store, content.key, profile, days, content), ""
+        return forecast_today(store, view, profile, now_s, content, days=days), ""
     except ForecastError as error:
         return None, str(error)
 
@@ -206,7 +219,7 @@ def _summary(
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
-    lengths_m = _hanging_m(table)
+    found = round_figures(content, table)
     return {
         "round": view.record.name,
         "round_key": view.key,
@@ -216,28 +229,20 @@ def _summary(
         "rows": len({stop.row for stop in content.stops if stop.row is not None}),
         "stops": len(content.stops),
         "captures": sum(stop.captures for stop in content.stops),
-        "detections": view.fruit,
-        "fruit": len(table),
-        "measured": sum(line.view.record.length_m is not None for line in table),
-        "picked": sum(line.view.picked_s is not None for line in table),
+        "detections": found.detections,
+        "fruit": found.fruit,
+        "measured": found.measured,
+        "picked": found.picked,
         "expected_fruit": sum(row.count.expected for row in reports),
         "expected_fruit_sd": math.hypot(*(row.count.sd for row in reports)),
         "failures": sum(stop.failures for stop in content.stops),
-        "mean_length_cm": fmean(lengths_m) if lengths_m else None,
-        "sd_length_cm": stdev(lengths_m) if len(lengths_m) > 1 else None,
-        "shortest_cm": min(lengths_m, default=None),
-        "longest_cm": max(lengths_m, default=None),
-        "ready_today": None if forecast is None else forecast.expected_ready,
+        "mean_length_cm": found.mean_m,
+        "sd_length_cm": found.sd_m,
+        "shortest_cm": found.shortest_m,
+        "longest_cm": found.longest_m,
+        "ready_today": None if forecast is None else work_of(pick_list(forecast)).fruit,
         "simulated": any(line.view.simulated for line in table),
     }
-
-
-def _hanging_m(table: Sequence[RoundFruit]) -> list[float]:
-    return [
-        line.view.record.length_m
-        for line in table
-        if line.view.record.length_m is not None and line.view.picked_s is None
-    ]
 
 
 def _fruit_lines(
@@ -275,7 +280,7 @@ def _grade_cells(one: RoundFruit, profile: CropProfile | None) -> Line:
     }
 
 
-def _forecast_lines(forecast: Forecast, started_s: float) -> Iterator[Line]:
+def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
     """Return the house's lines, then its rows'; by day and class."""
     scopes: list[tuple[str, str | None, Counts, Counts, tuple[int, ...]]] = [
         ("house", None, forecast.house, forecast.picks, ())
@@ -290,7 +295,7 @@ def _forecast_lines(forecast: Forecast, started_s: float) -> Iterator[Line]:
                     "scope": scope,
                     "row": row_name,
                     "day": day,
-                    "date_utc": _date(started_s, day),
+                    "date_utc": _date(today_s, day),
                     "class": name,
                     "picked_class": name in forecast.pick,
                     "expected": standing.expected[at],
@@ -313,18 +318,18 @@ def _pick_lines(forecast: Forecast, table: Sequence[RoundFruit]) -> Iterator[Lin
         }
 
 
-def _work_lines(forecast: Forecast, started_s: float, rates: Rates | None) -> Iterator[Line]:
+def _work_lines(forecast: Forecast, today_s: float, rates: Rates | None) -> Iterator[Line]:
     for work in plan_work(forecast, rates):
         crates = sum(crates.expected for crates in work.crates.values())
-        yield {"work": work, "date_utc": _date(started_s, work.day), "crates": crates}
+        yield {"work": work, "date_utc": _date(today_s, work.day), "crates": crates}
 
 
-def _date(started_s: float, day: int) -> str:
-    return utc(started_s + day * DAY_S)[:10]
+def _date(today_s: float, day: int) -> str:
+    return utc(today_s + day * DAY_S)[:10]
 
 
 def _charts(table: Sequence[RoundFruit], forecast: Forecast | None) -> Charts:
-    bins = _length_bins([100 * length for length in _hanging_m(table)])
+    bins = _length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)])
     if forecast is None:
         return Charts(bins)
     days = zip(forecast.days.tolist(), forecast.house.expected.round(2).tolist(), strict=True)

@@ -220,7 +220,7 @@ _SUMMARY = _columns(
     "sd_length_cm|cm|number|spread of it",
     "shortest_cm|cm|number|shortest fruit on the plant",
     "longest_cm|cm|number|longest fruit on the plant",
-    "ready_today||number 2|fruit expected to be ready on the day of the round, with those not seen",
+    "ready_today||whole|fruit on the pick list that are ready today",
     "simulated||yes/no|whether drawn captures are among them",
 )
 
@@ -261,7 +261,7 @@ _FRUIT = (
         "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing|grade.verdict",
         "grade_probability||number 4|probability of that class|grade_probability",
         "grade_rule||text|the rule that decided|grade_rule",
-        "ready_today||number 4|probability to be in a picked class on the day of the round|ready",
+        "ready_today||number 4|probability to be in a picked class today|ready",
         "weight_class||text|class by weight|grade.weight_class",
         "shape||text|class by crookedness|grade.shape",
         "mass_g|g|number|volume times the profile's density|mass_kg",
@@ -341,7 +341,7 @@ _PICKS = _columns(
 )
 
 _WORK = _columns(
-    "day||whole|days from the round|work.day",
+    "day||whole|days from today|work.day",
     "date_utc||text|the date",
     "fruit||number 2|fruit to pick|work.fruit.expected",
     "fruit_low||number|lower end of its interval|work.fruit.low",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.tables import Table
@@ -244,7 +245,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(figure=_figure, fruit_remarks=fruit_remarks, hours=_hours)
+    environment.filters.update(figure=_figure, fruit_remarks=fruit_remarks, hours=hours_words)
     return environment.get_template("round.html")
 
 
@@ -259,8 +260,3 @@ def _figure(cell: Cell, unit: str = "") -> Any:
     if isinstance(cell, float):
         return f"{cell:.{_DIGITS.get(unit, 1)}f}"
     return cell
-
-
-def _hours(hours: float) -> str:
-    """Return hours as people read them: few of them in minutes."""
-    return f"{hours:.1f} h" if hours >= 1.5 else f"{60 * hours:.0f} min"

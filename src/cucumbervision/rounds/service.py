@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +34,7 @@ from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import StoredRow
@@ -141,6 +142,56 @@ class RoundFruit:
     combined_m: float | None
     combined_sd_m: float | None
     joint: JointRecord | None = None
+
+
+@dataclass(frozen=True)
+class RoundFigures:
+    """The figures of a round, the same on all pages and in all files. Deleted fruit count not.
+
+    Parameters
+    ----------
+    fruit, measured, picked : int
+        Fruit, each once; those with a length; and those that were picked.
+    detections : int
+        Finds that these are made of.
+    mean_m, sd_m, shortest_m, longest_m : float, optional
+        Of the lengths of the fruit on the plant, metres.
+    """
+
+    fruit: int
+    measured: int
+    picked: int
+    detections: int
+    mean_m: float | None
+    sd_m: float | None
+    shortest_m: float | None
+    longest_m: float | None
+
+
+def hanging_lengths_m(fruit: Iterable[DetectionView]) -> list[float]:
+    """Return the lengths of the fruit that are neither deleted nor picked, metres."""
+    return [
+        view.record.length_m
+        for view in fruit
+        if view.record.length_m is not None
+        and view.picked_s is None
+        and view.verdict is not Verdict.REJECTED
+    ]
+
+
+def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFigures:
+    """Return the figures of a round from its content and its `fruit_table`."""
+    lengths_m = hanging_lengths_m(line.view for line in table)
+    return RoundFigures(
+        len(table),
+        sum(line.view.record.length_m is not None for line in table),
+        sum(line.view.picked_s is not None for line in table),
+        sum(view.verdict is not Verdict.REJECTED for view in content.views),
+        fmean(lengths_m) if lengths_m else None,
+        stdev(lengths_m) if len(lengths_m) > 1 else None,
+        min(lengths_m, default=None),
+        max(lengths_m, default=None),
+    )
 
 
 def _is_number(name: str) -> bool:

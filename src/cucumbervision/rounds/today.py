@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,15 @@ class Today:
         """All fruit that are too long."""
         return tuple(pick for row in self.rows for pick in row.too_long)
 
+    def left(self, picked: set[str]) -> Today:
+        """Return the same without the fruit that were picked meanwhile, by their keys."""
+
+        def still(picks: tuple[Pick, ...]) -> tuple[Pick, ...]:
+            return tuple(pick for pick in picks if pick.fruit.fruit_id not in picked)
+
+        rows = [RowPicks(row.row, still(row.ready), still(row.too_long)) for row in self.rows]
+        return replace(self, rows=tuple(row for row in rows if row.ready or row.too_long))
+
     def by_class(self) -> dict[str, dict[str, int]]:
         """Return how many fruit are ready, by row and class; a class that no row has is left out.
 
@@ -137,6 +147,49 @@ def age_words(days: int) -> str:
     return f"{many} {what}{'' if many == 1 else 's'} old"
 
 
+def forecast_today(
+    store: Store,
+    one: RoundView,
+    profile: CropProfile,
+    now_s: float,
+    content: RoundContent | None = None,
+    *,
+    days: int = 7,
+    picked_before_s: float = math.inf,
+) -> Forecast:
+    """Forecast a round from today on, for all pages, files and commands.
+
+    Of a round that is too old to say anything of today, day 0 is the day of its walk.
+
+    Parameters
+    ----------
+    store, one, profile, now_s, content
+        As `read_today` takes them.
+    days, picked_before_s
+        As `forecast_for` takes them.
+
+    Raises
+    ------
+    ForecastError
+        If nothing can be forecast.
+    """
+    return forecast_for(
+        store,
+        one.key,
+        profile,
+        days,
+        content,
+        today_s=day_0_s(one, now_s),
+        picked_before_s=picked_before_s,
+    )
+
+
+def day_0_s(one: RoundView, now_s: float) -> float:
+    """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
+    days, age = age_of(one.last_s or one.record.started_s, now_s)
+    return one.record.started_s + (0 if age is Age.USELESS else max(days, 0)) * DAY_S
+
+
 def read_today(
     store: Store,
     one: RoundView,
@@ -164,16 +217,9 @@ def read_today(
     best = {view.key: view.group for view in content.views}
     if age is Age.USELESS:
         return Today(days, age, None, (), best)
-    today_s = one.record.started_s + days * DAY_S
     try:
-        found = forecast_for(
-            store,
-            one.key,
-            profile,
-            days=0,
-            content=content,
-            today_s=today_s,
-            picked_before_s=midnight_s(now_s),
+        found = forecast_today(
+            store, one, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
         )
     except ForecastError:
         return Today(days, age, None, (), best)

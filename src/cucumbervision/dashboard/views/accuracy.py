@@ -20,6 +20,9 @@ from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.settings import replace_text
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.service import fruit_table
+from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -70,11 +73,14 @@ def measured_round(
     Returns
     -------
     Measured
-        Every detection a reading, captures named after stop and capture; its report names the
-        cameras, as calibration asks for.
+        Every detection that nobody deleted a reading, captures named after stop and capture; its
+        report names the cameras, as calibration asks for.
     """
-    fruit = store.detections(round_key)
-    readings = tuple(_reading(view, methods.get(view.key, ())) for view in fruit)
+    fruit = [v for v in store.detections(round_key) if v.verdict is not Verdict.REJECTED]
+    table = {line.view.key: line.view for line in fruit_table(read_round(store, round_key))}
+    readings = tuple(
+        _reading(view, table.get(view.key, view), methods.get(view.key, ())) for view in fruit
+    )
     captures: list[dict[str, Any]] = []
     report: dict[str, Any] = {"captures": captures}
     for key in dict.fromkeys(view.stop_key for view in fruit):
@@ -111,7 +117,10 @@ def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
     return found
 
 
-def _reading(view: DetectionView, methods: Sequence[MethodRecord]) -> Reading:
+def _reading(
+    view: DetectionView, reported: DetectionView, methods: Sequence[MethodRecord]
+) -> Reading:
+    """Return a find as a reading; what is reported is what all views of the fruit say."""
     record = view.record
     lengths = {one.method: one.length_m for one in methods}
     tube = next((one for one in methods if one.thread_m is not None), None)
@@ -120,7 +129,7 @@ def _reading(view: DetectionView, methods: Sequence[MethodRecord]) -> Reading:
     return Reading(
         capture=capture_name(view),
         fruit=record.number,
-        lengths_m={**lengths, REPORTED: record.length_m},
+        lengths_m={**lengths, REPORTED: reported.record.length_m},
         fell_back=frozenset(one.method for one in methods if one.measured_by),
         kind=record.length_kind or "",
         method=record.method or "",

@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import class_name, day_name, expected_classes, forecast_chart
-from cucumbervision.dashboard.round_tables import hours_words, round_day, span_words
+from cucumbervision.dashboard.round_tables import hours_span_words, round_day, span_words
 from cucumbervision.rounds.today import Age, age_of, age_words
 
 if TYPE_CHECKING:
@@ -40,9 +40,11 @@ def _age(one: RoundView) -> None:
     walked = one.last_s or one.record.started_s
     days, age = age_of(walked, time.time())
     if age is not Age.FRESH:
+        useless = age is Age.USELESS
+        holds = "for the day of the walk" if useless else "only if nothing was picked since"
         st.warning(
             f"This round is {age_words(days)} (walked on {round_day(walked)}): what follows holds "
-            "only if nothing was picked since. Walk again.",
+            f"{holds}. Walk again.",
             icon=":material/history:",
         )
     page_elements.link("today", "Today's pick list")
@@ -84,7 +86,7 @@ def _work(found: Forecast) -> None:
         {
             "Day": day_name(day.day),
             "Fruit": span_words(day.fruit),
-            "Work": hours_words(day.hours),
+            "Work": hours_span_words(day.hours),
             **{f"Crates {name}": span_words(n) for name, n in day.crates.items()},
         }
         for day in plan_work(found, resources.settings().rates)

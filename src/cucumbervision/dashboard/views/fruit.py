@@ -74,6 +74,7 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
 
 def _head(lists: RoundLists, key: str) -> None:
     keys = [view.key for view in lists.fruit]
+    keys += [] if key in keys else [key]  # a deleted one is shown by itself
     at = keys.index(key)
 
     def go(to: str | None) -> None:
@@ -92,7 +93,7 @@ def _head(lists: RoundLists, key: str) -> None:
 
 
 def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
-    standing = {view.key: view for view in lists.fruit}
+    standing = {view.key: view for view in (*lists.fruit, *lists.deleted)}
     record, units = standing[detail.view.key].record, resources.settings().units
     found = lists.grades[detail.view.key]
     interval = interval_words(record, units)
@@ -126,7 +127,9 @@ def _verdict(one: RoundView, detail: DetectionDetail) -> None:
     is_picked = detail.view.picked_s is not None
 
     def judge(verdict: Verdict | None) -> None:
-        store.set_verdict([key], verdict)
+        # All its views: otherwise another one would stand in for a fruit that was deleted.
+        views = store.detections(detail.view.round_key)
+        store.set_verdict([x.key for x in views if x.group == detail.view.group], verdict)
 
     def pick() -> None:
         store.unpick([key]) if is_picked else store.pick([key])

@@ -100,10 +100,10 @@ _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ 
 def page(one: RoundView) -> None:
     """Draw the page."""
     lists = resources.lists_of(one)
-    if st.session_state.get("fruit") in {view.key for view in lists.fruit}:
+    if st.session_state.get("fruit") in {view.key for view in (*lists.fruit, *lists.deleted)}:
         fruit_page.show(one, lists, st.session_state["fruit"])
         return
-    if not lists.fruit:
+    if not (lists.fruit or lists.deleted):
         _empty(one)
         return
     _classes(one, lists)
@@ -131,8 +131,7 @@ def _empty(one: RoundView) -> None:
 
 def _classes(one: RoundView, lists: RoundLists) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
-    kept = [view for view in lists.fruit if view.verdict is not Verdict.REJECTED]
-    counts = Counter(grade_name(lists.grades[view.key]) for view in kept)
+    counts = Counter(grade_name(lists.grades[view.key]) for view in lists.fruit)
     words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words)}**")
@@ -143,16 +142,16 @@ def _classes(one: RoundView, lists: RoundLists) -> None:
 
 
 def _statistics(lists: RoundLists) -> None:
-    found, units = tables.statistics(lists), resources.settings().units
-    shown = {
-        "Fruit": (found["fruit"], f"detected {found['detections']} times"),
-        "Measured": (found["measured"], None),
+    found, units = lists.figures, resources.settings().units
+    shown: dict[str, tuple[int | str, str | None]] = {
+        "Fruit": (found.fruit, f"detected {found.detections} times"),
+        "Measured": (found.measured, None),
         "Mean length": (
-            units.text(found["mean_m"]),
-            f"± {units.text(found['sd_m'])}" if found["sd_m"] else None,
+            units.text(found.mean_m),
+            f"± {units.text(found.sd_m)}" if found.sd_m else None,
         ),
-        "Picked": (found["picked"], None),
-        "Deleted": (found["rejected"], None),
+        "Picked": (found.picked, None),
+        "Deleted": (len(lists.deleted), None),
     }
     for column, (label, (value, below)) in zip(st.columns(5), shown.items(), strict=True):
         column.metric(label, value, below, delta_color="off", delta_arrow="off")
@@ -183,7 +182,7 @@ def _filtered(lists: RoundLists) -> list[DetectionView]:
         )
     return [
         view
-        for view in lists.fruit
+        for view in (lists.deleted if chosen_verdict is Verdict.REJECTED else lists.fruit)
         if only.keeps(view) and chosen_name in (None, grade_name(lists.grades[view.key]))
     ]
 
@@ -191,7 +190,10 @@ def _filtered(lists: RoundLists) -> list[DetectionView]:
 def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
     if lines := tables.length_lines(fruit, lists.grades, units):
-        st.markdown("**Lengths**: line at the mean, band of one standard deviation")
+        st.markdown(
+            "**Lengths of the fruit on the plant**: line at the mean, band of one standard "
+            "deviation"
+        )
         st.altair_chart(charts.histogram(lines, units))
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
+from cucumbervision.agronomy.picking import plan_work, work_of
 from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import name_of_class
@@ -36,7 +36,7 @@ def page(one: RoundView) -> None:
     _next(one, today)
     if not today.rows:
         return
-    _ready(today)
+    _ready(one, today)
     st.subheader("Pick list")
     _picks(one, today)
 
@@ -89,9 +89,11 @@ def _next(one: RoundView, today: Today) -> None:
             page_elements.link(target, label)
 
 
-def _ready(today: Today) -> None:
+def _ready(one: RoundView, today: Today) -> None:
+    """Say what is still to be picked, by class and row."""
+    today = today.left(_picked(one, today))
     ready, too_long = len(today.ready), len(today.too_long)
-    names = Counter(pick.name for pick in today.ready)
+    names = work_of(today.ready).by_class
     shown = [("Ready today", ready), *((name_of_class(n), k) for n, k in sorted(names.items()))]
     if too_long:
         shown.append(("Too long", too_long))
@@ -105,12 +107,10 @@ def _ready(today: Today) -> None:
     if len(lines) > 1:
         page_elements.table(lines)
     if today.forecast is not None:
-        house, pick = today.forecast.picks, today.forecast.pick
-        at = [today.forecast.classes.index(name) for name in pick]
-        low, high = (float(end[0, at].sum()) for end in (house.low, house.high))
+        span = plan_work(resources.forecast_of(one))[0].fruit
         st.caption(
-            f"{ready} fruit are in the list below. With those that were missed or are no fruit, "
-            f"{low:.0f} to {high:.0f} are ready (80 %)."
+            f"{ready} fruit are left in the list below. With those that were missed or are no "
+            f"fruit, {span.low:.0f} to {span.high:.0f} are ready (80 %)."
         )
 
 
@@ -142,7 +142,7 @@ def _picks(one: RoundView, today: Today) -> None:
             lines = _lines(picks, picked, today.drawn)
             _list(f"picks_{kind}_{one.key}_{row.row}", lines, words)
         _all_picked(row, picked)
-        _work(today)
+        _work(today, picked)
 
     _draw()
 
@@ -226,10 +226,9 @@ def _undo(number: int) -> None:
     st.session_state.pop("picked_all", None)
 
 
-def _work(today: Today) -> None:
+def _work(today: Today, picked: set[str]) -> None:
     if today.forecast is None:
         return
-    rates = resources.settings().rates
     now = time.strftime("%H:%M")
-    words = page_elements.work_words(len(today.ready), len(today.rows), rates)
+    words = page_elements.work_words(work_of(today.left(picked).ready, resources.settings().rates))
     st.caption(f"About {words} at your rates ('Forecast', 'Work and crates'). It is {now}.")

@@ -1,0 +1,130 @@
+"""Every figure of a round is the same on all pages, in all files and commands."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("streamlit")
+
+from streamlit.testing.v1 import AppTest
+
+from cucumbervision.agronomy.picking import hours_words, pick_list, plan_work, work_of
+from cucumbervision.agronomy.profiles import TOO_LONG, load_profile
+from cucumbervision.dashboard.round_tables import length_lines, list_round, map_lines
+from cucumbervision.dashboard.settings import Units
+from cucumbervision.dashboard.views.accuracy import measured_round
+from cucumbervision.exports.build import round_tables
+from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.service import DAY_S, find_round, fruit_table, merge_round
+from cucumbervision.rounds.today import forecast_today
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import Store
+from cucumbervision.store.views import Verdict
+
+WALK = key_of("walk")
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+@pytest.fixture
+def walked(store: Store) -> str:
+    """A round of two days ago, every stop taken twice; of its fruit one is deleted, one picked,
+    one corrected to more than can be seen."""
+    begun_s = time.time() - 2 * DAY_S
+    one = RoundRecord(key_of("figures"), "figures", "house 1", begun_s, "long-cucumber")
+    store.save_round(one)
+    for n, stop in enumerate(store.stops(WALK)):
+        for again in (0, 1):
+            store.save_stop(
+                replace(
+                    store.stop(stop.key),
+                    key=key_of("figures", n, again),
+                    round_key=one.key,
+                    row="1",
+                    side="left",
+                    position_m=5.0 * n + 0.01 * again,
+                    step=2 * n + again,
+                    taken_s=begun_s + 2 * n + again,
+                )
+            )
+    merge_round(store, one.key)
+    best = [view for view in store.detections(one.key) if view.best]
+    assert max(view.views for view in best) > 1
+    deleted, picked, hidden = best[0], best[1], best[2]
+    page("results", one.key, fruit=deleted.key, press="Delete")
+    store.pick([picked.key])
+    store.correct(hidden.key, replace(hidden.record, flags="end-hidden", length_m=0.36))
+    return one.key
+
+
+def page(name: str, round_key: str, *, fruit: str = "", press: str = "") -> AppTest:
+    script = f"from cucumbervision.dashboard.views import {name}\n{name}.page()\n"
+    test = AppTest.from_string(script, default_timeout=600)
+    test.session_state["round"] = round_key
+    if fruit:
+        test.session_state["fruit"] = fruit
+    test.run()
+    if press:
+        next(button for button in test.button if button.label == press).click().run()
+    assert not test.exception
+    return test
+
+
+def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> None:
+    profile, units = load_profile("long-cucumber"), Units("cm")
+    one, content = find_round(store, walked), read_round(store, walked)
+    table = fruit_table(content)
+    lists = list_round(content, table, profile)
+    files = round_tables(store, walked, profile, pictures=False)
+    gone = {view.key for view in content.views if view.verdict is Verdict.REJECTED}
+
+    # Numbers of fruit and their lengths.
+    shown = {metric.label: str(metric.value) for metric in page("results", walked).metric}
+    summary = files.summary
+    assert shown["Fruit"] == str(summary["fruit"]) == str(len(files["fruit"].rows))
+    assert shown["Measured"] == str(summary["measured"])
+    assert (shown["Picked"], summary["picked"]) == ("1", 1)
+    assert shown["Deleted"] == "1"
+    assert summary["detections"] == len(content.views) - len(gone)
+    charted = [line["length"] for line in length_lines(lists.fruit, lists.grades, units)]
+    hanging = [
+        line["length_cm"]
+        for line in files["fruit"].records()
+        if line["picked_utc"] is None and line["length_cm"] is not None
+    ]
+    assert sorted(charted) == pytest.approx(sorted(hanging), abs=1e-3)
+    assert np.mean(charted) == pytest.approx(summary["mean_length_cm"], abs=0.01)
+    assert shown["Mean length"] == units.text(float(np.mean(charted)) / 100)
+
+    # No deleted fruit on the map, in the list or on the accuracy page.
+    assert gone.isdisjoint(line["key"] for line in map_lines(lists, units))
+    assert gone.isdisjoint(view.key for view in lists.fruit)
+    measured = measured_round(store, walked, store.measurements(walked))
+    assert len(measured.readings) == len(content.views) - len(gone)
+    reported = {(x.capture, x.fruit): x.lengths_m["reported"] for x in measured.readings}
+    for view in lists.fruit:
+        at = f"{view.stop_key}/{view.capture}", view.record.number
+        assert reported[at] == view.record.length_m
+
+    # What is ready, and its work.
+    forecast = forecast_today(store, one, profile, time.time(), content)
+    picks = [pick for pick in pick_list(forecast) if pick.name != TOO_LONG]
+    work, plan = work_of(picks), plan_work(forecast)[0]
+    today = page("today", walked)
+    assert len(picks) == work.fruit == plan.fruit.expected == summary["ready_today"]
+    assert {metric.label: str(metric.value) for metric in today.metric}["Ready today"] == str(
+        len(picks)
+    )
+    first = files["work"].records()[0]
+    assert (first["fruit"], first["crates"]) == (work.fruit, sum(work.crates.values()))
+    assert first["hours"] == pytest.approx(work.hours, abs=1e-3)
+    said = " ".join(str(part.value) for part in today.caption)
+    assert f"About {hours_words(work.hours)} and " in said
+    table_of_work = " ".join(str(part.value) for part in page("forecast", walked).markdown)
+    assert hours_words(work.hours) == hours_words(plan.hours.expected)
+    assert "-0" not in table_of_work
+    assert all(str(span.low) != "-0.0" for span in plan.crates.values())

@@ -4,18 +4,25 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 
+from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.dashboard.measuring import SharedMeasurer
+from cucumbervision.dashboard.measuring import SharedMeasurer, is_doubtful
+from cucumbervision.dashboard.round_tables import doubtful
 from cucumbervision.errors import InstancesError
-from cucumbervision.perception.instances import MaskSource
+from cucumbervision.measurement.result import Flag
+from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.rounds.forecasting import fruit_states
+from cucumbervision.rounds.service import RoundFruit, hanging_lengths_m
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.results import stored_capture
@@ -166,3 +173,51 @@ def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted
     now = store.detection(first.view.key).view.record
     assert now.mask == second.view.record.mask
     assert not now.keypoints  # they were another outline's
+
+
+def test_a_correcting_tap_hides_no_end_that_is_in_sight(measurer: SharedMeasurer) -> None:
+    for ref in open_source(bundled_captures()):
+        capture = ref.load()
+        for own in capture.masks:
+            v, u = np.nonzero(own)
+            middle = ((u - u.mean()) ** 2 + (v - v.mean()) ** 2).argmin()
+            mask = measurer.mask_from_click(capture, (float(u[middle]), float(v[middle])))
+            found, before = (
+                measurer.with_options(OPTIONS).measure_instance(
+                    capture, Instance(box_of_mask(one), mask=one, mask_source=MaskSource.SAM)
+                )
+                for one in (mask, own)
+            )
+            if Flag.END_HIDDEN not in before.flags:
+                assert Flag.END_HIDDEN not in found.flags
+            assert not is_doubtful(before, capture)
+
+
+def test_what_does_not_look_like_a_fruit_is_doubtful_until_it_is_accepted(
+    store: Store, measurer: SharedMeasurer
+) -> None:
+    stop = store.stop(store.stops(WALK)[0].key)
+    taken = stop.captures[0]
+    capture = stored_capture(store.images, taken, stop)
+    taken_up = np.zeros((capture.height, capture.width), bool)
+    for one in taken.fruit:
+        taken_up |= decode_rle(one.mask or "", *taken_up.shape)
+    rows, columns = np.indices(taken_up.shape)
+    far = cv2.distanceTransform((~taken_up).astype(np.uint8), cv2.DIST_L2, 5)
+    far[:60] = far[-60:] = far[:, :60] = far[:, -60:] = 0
+    v, u = np.unravel_index(far.argmax(), far.shape)
+    leaf = (rows - v) ** 2 + (columns - u) ** 2 < 40**2
+    key = measurer.add(store, stop, capture, leaf, OPTIONS)
+    view = store.detection(key).view
+    assert view.verdict is None
+    assert view.doubtful
+    assert doubtful([view]) == [view]
+    profile = load_profile("long-cucumber")
+    seen = store.detections(WALK)
+    table = [RoundFruit(n, one, None, None) for n, one in enumerate(seen, 1)]
+    assert key not in {one.fruit_id for one in fruit_states(table, 0.0, profile)}
+    assert len(hanging_lengths_m(seen)) == 8
+    store.set_verdict([key], Verdict.ACCEPTED)
+    assert not store.detection(key).view.doubtful
+    with pytest.raises(InstancesError, match="most of the picture"):
+        measurer.add(store, stop, capture, ~taken_up, OPTIONS)

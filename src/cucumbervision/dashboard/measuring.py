@@ -6,15 +6,17 @@ import threading
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
+from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision.pipeline.fields import SeenFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.sam import Segmenter
     from cucumbervision.pipeline.measurer import CaptureResult
@@ -123,12 +126,21 @@ class SharedMeasurer:
     def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point.
 
+        What lies there gets its outline from its box, as all other fruit do: that of a point alone
+        is narrower, so that an end that is in sight seemed hidden.
+
         Raises
         ------
         InstancesError
             If there is none.
         """
-        return _some(self._sam().mask_at(capture.color, *at_px))
+        there = _some(self._sam().mask_at(capture.color, *at_px))
+        x1, y1, x2, y2 = box_of_mask(there).tolist()
+        try:
+            drawn = self.mask_from_box(capture, (x1, y1, x2, y2))
+        except InstancesError:
+            return there
+        return drawn if mask_iou(drawn, there) > _SAME_IOU else there
 
     def mask_from_box(
         self, capture: Capture, box_px: tuple[float, float, float, float]
@@ -195,12 +207,25 @@ class SharedMeasurer:
         Raises
         ------
         InstancesError
-            If the mask is another fruit's.
+            If the mask is another fruit's, or no fruit can be so large.
+
+        Notes
+        -----
+        What does not look like a fruit (`is_doubtful`) is flagged, and not accepted.
         """
+        if mask.mean() > _LARGEST_SHARE:
+            raise InstancesError(
+                "no fruit was found there: the outline takes most of the picture",
+                remedy="tap its middle or draw a closer box",
+            )
         taken = next(one for one in stop.captures if one.name == capture.name)
         _refuse_copy(store, stop, taken, mask)
         instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
-        fruit = self._placed(capture, stop, instance, 1, options)
+        found = self.with_options(options).measure_instance(capture, instance)
+        fruit = self._record(capture, stop, found, 1)
+        if is_doubtful(found, capture):
+            flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
+            fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
         return store.add_fruit(stop.key, capture.name, fruit)
 
     def _placed(
@@ -213,6 +238,11 @@ class SharedMeasurer:
     ) -> DetectionRecord:
         """Measure a fruit of a stored capture, with its offset along the row."""
         fruit = self.with_options(options).measure_instance(capture, instance)
+        return self._record(capture, stop, fruit, number)
+
+    def _record(
+        self, capture: Capture, stop: StopRecord, fruit: FruitMeasurement, number: int
+    ) -> DetectionRecord:
         record = fruit_record(SeenFruit(capture, number, fruit))
         return placed_fruit(record, stored_pose(stop.pose, stop.side))
 
@@ -264,6 +294,52 @@ def measure_waiting(
         if last_of_round and (fault := settle(one.round_key)):
             job.notes.append(fault)
     return done
+
+
+_SAME_IOU = 0.7  # of two outlines of what lies at one point
+_LARGEST_SHARE = 0.5  # of the picture
+_DOUBTFUL_SCORE = 0.25  # as of a find that the networks are little sure of
+_RING_PX = 12  # about an outline, where its surroundings are looked at
+_STANDS_OUT_M, _STANDS_OUT_SHARE = 0.01, 0.2  # of the surroundings lie so much farther
+_UNSURE, _STOUT = 0.15, 0.5  # of the length: to the interval's lower end; the diameter
+
+
+def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
+    """Tell whether what was measured may be no fruit: by its shape, and by the depth about it.
+
+    A fruit is a tube (M6) that fits well, no stouter than half its length, of which the length is
+    known to 15 % at the lower end, and part of its surroundings lies behind it.
+
+    Parameters
+    ----------
+    fruit : FruitMeasurement
+        As it was measured.
+    capture : Capture
+        Where.
+    """
+    tube, length = fruit.selected, fruit.length
+    if tube is None or tube.fit is None or length is None or length.low_m is None:
+        return True
+    if {Flag.POOR_FIT, Flag.UNCERTAIN, Flag.END_ON} & set(fruit.flags):
+        return True
+    unsure = length.value_m - length.low_m > _UNSURE * length.value_m
+    if unsure or tube.fit.traits.diameter_max_m > _STOUT * length.value_m:
+        return True
+    return not _stands_out(fruit.mask, capture)
+
+
+def _stands_out(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
+    """Tell whether part of what surrounds a mask lies farther than it."""
+    if mask is None:
+        return False
+    size = 2 * _RING_PX + 1
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    known = valid_depth(capture.depth_m)
+    own, about = capture.depth_m[mask & known], capture.depth_m[wide & ~mask & known]
+    if not len(own) or not len(about):
+        return False
+    farther = about > float(np.median(own)) + _STANDS_OUT_M
+    return bool(farther.mean() > _STANDS_OUT_SHARE)
 
 
 _COPY_SHARE = 0.6  # of the smaller of two masks: from there on they are one fruit

@@ -118,6 +118,7 @@ class Flag(StrEnum):
     NOT_COVERED = "calibration-not-covered"
     OTHER_MASK = "calibration-other-mask"
     OUTSIDE_RANGE = "outside-calibrated-range"
+    DOUBTFUL = "doubtful"
 
 
 LOWER_BOUND = frozenset({Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN})
@@ -137,6 +138,7 @@ _FLAG_WORDS = {
     Flag.NOT_COVERED: "the site's calibration does not cover it",
     Flag.OTHER_MASK: "the site's calibration was made with other outlines",
     Flag.OUTSIDE_RANGE: "longer or shorter than the site's calibration",
+    Flag.DOUBTFUL: "added by hand, and may be no fruit",
 }
 
 

@@ -160,7 +160,7 @@ def fruit_states(
     """
     states = []
     for view in (line.view for line in table):
-        if view.record.length_m is None or not view.record.length_m > 0:
+        if view.doubtful or view.record.length_m is None or not view.record.length_m > 0:
             continue
         length_m, sd_m = _believed_length(view.record)
         states.append(

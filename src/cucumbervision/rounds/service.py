@@ -169,13 +169,14 @@ class RoundFigures:
 
 
 def hanging_lengths_m(fruit: Iterable[DetectionView]) -> list[float]:
-    """Return the lengths of the fruit that are neither deleted nor picked, metres."""
+    """Return the lengths of the fruit that are neither deleted, picked nor doubtful, metres."""
     return [
         view.record.length_m
         for view in fruit
         if view.record.length_m is not None
         and view.picked_s is None
         and view.verdict is not Verdict.REJECTED
+        and not view.doubtful
     ]
 
 

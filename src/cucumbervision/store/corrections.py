@@ -221,12 +221,13 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
     return [found[key] for key in wanted]
 
 
-def mark_added(connection: Connection, key: str, by: str) -> int:
+def mark_added(connection: Connection, key: str, by: str, *, accept: bool = True) -> int:
     """Log that a fruit was added by hand, and accept it; it stands until that is undone."""
     found = find_detections(connection, [key])
     action = _log(connection, "add", by, found)
     _mark(connection, action, found, ADDED, "by-hand")
-    _mark(connection, action, found, "verdict", Verdict.ACCEPTED)
+    if accept:
+        _mark(connection, action, found, "verdict", Verdict.ACCEPTED)
     return action
 
 

@@ -237,7 +237,9 @@ class Store(Queries, Corrections, JointRecords):
     def add_fruit(
         self, stop_key: str, capture: str, record: DetectionRecord, *, by: str = ""
     ) -> str:
-        """Add a fruit that was not found, and accept it; logged. Return its key.
+        """Add a fruit that was not found; logged. Return its key.
+
+        It is accepted, unless it is flagged as doubtful.
 
         Taken back by `undo`, it is in no list any more, and its number is not given again.
 
@@ -276,7 +278,7 @@ class Store(Queries, Corrections, JointRecords):
             key = key_of("fruit", stop_key, place, number)
             numbered = replace(record, number=number)
             _add_detections(connection, capture_id, round_id, [key], [numbered])
-            mark_added(connection, key, by)
+            mark_added(connection, key, by, accept="doubtful" not in record.flags.split())
         return key
 
     def save_merging(

@@ -209,6 +209,11 @@ class DetectionView:
         """Whether this is the view of its fruit that stands."""
         return self.group == self.key
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether it was added by hand, does not look like a fruit, and nobody accepted it."""
+        return "doubtful" in self.record.flags.split() and self.verdict is not Verdict.ACCEPTED
+
 
 @dataclass(frozen=True)
 class DetectionFilter:

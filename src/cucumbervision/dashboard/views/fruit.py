@@ -19,6 +19,7 @@ from cucumbervision.dashboard.fruit_view import (
     picture,
     ruler_m,
     scale_bar,
+    stop_layers,
 )
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
@@ -203,7 +204,7 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         f"fruit_{detail.view.key}",
         {"Colour": as_data_url(capture.color), "Depth": as_data_url(depth)},
         (capture.width, capture.height),
-        layers=fruit_layers(record, capture.intrinsics, tube),
+        layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box", "brush", "erase"),
         ruler_text=ruler or "",
@@ -234,6 +235,21 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         _correct(detail, partial(_painted, record, capture, drawn.stroke))
     show_correction()
     _accept_others(detail)
+
+
+def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
+    """Return the other fruit of the picture as a layer, so that one that was added is seen."""
+    view = detail.view
+    views = resources.store().detections(view.round_key, DetectionFilter(stop_key=view.stop_key))
+    others = [
+        one
+        for one in views
+        if one.capture == view.capture
+        and one.key != view.key
+        and one.verdict is not Verdict.REJECTED
+    ]
+    names = dict.fromkeys((one.key for one in others), "Other fruit")
+    return stop_layers(detail.capture, others, names, resources.settings().units)
 
 
 def _accept_others(detail: DetectionDetail) -> None:
@@ -317,7 +333,15 @@ def show_correction() -> None:
     if job.error:
         st.warning(plain(job.error), icon=":material/error:")
     else:
-        done = "Added to the round" if isinstance(job.result, str) else "Measured with this mask"
+        is_new = isinstance(job.result, str)
+        if is_new and resources.store().detection(job.result).view.doubtful:
+            st.warning(
+                "Added, but it does not look like a fruit: it is not on the pick list until "
+                "somebody accepts it. 'Undo' takes it back.",
+                icon=":material/help:",
+            )
+            return
+        done = "Added to the round" if is_new else "Measured with this mask"
         st.success(f"{done}. 'Undo' takes it back.")
 
 

@@ -152,6 +152,12 @@ def test_options_touch_what_they_had_a_part_in(run: Watched) -> None:
     assert tuple(run.measured) == NAMES
 
 
+def test_other_limits_of_the_crop_are_seen(run: Watched) -> None:
+    run()
+    run(replace(OPTIONS, accepted_m=(0.9, 1.0)))
+    assert tuple(run.measured) == NAMES
+
+
 def test_a_changed_file_of_boxes_is_seen(run: Watched) -> None:
     boxes = run.house.parent / f"{NAMES[1]}.txt"
     options = replace(OPTIONS, instances=str(boxes), segmenter="none")

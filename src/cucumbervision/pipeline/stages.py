@@ -107,7 +107,7 @@ class StageHashes:
         site = options.calibration and _path_sha256(options.calibration)
         how = [list(options.methods), str(options.selector), str(options.length)]
         table = [[one.name, one.unit, one.type, one.path, one.digits] for one in FIELDS]
-        return [__version__, how, site, options.reading.depth_unit_m, table]
+        return [__version__, how, site, options.reading.depth_unit_m, options.accepted_m, table]
 
     def _of_stage(self, stage: Stage) -> Any:
         options = self._options

@@ -129,7 +129,7 @@ _FLAG_WORDS = {
     Flag.BOX_CLIPPED: "cut by the picture's edge",
     Flag.END_HIDDEN: "an end is hidden",
     Flag.ENDS_DISAGREE: "its ends were found at two places",
-    Flag.ENDS_UNSURE: "its ends are not sure",
+    Flag.ENDS_UNSURE: "which end is the stem's is uncertain",
     Flag.END_ON: "seen end on",
     Flag.PART_HIDDEN: "partly hidden",
     Flag.POOR_FIT: "its shape fits badly",

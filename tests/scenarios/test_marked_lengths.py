@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-FILE = Path(__file__).parents[3] / "benchmarks" / "marked_lengths.py"
+FILE = Path(__file__).parents[2] / "benchmarks" / "marked_lengths.py"
 MATRIX = np.array([[912.0, 0.0, 640.0], [0.0, 911.0, 360.0], [0.0, 0.0, 1.0]])
 LENS = np.array([0.09, -0.15, 0.001, -0.0005])
 RADIUS_CM, END_CM = 1.5, 2.55

@@ -61,7 +61,7 @@ def test_end_to_end_segments(runtime: str) -> None:
     coefficients[3] = 2.0
     prototypes = np.full((1, 32, 16, 16), -1.0)
     prototypes[0, 3, :, :8] = 1.0
-    rows = chosen([8, 20, 40, 30, 0.75, 1, *coefficients], [0, 16, 4, 20, 0.25, 0, *coefficients])
+    rows = chosen([8, 20, 40, 30, 0.75, 1, *coefficients], [0, 16, 4, 20, 0.15, 0, *coefficients])
     props = CUCUMBER | {"task": "segment", "end2end": True}
     detector = YoloDetector(network(rows, prototypes, props=props), runtime)
     (fruit,) = detector.detect(PICTURE)

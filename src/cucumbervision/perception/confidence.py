@@ -1,6 +1,6 @@
 """From which confidence on a find counts; without NumPy, since commands show it in their help."""
 
-DEFAULT_CONFIDENCE = 0.25
+DEFAULT_CONFIDENCE = 0.20
 """Which a fruit's must exceed where none is asked for, with the pose network's vote."""
 
 _POSE_CONFIDENCE = 0.05

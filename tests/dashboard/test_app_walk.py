@@ -220,8 +220,9 @@ def measure_by_hand(page: Any, times: float) -> list[float]:
         opened.fill(f"{length:.2f}")
         page.keyboard.press("Enter")  # to the next line
         page.wait_for_function(
-            "([id, text]) => document.querySelector(`[data-testid=${id}]`).textContent === text",
-            arg=[f"glide-cell-3-{line}", f"{length:.2f}"],
+            "([id, typed]) => "
+            "Number(document.querySelector(`[data-testid=${id}]`).textContent) === typed",
+            arg=[f"glide-cell-3-{line}", length],
         )
     return typed
 

@@ -358,22 +358,25 @@ def _openvino_core() -> Any:
 def _open_openvino(
     path: Path | bytes, source: str, full_precision: bool, threads: int | None
 ) -> Network:
-    with _STARTING_OPENVINO:
-        core = _openvino_core()
     settings: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
     if full_precision:
         settings["INFERENCE_PRECISION_HINT"] = "f32"
     if threads is not None:
         settings["INFERENCE_NUM_THREADS"] = threads
-    try:
-        model = core.read_model(path if isinstance(path, bytes) else str(path))
-        metadata = _openvino_metadata(model)
-        compiled = core.compile_model(model, "CPU", settings)
-        precision = compiled.get_property("INFERENCE_PRECISION_HINT").to_string()
-    except Exception as error:
-        raise _unreadable(source, "OpenVINO", error) from error
-    request = compiled.create_infer_request()
-    outputs = tuple(_openvino_info(o) for o in compiled.outputs)
+    # One at a time: a thread that compiles waits for Python's lock while another that reads the
+    # inputs of its network holds it and waits for OpenVINO's, for ever.
+    with _STARTING_OPENVINO:
+        core = _openvino_core()
+        try:
+            model = core.read_model(path if isinstance(path, bytes) else str(path))
+            metadata = _openvino_metadata(model)
+            compiled = core.compile_model(model, "CPU", settings)
+            precision = compiled.get_property("INFERENCE_PRECISION_HINT").to_string()
+        except Exception as error:
+            raise _unreadable(source, "OpenVINO", error) from error
+        request = compiled.create_infer_request()
+        inputs = tuple(_openvino_info(i) for i in compiled.inputs)
+        outputs = tuple(_openvino_info(o) for o in compiled.outputs)
 
     def compute(feeds: dict[str, Array]) -> list[Array]:
         request.infer(feeds, share_inputs=True)
@@ -381,7 +384,7 @@ def _open_openvino(
         return [request.get_output_tensor(i).data.copy() for i in range(len(outputs))]
 
     return Network(
-        inputs=tuple(_openvino_info(i) for i in compiled.inputs),
+        inputs=inputs,
         outputs=outputs,
         metadata=MappingProxyType(metadata),
         runtime=f"openvino ({precision})",

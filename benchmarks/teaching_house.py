@@ -155,7 +155,9 @@ class User:
                 continue
             try:
                 if view is None:
-                    self.measurer.add(self.store, stop, capture, drawn, OPTIONS)
+                    added = self.measurer.add(self.store, stop, capture, drawn, OPTIONS)
+                    # What does not look like a fruit to the program waits for this.
+                    self.store.set_verdict([added], Verdict.ACCEPTED)
                 else:
                     detail = self.store.detection(view.key)
                     self.measurer.correct(self.store, detail, drawn, OPTIONS)

@@ -327,23 +327,20 @@ def _best_fit(view: TubeView) -> TubeFitting:
     first = fits[0]
     overlap = _coverage(view, first.shape)[2]
     seen = view.grid_mask & (view.grid_depth_m > 0)
-    if np.count_nonzero(seen) >= _LEAST_SEEN and (
+    unsure = np.count_nonzero(seen) >= _LEAST_SEEN and (
         overlap < _GOOD_OVERLAP
         or first.centreline_sd_m > _UNSURE_M
         or _end_on(first.shape.balls()[0])
         or view.sparse
-    ):
+    )
+    if unsure:
         fits.append(fit_shape(evidence, _flat_guess(view)))
-        picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
-        bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
-        if bent is not None:
-            fits.append(fit_shape(evidence, bent))
         if view.sparse:
             fits.append(fit_shape(evidence, _flat_guess(view, by_girth=True)))
-    if overlap < _FULL_OVERLAP:
+    if unsure or overlap < _FULL_OVERLAP:
         picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
         bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
-        if bent is not None and bent.length_m > _HOOKED * first.shape.length_m:
+        if bent is not None and (unsure or bent.length_m > _HOOKED * first.shape.length_m):
             fits.append(fit_shape(evidence, bent))
     return _better(view, fits) if len(fits) > 1 else first
 

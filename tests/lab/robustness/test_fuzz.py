@@ -22,6 +22,7 @@ PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 
 
 def test_every_reader_bears_a_short_run(tmp_path: Path) -> None:
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)  # it records one of the seeds
     result = fuzz(600, seed=20, out=tmp_path)
     assert result.found == Counter(), result.finds
     assert sum(result.tried.values()) == 600

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
 
 import typer
 
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.result import LengthDefinition, Selector
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+
+if TYPE_CHECKING:
+    from cucumbervision.pipeline.options import MeasureOptions
+
+Command: TypeAlias = Callable[..., None]
 
 EXIT_CODES = (
     "Exit codes: 0 everything was read and written, even if a fruit could not be measured; 1 "
@@ -55,8 +64,20 @@ Fast = Annotated[
 Length = Annotated[
     LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
 ]
+Pose = Annotated[
+    Path | None,
+    typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
+]
+Methods = Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")]
+SelectorChoice = Annotated[Selector, typer.Option(help="How one method is chosen.")]
+DepthPicture = Annotated[
+    Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
+]
+DepthUnit = Annotated[
+    float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
+]
 Crop = Annotated[
-    str, typer.Option("--profile", help="Crop profile: a length that it does not accept is none.")
+    str, typer.Option("--profile", help="Crop profile; lengths outside its range are rejected.")
 ]
 Calibration = Annotated[
     Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
@@ -65,6 +86,91 @@ Intrinsics = Annotated[Path | None, typer.Option(help="Camera file (JSON) of the
 Burst = Annotated[
     int, typer.Option(min=1, max=99, help="Frames of a recording or camera fused to one capture.")
 ]
+
+
+def measure_options(
+    instances: Instances = "auto",
+    pose: Pose = None,
+    methods: Methods = "all",
+    selector: SelectorChoice = Selector.BEST,
+    length: Length = LengthDefinition.CENTRELINE,
+    segmenter: Segmenter = None,
+    prompt: Prompt = "box+point",
+    confidence: Confidence = DEFAULT_CONFIDENCE,
+    intrinsics: Intrinsics = None,
+    depth: DepthPicture = None,
+    depth_unit: DepthUnit = None,
+    burst: Burst = 5,
+    calibration: Calibration = None,
+    profile: Crop = "long-cucumber",
+    input_size: InputSize = "",
+    runtime: Runtime = "auto",
+    fast: Fast = False,
+) -> MeasureOptions:
+    """Return what these options of a command ask for."""
+    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.capture.source import ReadOptions
+    from cucumbervision.perception.input_sizes import parse_input_sizes
+    from cucumbervision.pipeline.options import MeasureOptions, parse_methods
+
+    return MeasureOptions(
+        instances=instances,
+        pose=pose,
+        segmenter=segmenter,
+        prompt=prompt,
+        methods=parse_methods(methods),
+        selector=selector,
+        length=length,
+        confidence=confidence,
+        input_sizes=parse_input_sizes(input_size),
+        runtime=runtime,
+        full_precision=not fast,
+        reading=ReadOptions(intrinsics, depth, depth_unit, burst),
+        calibration=calibration,
+        accepted_m=load_profile(profile).accepted_m,
+    )
+
+
+def takes_measure_options(*without: str) -> Callable[[Command], Command]:
+    """Return a decorator that gives a command the options of `measure_options`.
+
+    They replace the command's keyword `options`, which gets their `MeasureOptions`.
+
+    Parameters
+    ----------
+    without : str
+        Names of those that the command does not offer; they keep their defaults.
+    """
+
+    def decorate(command: Command) -> Command:
+        hints = get_type_hints(command, localns={"MeasureOptions": object}, include_extras=True)
+        shared_hints = get_type_hints(
+            measure_options, localns={"MeasureOptions": object}, include_extras=True
+        )
+        own = inspect.signature(command).parameters
+        shared = [
+            one.replace(annotation=shared_hints[name], kind=one.KEYWORD_ONLY)
+            for name, one in inspect.signature(measure_options).parameters.items()
+            if name not in without
+        ]
+        before = [
+            one.replace(annotation=hints[name]) for name, one in own.items() if name != "options"
+        ]
+
+        @functools.wraps(command)
+        def run(**values: Any) -> None:
+            chosen = {one.name: values.pop(one.name) for one in shared}
+            command(**values, options=measure_options(**chosen))
+
+        positional = [one for one in before if one.kind is not one.KEYWORD_ONLY]
+        keywords = [one for one in before if one.kind is one.KEYWORD_ONLY]
+        signature = inspect.Signature([*positional, *shared, *keywords])
+        vars(run)["__signature__"] = signature
+        run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
+        return run
+
+    return decorate
+
 
 Serial = Annotated[
     str | None, typer.Option(help="The camera's serial number; the first one found without it.")

@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from cucumbervision.capture.urls import as_path
-from cucumbervision.cli.choices import (
-    AsJson,
-    Burst,
-    Calibration,
-    Confidence,
-    Crop,
-    Fast,
-    InputSize,
-    Instances,
-    Intrinsics,
-    Length,
-    Prompt,
-    Quiet,
-    Runtime,
-    Segmenter,
-)
-from cucumbervision.measurement.result import LengthDefinition, Selector
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.cli.choices import AsJson, Quiet, takes_measure_options
+
+if TYPE_CHECKING:
+    from cucumbervision.pipeline.options import MeasureOptions
 
 Inputs = Annotated[
     list[Path],
@@ -73,39 +59,12 @@ Out = Annotated[
         help="Folder or URL for tables and pictures.",
     ),
 ]
-Pose = Annotated[
-    Path | None, typer.Option(help="YOLO pose .onnx of your own for the keypoints of M4.")
-]
-Methods = Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")]
-SelectorChoice = Annotated[Selector, typer.Option(help="How one method is chosen.")]
-DepthPicture = Annotated[
-    Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
-]
-DepthUnit = Annotated[
-    float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
-]
 
 
+@takes_measure_options()
 def measure(
     inputs: Inputs,
     out: Out,
-    instances: Instances = "auto",
-    pose: Pose = None,
-    methods: Methods = "all",
-    selector: SelectorChoice = Selector.BEST,
-    length: Length = LengthDefinition.CENTRELINE,
-    segmenter: Segmenter = None,
-    prompt: Prompt = "box+point",
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    intrinsics: Intrinsics = None,
-    depth: DepthPicture = None,
-    depth_unit: DepthUnit = None,
-    burst: Burst = 5,
-    calibration: Calibration = None,
-    profile: Crop = "long-cucumber",
-    input_size: InputSize = "",
-    runtime: Runtime = "auto",
-    fast: Fast = False,
     guard: Guard = False,
     workers: Workers = 0,
     engine: EngineName = "local",
@@ -114,38 +73,20 @@ def measure(
     parquet: Parquet = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
+    *,
+    options: MeasureOptions,
 ) -> None:
     """Measure every fruit of every capture, by M1 to M6, and choose the best for each.
 
-    Started again with the same output folder, it goes on where it stopped: only what is missing
-    or what other options and networks touch is measured.
+    Rerun the command to resume: only captures that are missing or affected by other options or
+    networks are measured.
     """
-    from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.capture.readers import open_source
-    from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.intake.recordings import open_guarded
-    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.engines import choose_engine
-    from cucumbervision.pipeline.options import MeasureOptions, parse_methods
     from cucumbervision.pipeline.run import BatchOptions
 
-    options = MeasureOptions(
-        instances=instances,
-        pose=pose,
-        segmenter=segmenter,
-        prompt=prompt,
-        methods=parse_methods(methods),
-        selector=selector,
-        length=length,
-        confidence=confidence,
-        input_sizes=parse_input_sizes(input_size),
-        runtime=runtime,
-        full_precision=not fast,
-        reading=ReadOptions(intrinsics, depth, depth_unit, burst),
-        calibration=calibration,
-        accepted_m=load_profile(profile).accepted_m,
-    )
     opener = open_guarded if guard else open_source
     where = choose_engine(engine, workers, address)
     batch = BatchOptions(fresh, parquet, opener=opener, engine=where)

@@ -12,20 +12,12 @@ import typer
 
 from cucumbervision.cli.choices import (
     EXIT_CODES,
-    Calibration,
-    Confidence,
     Images,
-    InputSize,
-    Instances,
-    Intrinsics,
-    Length,
     Profile,
     RoundName,
-    Runtime,
     StoreName,
+    takes_measure_options,
 )
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -89,6 +81,7 @@ def new(
 
 
 @app.command(epilog=EXIT_CODES)
+@takes_measure_options("profile")
 def add(
     captures: Annotated[list[Path], typer.Argument(help="Whatever `measure` reads.")],
     store: StoreName = "house.db",
@@ -111,23 +104,15 @@ def add(
     poses: Annotated[
         Path | None, typer.Option(help="Pose file (CSV or JSON) by the captures' names.")
     ] = None,
-    instances: Instances = "auto",
-    length: Length = LengthDefinition.CENTRELINE,
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    input_size: InputSize = "",
-    intrinsics: Intrinsics = None,
-    calibration: Calibration = None,
-    runtime: Runtime = "auto",
     images: Images = None,
+    *,
+    options: MeasureOptions,
 ) -> None:
     """Measure captures and save each as a stop.
 
     One that is there already is measured again only if its intrinsics, the calibration or the
     options have changed.
     """
-    from cucumbervision.capture.source import ReadOptions
-    from cucumbervision.perception.input_sizes import parse_input_sizes
-    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
     from cucumbervision.rounds.poses import read_poses
 
@@ -136,15 +121,6 @@ def add(
     sign = {None: None, "right": 1, "left": -1}[higher_to]
     given = {} if poses is None else read_poses(poses)
     place = Place(row, side, position, spacing, position_sd, sign, given)
-    options = MeasureOptions(
-        instances=instances,
-        length=length,
-        confidence=confidence,
-        input_sizes=parse_input_sizes(input_size),
-        runtime=runtime,
-        reading=ReadOptions(intrinsics=intrinsics),
-        calibration=calibration,
-    )
     with opened_round(store, round_, images) as (opened, one):
         options = with_limits(options, one)
         raise typer.Exit(_add(opened, one.key, captures, options, place))

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import (
-    Calibration,
-    Confidence,
-    Images,
-    Instances,
-    Length,
-    RoundName,
-    Runtime,
-    StoreName,
-)
+from cucumbervision.cli.choices import Images, RoundName, StoreName, takes_measure_options
 from cucumbervision.cli.round import By, opened_round, settle_round, with_limits
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+
+if TYPE_CHECKING:
+    from cucumbervision.pipeline.options import MeasureOptions
 
 Round = Annotated[str, typer.Argument(help="Name, key or start of a key.")]
 
@@ -83,15 +75,13 @@ def restore(name: Round, store: StoreName = "house.db", by: By = "") -> None:
         settle_round(opened, key)
 
 
+@takes_measure_options("profile", "depth", "intrinsics", "depth_unit", "burst")
 def remeasure(
     store: StoreName = "house.db",
     round_: RoundName = "",
-    instances: Instances = "auto",
-    length: Length = LengthDefinition.CENTRELINE,
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    calibration: Calibration = None,
-    runtime: Runtime = "auto",
     images: Images = None,
+    *,
+    options: MeasureOptions,
 ) -> None:
     """Measure a round again from the captures that the store keeps, and merge it.
 
@@ -101,16 +91,8 @@ def remeasure(
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures
     from cucumbervision.pipeline.measurer import exit_code
-    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.remeasuring import measure_round_again
 
-    options = MeasureOptions(
-        instances=instances,
-        length=length,
-        confidence=confidence,
-        runtime=runtime,
-        calibration=calibration,
-    )
     with opened_round(store, round_, images) as (opened, one):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import (
-    Calibration,
-    Confidence,
-    Fast,
-    InputSize,
-    ListenOn,
-    Port,
-    Prompt,
-    Runtime,
-    Segmenter,
-)
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.cli.choices import ListenOn, Port, takes_measure_options
+
+if TYPE_CHECKING:
+    from cucumbervision.pipeline.options import MeasureOptions
 
 
+@takes_measure_options("depth")
 def serve(
     address: ListenOn = "127.0.0.1",
     port: Port = 8600,
@@ -38,29 +31,13 @@ def serve(
     waiting: Annotated[
         int, typer.Option(min=0, help="Requests that may wait for the one that is measured.")
     ] = 8,
-    segmenter: Segmenter = None,
-    prompt: Prompt = "box+point",
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    calibration: Calibration = None,
-    input_size: InputSize = "",
-    runtime: Runtime = "auto",
-    fast: Fast = False,
+    *,
+    options: MeasureOptions,
 ) -> None:
     """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'."""
-    from cucumbervision.perception.input_sizes import parse_input_sizes
-    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.service.server import serve as run
     from cucumbervision.service.settings import ServiceSettings, request_limits
 
-    options = MeasureOptions(
-        segmenter=segmenter,
-        prompt=prompt,
-        confidence=confidence,
-        input_sizes=parse_input_sizes(input_size),
-        runtime=runtime,
-        full_precision=not fast,
-        calibration=calibration,
-    )
     settings = ServiceSettings(token, request_limits(most_mb), waiting)
 
     def ready() -> None:

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import (
-    Calibration,
-    Confidence,
-    Fps,
-    InputSize,
-    Instances,
-    Intrinsics,
-    Quiet,
-    Retries,
-    Runtime,
-    Segmenter,
-    Serial,
-)
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.cli.choices import Fps, Quiet, Retries, Serial, takes_measure_options
+
+if TYPE_CHECKING:
+    from cucumbervision.pipeline.options import MeasureOptions
 
 Source = Annotated[
     str,
@@ -48,6 +38,7 @@ Frames = Annotated[
 ]
 
 
+@takes_measure_options("fast", "depth", "burst")
 def stream(
     source: Source,
     fast: FastWay = False,
@@ -57,14 +48,9 @@ def stream(
     fps: Fps = 15,
     retries: Retries = 3,
     frames: Frames = None,
-    instances: Instances = "auto",
-    segmenter: Segmenter = None,
-    confidence: Confidence = DEFAULT_CONFIDENCE,
-    intrinsics: Intrinsics = None,
-    calibration: Calibration = None,
-    input_size: InputSize = "",
-    runtime: Runtime = "auto",
     quiet: Quiet = False,
+    *,
+    options: MeasureOptions,
 ) -> None:
     """Measure frames as they come, the newest first, and know each fruit again.
 
@@ -73,23 +59,11 @@ def stream(
     frames.
     """
     from cucumbervision.capture.realsense import CameraConfig
-    from cucumbervision.capture.source import ReadOptions
     from cucumbervision.cli.live import print_stream
-    from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision.pipeline.measurer import Measurer
-    from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.streaming.sources import open_stream
     from cucumbervision.streaming.stream import FruitStream
 
-    options = MeasureOptions(
-        instances=instances,
-        segmenter=segmenter,
-        confidence=confidence,
-        input_sizes=parse_input_sizes(input_size),
-        runtime=runtime,
-        reading=ReadOptions(intrinsics),
-        calibration=calibration,
-    )
     fruit = FruitStream.fast(options) if fast else FruitStream(Measurer(options))
     config = CameraConfig(serial=serial, fps=fps)
     arrivals = open_stream(

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+from tests.store.throwaway_postgres import missing_reason, throwaway_cluster
 
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -18,7 +19,6 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.schema import Base
-from cucumbervision_lab.robustness.throwaway_postgres import missing_reason, throwaway_cluster
 
 WALK = RoundRecord(key_of("walk"), "morning", "house 1", 1000.0)
 NEXT_DAY = RoundRecord(key_of("next day"), "next morning", "house 1", 87400.0)

@@ -22,11 +22,9 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     groups : mapping of str to typer.Typer
         Its groups of commands, of which `evaluate` gets two more and `models` one.
     """
-    from cucumbervision_lab.cli import benchmark, data, evaluate, faults, fuzz, models, synth, train
+    from cucumbervision_lab.cli import benchmark, data, evaluate, models, synth, train
 
     program.command("benchmark")(benchmark.benchmark)
-    program.command("faults")(faults.faults)
-    program.command("fuzz")(fuzz.fuzz)
     program.command("synth")(synth.synth)
     program.add_typer(data.app, name="data")
     program.add_typer(train.app, name="train")

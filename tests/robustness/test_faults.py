@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.robustness.faults import _without, s3_gone, try_faults
+from tests.robustness.trial import Outcome
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.robustness.faults import FAULTS, _without, s3_gone, try_faults
-from cucumbervision_lab.robustness.trial import Outcome
 
 
 def test_damage_and_a_folder_that_goes_lose_no_other_row() -> None:
@@ -41,11 +41,3 @@ def test_a_store_that_goes_is_waited_for(tmp_path: Path) -> None:
     pytest.importorskip("moto.server")
     found = s3_gone(tmp_path, gone_s=5.0)
     assert (found.lost, found.kept) == (False, "12 of 12 rows; the run waited and went on")
-
-
-def test_every_fault_has_a_name_and_the_help_says_all() -> None:
-    from cucumbervision_lab.cli.faults import faults
-
-    said = str(faults.__annotations__["names"])
-    assert [name for name in FAULTS if name not in said] == []
-    assert len(FAULTS) == 12

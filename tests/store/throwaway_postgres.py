@@ -1,6 +1,6 @@
 """A PostgreSQL server of one's own, in a temporary folder, for tests and benchmarks.
 
-    python -m cucumbervision_lab.robustness.throwaway_postgres
+    python -m tests.store.throwaway_postgres
 
 prints its URL, and stops it at the end of input.
 

@@ -12,7 +12,7 @@ from functools import wraps
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision_lab.robustness.trial import Outcome, captures, last_line, stops_in
+from tests.robustness.trial import Outcome, captures, last_line, stops_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ _LOADED = (
     "cucumbervision.rounds.adding",
     "cucumbervision.rounds.service",
     "cucumbervision.store.repository",
-    "cucumbervision_lab.robustness.round_kills",
+    "tests.robustness.round_kills",
 )
 
 

@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-
-from cucumbervision_lab.robustness import round_kills, trial
+from tests.robustness import round_kills, trial
 
 
 def test_a_killed_round_is_whole_and_the_kills_come_to_an_end(tmp_path: Path) -> None:

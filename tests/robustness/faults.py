@@ -1,20 +1,27 @@
-"""Faults on purpose: what the user sees of each, and whether anything is lost."""
+"""Inject faults into real commands; print what the user sees and what is left.
+
+    python -m tests.robustness.faults [FAULT...] [--kills N] [--seed N]
+
+The exit code is 1 if something was lost. The full disk is a small file system in memory, which
+needs root; PostgreSQL and S3 are servers on loopback.
+"""
 
 from __future__ import annotations
 
+import argparse
 import logging
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.robustness.round_kills import kill_rounds
-from cucumbervision_lab.robustness.trial import (
+from tests.robustness.round_kills import kill_rounds
+from tests.robustness.trial import (
     MASKS,
     Outcome,
     begin,
@@ -25,6 +32,8 @@ from cucumbervision_lab.robustness.trial import (
     rows_of,
     stops_in,
 )
+
+from cucumbervision.errors import CucumberVisionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -119,10 +128,10 @@ def _unreadable_folder(folder: Path) -> Outcome:
 
 def _postgres_gone(folder: Path) -> Outcome:
     from sqlalchemy import event
+    from tests.robustness.seeds import stop_of
+    from tests.store.throwaway_postgres import missing_reason, throwaway_cluster
 
     from cucumbervision.store.repository import open_store
-    from cucumbervision_lab.robustness.seeds import stop_of
-    from cucumbervision_lab.robustness.throwaway_postgres import missing_reason, throwaway_cluster
 
     if reason := missing_reason():
         raise CucumberVisionError(reason)
@@ -156,8 +165,9 @@ def _postgres_gone(folder: Path) -> Outcome:
 
 
 def _camera_gone(folder: Path) -> Outcome:
+    from tests.robustness.seeds import recording
+
     from cucumbervision.capture.realsense import AlignedStream, play_file
-    from cucumbervision_lab.robustness.seeds import recording
 
     recording(folder)
     # Taken for live, a recording paces itself by the clock and then sends nothing more.
@@ -377,3 +387,21 @@ def try_faults(
 def _without(one: Outcome, folder: str) -> Outcome:
     seen = one.seen.replace(f"{folder}/", "").replace(folder, "").replace("cucumbervision: ", "")
     return Outcome(one.fault, seen, one.kept, one.lost)
+
+
+def main() -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(FAULTS))
+    parser.add_argument("--kills", type=int, default=0, help="also kill `round add` this often")
+    parser.add_argument("--seed", type=int, default=1, help="of the moments of the kills")
+    given = parser.parse_args()
+    found = try_faults(given.faults, given.kills, given.seed)
+    for one in found:
+        state = "LOST" if one.lost else "nothing lost"
+        sys.stdout.write(f"{one.fault}: {state}\n  seen: {one.seen}\n  left: {one.kept}\n")
+    return int(any(one.lost for one in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

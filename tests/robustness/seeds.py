@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 import cucumbervision
+import cucumbervision_lab
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
@@ -476,7 +477,7 @@ def published(folder: Path) -> None:
     copied(_PACKAGE / "perception" / "models.toml", folder)
     copied(_PACKAGE / "agronomy" / "crops" / "long-cucumber.toml", folder)
     copied(_PACKAGE / "measurement" / "interval_models.json", folder)
-    lab = Path(__file__).parents[1]
+    lab = Path(str(cucumbervision_lab.__file__)).parent
     copied(lab / "training" / "recipe.toml", folder)
     audit = json.loads((lab / "detection" / "audit" / "photos_audit.json").read_text())
     audit["photos"] = audit["photos"][:3]

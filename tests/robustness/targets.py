@@ -10,8 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.robustness import seeds
+
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_lab.robustness import seeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

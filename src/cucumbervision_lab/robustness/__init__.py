@@ -1,1 +1,0 @@
-"""What the software bears: broken files by the million, and faults on purpose."""

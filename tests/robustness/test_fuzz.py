@@ -1,0 +1,163 @@
+"""The fuzzer finds what it should, its seeds are valid, and a short run finds nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from random import Random
+from typing import NoReturn
+
+import pytest
+from tests.robustness import fuzz as fuzzing
+from tests.robustness.fuzz import find_targets, fuzz, make_input, read_input
+from tests.robustness.mutations import damaged
+from tests.robustness.targets import TARGETS, Target
+
+from cucumbervision.errors import CucumberVisionError
+
+PNG_HEAD = b"\x89PNG\r\n\x1a\n"
+
+
+def test_every_reader_bears_a_short_run(tmp_path: Path) -> None:
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)  # it records one of the seeds
+    counts = fuzz(600, seed=20, out=tmp_path)
+    assert counts.findings == []
+    assert counts.tried.total() == 600
+    # Damage reaches deep only where some inputs still pass and most do not.
+    assert 200 < counts.refused.total() < 590
+
+
+@pytest.mark.parametrize(
+    "target", [one for one in TARGETS if one.whole and one.weight > 5], ids=lambda one: one.name
+)
+def test_seeds_are_valid(target: Target, tmp_path: Path) -> None:
+    target.seed(tmp_path)
+    target.read(tmp_path, "")
+
+
+def raising(error: type[BaseException]) -> Target:
+    def read(folder: Path, _name: str) -> None:
+        if [p.name for p in folder.iterdir()] != ["a.txt"] or (
+            folder / "a.txt"
+        ).read_bytes() != b"1 2 3\n":
+            raise error("broken")
+
+    return Target("made here", lambda folder: None, read, 1)
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"), [(KeyError, "unnamed"), (MemoryError, "memory"), (SystemExit, "unnamed")]
+)
+def test_an_error_without_a_name_is_a_finding(
+    error: type[BaseException], kind: str, tmp_path: Path
+) -> None:
+    seeds = tmp_path / "seeds"
+    seeds.mkdir()
+    (seeds / "a.txt").write_text("1 2 3\n")
+    found = [read_input(raising(error), seeds, n, seed=1)[0] for n in range(20)]
+    assert {one.kind for one in found if one is not None} == {kind}
+    # The valid files are as they were, and nothing is left beside them.
+    assert [p.name for p in tmp_path.rglob("*")] == ["seeds", "a.txt"]
+    assert (seeds / "a.txt").read_bytes() == b"1 2 3\n"
+
+
+def test_an_input_that_computes_for_ever_is_a_finding(tmp_path: Path) -> None:
+    def read(_folder: Path, _name: str) -> NoReturn:
+        while True:
+            pass
+
+    (tmp_path / "seeds").mkdir()
+    (tmp_path / "seeds" / "a.txt").write_text("1")
+    endless = Target("endless", lambda folder: None, read, 1)
+    finding, _ = read_input(endless, tmp_path / "seeds", 1, 1, fuzzing.Limits(cpu_s=0.2))
+    assert finding is not None
+    assert finding.kind == "time"
+
+
+def die(_folder: Path, name: str) -> None:
+    if name:  # the valid files are read
+        os._exit(7)
+
+
+def test_an_input_that_ends_the_process_is_found_and_the_others_are_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Processes are forked here, so that they know the reader that is made here."""
+    poses = find_targets(["poses"])[0]
+    deadly = Target("deadly", poses.seed, die, poses.weight)
+    targets = (poses, deadly)
+    monkeypatch.setattr(fuzzing, "TARGETS", targets)
+    monkeypatch.setattr(fuzzing, "_START", "fork")
+    counts = fuzz(8, seed=1, targets=targets)
+    of = [fuzzing.target_of(number, 1, targets).name for number in range(8)]
+    assert {one.kind for one in counts.findings} == {"crash"}
+    assert [one.number for one in counts.findings] == [n for n in range(8) if of[n] == "deadly"]
+    assert counts.tried["poses"] == of.count("poses")
+
+
+def test_an_input_is_made_again_from_its_number(tmp_path: Path) -> None:
+    targets = find_targets(["poses"])
+    for name in ("a", "b"):
+        assert make_input(4, 7, tmp_path / name, targets).name == "poses"
+    first, second = (
+        {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+        for folder in (tmp_path / "a", tmp_path / "b")
+    )
+    assert first == second
+
+
+def test_damage_to_a_chunk_keeps_its_checksum_right(tmp_path: Path) -> None:
+    from tests.robustness.mutations import _png
+    from tests.robustness.seeds import bop
+
+    from cucumbervision.capture.files import _whole_png
+
+    bop(tmp_path)
+    data = (tmp_path / "rgb" / "000001.png").read_bytes()
+    random = Random(5)
+    changed = {_png(data, random) for _ in range(40)} - {data}
+    assert len(changed) > 10
+    assert all(_whole_png(one) for one in changed)
+
+
+def test_json_damage_reaches_values(tmp_path: Path) -> None:
+    made = {damaged(b'{"a": [1, 2], "b": "x"}', "json", Random(n)) for n in range(200)}
+    longest = max(made, key=len)
+    assert b"9" * 6000 in b"".join(made)
+    assert len(longest) > 50_000
+    with pytest.raises((RecursionError, ValueError)):
+        json.loads(longest)
+
+
+@pytest.mark.parametrize(
+    ("name", "damaged", "left"),
+    [
+        ("native captures", "one/depth_000000.png", "burst/capture.json"),
+        ("picture pairs, arrays", "arrays/depth_c.npy", "whole.npz"),
+        ("profiles, registry, audit", "recipe.toml", "models.toml"),
+        ("camera files", "bop.json", "matrix.json"),
+        ("uploads", "walk.npz", "walk.zip"),
+    ],
+)
+def test_only_what_reads_the_damaged_file_is_run(
+    name: str, damaged: str, left: str, tmp_path: Path
+) -> None:
+    target = find_targets([name.lower()])[0]
+    target.seed(tmp_path)
+    (tmp_path / left).write_bytes(b"broken")
+    target.read(tmp_path, damaged)
+    with pytest.raises(CucumberVisionError):
+        target.read(tmp_path, left)
+    with pytest.raises(CucumberVisionError):
+        target.read(tmp_path, "")
+    (tmp_path / damaged).write_bytes(b"broken too")
+    with pytest.raises(CucumberVisionError):
+        target.read(tmp_path, damaged)
+
+
+def test_damage_does_not_depend_on_what_was_damaged_before() -> None:
+    data = json.dumps({"a": [[1, 2], {"b": [{}, []]}], "c": {"d": "x"}}).encode()
+    alone = [damaged(data, "json", Random(n)) for n in range(300)]
+    again = [damaged(data, "json", Random(n)) for n in reversed(range(300))]
+    assert alone == again[::-1]

@@ -1,12 +1,10 @@
-"""Every figure of docs/speed.md: ratios that are measured side by side, each part in one process.
+"""Speed as ratios that are measured side by side; only ratios mean anything on a shared machine.
 
     python benchmarks/speed.py [PART ...] [--quick] [--out FOLDER]
-    python benchmarks/speed.py --show FOLDER
+    python benchmarks/speed.py --check     # limits for CI, in processor time
 
-Parts: pipeline, processor, start, stream, kernels, tools, runtimes, naive, given, networks, ray.
-Each prints a table; with --out it is kept as FOLDER/PART.json, and --show prints what a folder
-holds as Markdown. What is compared takes turns or follows one another at once, since machines are
-shared; only ratios mean anything on a busy one. Exit code 1 if an aim is missed.
+Parts: pipeline, processor, start, stream, kernels, workers. Each prints a table; with --out it is
+kept as FOLDER/PART.json. The exit code is 1 if an aim or a limit is missed.
 """
 
 from __future__ import annotations
@@ -24,30 +22,73 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-import bench_methods as kernel
-from bench_frame import NetworkClock
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
+from cucumbervision.capture.frames import median_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import bundled_captures
-from cucumbervision.measurement.methods import run_methods
+from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
-from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception import runtime as runtimes
+from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.engines import Engine, Processes, in_process
 from cucumbervision.pipeline.inputs import Listed, list_captures
+from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.output import OutputFolder
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 from cucumbervision.pipeline.work import Task, Worker
+from cucumbervision.streaming.stream import FruitStream
+from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.scene import Scene, render
 
 HERE = Path(__file__).parent
 MODELS = MeasureOptions(instances="models", segmenter="mobile-sam")
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")
+CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
+PAPER_METHODS = (Method.M1, Method.M2, Method.M3, Method.M4, Method.M5)
+BINS, SAMPLES = 25, 1000
+TRIES = 4
+LIMITS = {
+    "M1 to M5, times the plain NumPy floor": 4.0,
+    "M6, times the plain NumPy floor": 15.0,
+    "a capture with given masks, times its reading alone": 4.0,
+    "cucumbervision --help, times Typer and NumPy alone": 3.5,
+}
+
+
+class NetworkClock:
+    """Adds up the time inside the networks, by wrapping each network's own call."""
+
+    def __init__(self) -> None:
+        self.start()
+        self._open = runtimes.open_network
+        runtimes.open_network = self._opened
+
+    def start(self) -> None:
+        """Set both sums to zero."""
+        self.clock_s = self.processor_s = 0.0
+
+    def _opened(self, *arguments: Any, **options: Any) -> runtimes.Network:
+        network = self._open(*arguments, **options)
+
+        def compute(feeds: dict[str, Any]) -> list[Any]:
+            clock, processor = time.perf_counter(), time.process_time()
+            outputs = network.compute(feeds)
+            self.clock_s += time.perf_counter() - clock
+            self.processor_s += time.process_time() - processor
+            return outputs
+
+        return replace(network, compute=compute)
 
 
 @dataclass(frozen=True)
@@ -119,7 +160,7 @@ def processor_ms(rounds: int) -> tuple[float, float]:
             begun = time.process_time()
             for task in tasks:
                 worker(task)
-            busy_s, networks_s = time.process_time() - begun, sum(clock.processor_seconds.values())
+            busy_s, networks_s = time.process_time() - begun, clock.processor_s
             if turn:
                 inside.append(1e3 * networks_s / len(tasks))
                 beyond.append(1e3 * (busy_s - networks_s) / len(tasks))
@@ -128,8 +169,6 @@ def processor_ms(rounds: int) -> tuple[float, float]:
 
 def pipeline(quick: bool) -> list[Figure]:
     """Compare the whole pipeline with its networks' own times, when nothing runs beside them."""
-    from cucumbervision.pipeline.measurer import Measurer
-
     count, clock = 9 if quick else 30, NetworkClock()
     captures = [ref.load() for ref in open_source(bundled_captures())]
     alone = Measurer(MODELS)
@@ -138,7 +177,7 @@ def pipeline(quick: bool) -> list[Figure]:
         clock.start()
         for capture in captures:
             alone.detect(capture)
-        return sum(clock.seconds.values()) / len(captures)
+        return clock.clock_s / len(captures)
 
     networks_s()
     # Before and after, since a shared machine changes its mind.
@@ -205,44 +244,92 @@ def start(quick: bool) -> list[Figure]:
     return [Figure(name, median(all_s), "s", "<= 3") for name, all_s in taken.items()]
 
 
-def printed(pattern: str, script: str, *words: str) -> tuple[float, ...]:
-    """Run one of the benchmarks here and take figures out of what it prints."""
-    command = [sys.executable, str(HERE / script), *words]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    print(said)
-    found = re.search(pattern, said, re.DOTALL)
-    if found is None:
-        raise SystemExit(f"{script} printed no {pattern}")
-    return tuple(map(float, found.groups()))
-
-
 def stream(quick: bool) -> list[Figure]:
-    """Time `stream --fast` on OpenVINO at 640 pixels."""
-    pattern = r"frame / networks +([\d.]+).*?([\d.]+) frames/s now.*?([\d.]+) by the"
-    words = ("--frames", "10" if quick else "120", "--runtime", "openvino")
-    ratio, now, reckoned = printed(pattern, "bench_stream.py", *words)
+    """Time `stream --fast`: a frame, beside its networks."""
+    clock, frames = NetworkClock(), 10 if quick else 120
+    captures = [ref.load() for ref in open_source(bundled_captures())]
+    fruit = FruitStream.fast(MODELS)
+    taken_s, network_s = [], []
+    for k in range(frames + 3):
+        clock.start()
+        began = time.perf_counter()
+        fruit.take(captures[k % len(captures)], at_s=k / 15)
+        taken_s.append(time.perf_counter() - began)
+        network_s.append(clock.clock_s)
+    frame_s, within_s = median(taken_s[3:]), median(network_s[3:])
     return [
-        Figure("stream --fast, OpenVINO, 640 px", now, "frames/s", ">= 20"),
-        Figure("the same, reckoned from processor time", reckoned, "frames/s"),
-        Figure("a frame, times its networks", ratio, "x"),
+        Figure("stream --fast, a frame", 1e3 * frame_s, "ms"),
+        Figure("the same, times its networks", frame_s / within_s, "x"),
     ]
 
 
-def in_turns(tasks: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Return each task's milliseconds, the tasks taking turns; the first three rounds warm up."""
-    taken: dict[str, list[float]] = {name: [] for name in tasks}
-    for k in range(rounds + 3):
-        for name, task in tasks.items():
-            taken_ms = kernel.milliseconds(task)
-            if k >= 3:
-                taken[name].append(taken_ms)
-    return taken
+def draw_region() -> Region:
+    """Draw a fruit whose mask has about 30,000 pixels, with its keypoints."""
+    tube = arc_tube(0.25, 0.0205, 0.5, neck=0.2).moved(rotation(8, 10), (0.0, 0.0, 0.52))
+    scene = Scene.of(tube, backdrop_m=0.9)
+    depth = median_depth(sense(scene, D4xx.like(CAMERA), np.random.default_rng(1)))
+    axis = tube.axis_m[np.linspace(12, len(tube.axis_m) - 13, 5).astype(int)]
+    pixels = axis[:, :2] / axis[:, 2:] * CAMERA.fx_px + (CAMERA.cx_px, CAMERA.cy_px)
+    keypoints = np.column_stack([pixels, np.ones(5)])
+    mask = render(scene, CAMERA).mask(0)
+    return Region(depth, CAMERA, box_of_mask(mask), mask, keypoints)
+
+
+def floor(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], box: NDArray[Any]) -> float:
+    """Measure along 25 centroids in plain NumPy, without a gate, anchors or checks."""
+    left, top, right, bottom = (int(x + 0.5) for x in box)
+    part = depth_m[top:bottom, left:right]
+    v, u = np.nonzero(mask[top:bottom, left:right] & (part > 0))
+    z = part[v, u].astype(np.float64)
+    x = (u + (left - CAMERA.cx_px)) / CAMERA.fx_px * z
+    y = (v + (top - CAMERA.cy_px)) / CAMERA.fy_px * z
+    points = np.stack([x, y, z], axis=1)
+    centred = points - points.mean(axis=0)
+    along = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -1]
+    low, high = along.min(), along.max()
+    which = np.minimum(((along - low) * (BINS / (high - low))).astype(np.intp), BINS - 1)
+    count = np.bincount(which, minlength=BINS)
+    held = np.flatnonzero(count)  # a stray reading far off stretches the axis, and leaves gaps
+    sums = np.stack([np.bincount(which, points[:, k], BINS) for k in range(3)], axis=1)
+    spine = sums[held] / count[held, None]
+    parameter = held / (BINS - 1)
+    speed = CubicSpline(parameter, spine, bc_type="natural")(np.linspace(0, 1, SAMPLES), 1)
+    return float(np.trapezoid(np.linalg.norm(speed, axis=1), dx=1 / (SAMPLES - 1)))
+
+
+def milliseconds(task: Callable[[], object]) -> float:
+    """Return one call's processor time, which what else runs touches less than the clock's."""
+    start = time.process_time()
+    task()
+    return 1e3 * (time.process_time() - start)
+
+
+def fresh(drawn: Region) -> Region:
+    """Return the region without its clouds, which each timing must build anew."""
+    return Region(drawn.depth_m, CAMERA, drawn.box, drawn.mask, drawn.keypoints)
+
+
+def timed(drawn: Region, rounds: int) -> tuple[list[float], list[float], list[float]]:
+    """Return the milliseconds of the floor, of M1 to M5 and of M6, taken in turns."""
+    mask = drawn.mask
+    assert mask is not None
+    floors, papers, tubes = [], [], []
+    for _ in range(rounds + 5):
+        floors.append(milliseconds(lambda: floor(drawn.depth_m, mask, drawn.box)))
+        papers.append(milliseconds(lambda: run_methods(fresh(drawn), PAPER_METHODS)))
+        tubes.append(milliseconds(lambda: run_methods(fresh(drawn), [Method.M6])))
+    return floors[5:], papers[5:], tubes[5:]
+
+
+def times_the_floor(floors: list[float], papers: list[float]) -> float:
+    """Return the median ratio of the pairs."""
+    return median(p / f for p, f in zip(papers, floors, strict=True))
 
 
 def kernels(quick: bool) -> list[Figure]:
     """Compare M1 to M5 with plain NumPy on a mask of 30,000 pixels."""
-    floors, papers, tubes = kernel.timed(kernel.draw_region(), 10 if quick else 60)
-    ratio = kernel.times_the_floor(floors, papers)
+    floors, papers, tubes = timed(draw_region(), 10 if quick else 60)
+    ratio = times_the_floor(floors, papers)
     return [
         Figure("plain NumPy floor (deproject, axis, spline)", median(floors), "ms"),
         Figure("M1 to M5 together, times the floor", ratio, "x", "<= 4"),
@@ -250,166 +337,73 @@ def kernels(quick: bool) -> list[Figure]:
     ]
 
 
-def tools(quick: bool) -> list[Figure]:
-    """Compare M5 and M6 with other people's tools and the plain script on the same mask."""
-    from cucumbervision_lab.benchmark.baselines import available_baselines
-
-    drawn = kernel.draw_region()
-    mask = drawn.mask
-    assert mask is not None
-    tasks: dict[str, Callable[[], object]] = {
-        str(method): lambda m=method: run_methods(kernel.fresh(drawn), [m])  # type: ignore[misc]
-        for method in (Method.M5, Method.M6)
-    }
-    tasks["plain script"] = lambda: kernel.floor(drawn.depth_m, mask, drawn.box)
-    for name, tool in available_baselines().items():
-        tasks[name] = partial(tool, drawn.depth_m, mask, kernel.CAMERA)
-    taken = in_turns(tasks, 5 if quick else 30)
-    m5 = taken["M5"]
-    figures = [Figure(f"{name} a fruit", median(ms), "ms") for name, ms in taken.items()]
-    others = [name for name in taken if name not in ("M5", "M6")]
-    return figures + [
-        Figure(
-            f"{name}, times M5", median(o / m for o, m in zip(taken[name], m5, strict=True)), "x"
-        )
-        for name in others
-    ]
-
-
-def runtimes(quick: bool) -> list[Figure]:
-    """Compare ONNX Runtime with OpenVINO in float32 and bfloat16, detector and SAM's encoder."""
-    from bench_runtimes import feeds_for, open_all
-
+def workers(quick: bool) -> list[Figure]:
+    """Compare two workers with one on one core, with all networks and with given masks."""
     figures = []
-    registry = load_registry()
-    for name, role, size in (("cucumber-seg", "network", 640), ("mobile-sam", "encoder", 1024)):
-        networks = open_all(str(registry.resolve(name)[role]), None)
-        fed = [(network, feeds_for(network, size)) for network in networks]
-        tasks: dict[str, Callable[[], object]] = {
-            network.runtime: partial(network.run, feeds) for network, feeds in fed
-        }
-        taken = in_turns(tasks, 3 if quick else 15)
-        first = taken[networks[0].runtime]
-        figures.append(Figure(f"{name} on {networks[0].runtime}", median(first), "ms"))
-        figures += [
-            Figure(
-                f"{name} on {runtime}, times that",
-                median(o / f for o, f in zip(ms, first, strict=True)),
-                "x",
-            )
-            for runtime, ms in list(taken.items())[1:]
-        ]
+    for label, options, count in (("networks", MODELS, 24), ("given masks", GIVEN, 60)):
+        count = max(9, count // 5) if quick else count
+        two_s = pace(options, Processes(2), count, 5)
+        cores = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {min(cores)})
+        try:
+            one_s = pace(options, Processes(1), count, 5)
+        finally:
+            os.sched_setaffinity(0, cores)
+        name = f"{label}: two workers, times one on one core"
+        figures.append(Figure(name, one_s / two_s, "x", ">= 1.7"))
     return figures
 
 
-def naive(quick: bool) -> list[Figure]:
-    """Compare a loop over Ultralytics' own predictor with ours: detector's masks and one length.
-
-    Both run the same network by ONNX Runtime; the loop adds the plain script's length.
-    """
-    from cucumbervision.pipeline.measurer import Measurer
-    from cucumbervision_lab.training.extras import import_ultralytics
-
-    ultralytics = import_ultralytics()
-
-    captures = [ref.load() for ref in open_source(bundled_captures())]
-    network = load_registry().resolve("cucumber-seg")["network"]
-    yolo = ultralytics.YOLO(str(network), task="segment")
-    options = MeasureOptions(
-        instances="models",
-        keypoints=False,
-        segmenter="none",
-        methods=(Method.M5,),
-        runtime="onnxruntime",
-    )
-    ours = Measurer(options)
-    found = [0, 0]
-
-    def loop() -> None:
-        for capture in captures:
-            (result,) = yolo.predict(
-                capture.color[..., ::-1], imgsz=640, conf=0.3, retina_masks=True, verbose=False
-            )
-            if result.masks is None:
-                continue
-            for mask, box in zip(
-                result.masks.data.numpy() > 0.5, result.boxes.xyxy.numpy(), strict=True
-            ):
-                kernel.floor(capture.depth_m, mask, box)
-                found[0] += 1
-
-    def measure() -> None:
-        for capture in captures:
-            found[1] += len(ours.measure(capture).fruit)
-
-    rounds = 2 if quick else 15
-    taken = in_turns({"loop": loop, "ours": measure}, rounds)
-    loop_ms, ours_ms = taken["loop"], taken["ours"]
-    per = len(captures)
-    return [
-        Figure("Ultralytics loop, a picture", median(loop_ms) / per, "ms"),
-        Figure("the measurer, a picture", median(ours_ms) / per, "ms"),
-        Figure(
-            "the loop, times the measurer",
-            median(a / b for a, b in zip(loop_ms, ours_ms, strict=True)),
-            "x",
-        ),
-        Figure("fruit a round: the loop", found[0] / (rounds + 3), ""),
-        Figure("fruit a round: the measurer", found[1] / (rounds + 3), ""),
-    ]
-
-
-def one_and_two(options: MeasureOptions, count: int, label: str) -> list[Figure]:
-    """Compare two workers with one, and with one that is kept to one core."""
-    wide_s = pace(options, in_process, count, 5)
-    two_s = pace(options, Processes(2), count, 5)
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})
-    try:
-        # A process of its own, so that it and its networks know of one core alone.
-        narrow_s = pace(options, Processes(1), count, 5)
-    finally:
-        os.sched_setaffinity(0, cores)
-    return [
-        Figure(f"{label}: one worker on one core, a capture", 1e3 * narrow_s, "ms"),
-        Figure(f"{label}: one worker on all cores, a capture", 1e3 * wide_s, "ms"),
-        Figure(f"{label}: two workers, a capture", 1e3 * two_s, "ms"),
-        Figure(f"{label}: two workers, times one on one core", narrow_s / two_s, "x", ">= 1.7"),
-        Figure(f"{label}: two workers, times one on all cores", wide_s / two_s, "x"),
-    ]
-
-
-def given(quick: bool) -> list[Figure]:
-    """Compare one worker with two where masks are given: geometry, pictures, journal."""
-    return one_and_two(GIVEN, 12 if quick else 60, "given masks")
-
-
-def networks(quick: bool) -> list[Figure]:
-    """Compare one worker with two where all networks run."""
-    return one_and_two(MODELS, 9 if quick else 24, "networks")
-
-
-def ray(quick: bool) -> list[Figure]:
-    """Compare two workers of one machine with Ray Data on it, masks given."""
-    from cucumbervision.pipeline.ray_engine import RayEngine
-
-    count = 12 if quick else 72
-    two_s = pace(GIVEN, Processes(2), count, 6)
-    ray_s = pace(GIVEN, RayEngine(workers=2), count, 6)
-    return [
-        Figure("given masks: two workers, a capture", 1e3 * two_s, "ms"),
-        Figure("given masks: Ray with two actors, a capture", 1e3 * ray_s, "ms"),
-        Figure("Ray, times two workers", ray_s / two_s, "x"),
-    ]
-
-
 PARTS: dict[str, Callable[[bool], list[Figure]]] = {
-    part.__name__: part
-    for part in (
-        *(pipeline, processor, start, stream, kernels, tools),
-        *(runtimes, naive, given, networks, ray),
-    )
+    part.__name__: part for part in (pipeline, processor, start, stream, kernels, workers)
 }
+
+
+def children_s() -> float:
+    """Return the processor time of all processes that were started and have ended."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def help_times_its_libraries() -> float:
+    """Compare the console script's help with a start that loads what it cannot do without."""
+
+    def seconds(code: str) -> float:
+        start = children_s()
+        subprocess.run([sys.executable, "-c", code, "--help"], check=True, capture_output=True)
+        return children_s() - start
+
+    program, libraries = "from cucumbervision.cli.app import main; main()", "import typer, numpy"
+    turns = [(seconds(program), seconds(libraries)) for _ in range(TRIES)]
+    return min(own for own, _ in turns) / min(alone for _, alone in turns)
+
+
+def times_its_reading() -> float:
+    """Compare a capture's way through the pipeline with reading it: what is added to every one."""
+    captures = list(open_source(bundled_captures()))
+
+    def read() -> None:
+        for ref in captures:
+            ref.load()
+
+    read()
+    reading_s = 1e-3 * milliseconds(read) / len(captures)
+    return pace(GIVEN, in_process, 9, 3, time.process_time) / reading_s
+
+
+def check() -> int:
+    """Print each quick ratio beside its limit: what CI runs. The best of a few tries counts."""
+    drawn = draw_region()
+    turns = [timed(drawn, 20) for _ in range(TRIES)]
+    ratios = (
+        min(times_the_floor(floors, papers) for floors, papers, _ in turns),
+        min(times_the_floor(floors, m6) for floors, _, m6 in turns),
+        min(times_its_reading() for _ in range(TRIES)),
+        help_times_its_libraries(),
+    )
+    for (name, limit), ratio in zip(LIMITS.items(), ratios, strict=True):
+        print(f"{name}: {ratio:.2f} (limit {limit:.2f}) {'ok' if ratio <= limit else 'TOO SLOW'}")
+    return int(any(ratio > limit for ratio, limit in zip(ratios, LIMITS.values(), strict=True)))
 
 
 def machine() -> str:
@@ -426,27 +420,16 @@ def as_table(lines: list[dict[str, Any]]) -> str:
     return "\n".join(["| what | figure | aim |", "|---|--:|---|", *body])
 
 
-def show(folder: Path) -> None:
-    """Print what a folder holds, in the parts' order."""
-    for name, part in PARTS.items():
-        file = folder / f"{name}.json"
-        if file.exists():
-            kept = json.loads(file.read_text(encoding="utf-8"))
-            print(f"{(part.__doc__ or '').splitlines()[0]}\n\n{as_table(kept['figures'])}\n")
-            print(f"`speed.py {name}`, {kept['form']} form, {kept['when']}, {kept['machine']}\n")
-
-
 def main() -> None:
     """Measure the parts, print them, and keep them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--quick", action="store_true", help="a few rounds of each")
     parser.add_argument("--out", type=Path, help="folder that keeps the figures")
-    parser.add_argument("--show", type=Path, help="print a folder's figures and do nothing else")
+    parser.add_argument("--check", action="store_true", help="compare quick ratios with limits")
     arguments = parser.parse_args()
-    if arguments.show:
-        show(arguments.show)
-        return
+    if arguments.check:
+        sys.exit(check())
     if unknown := set(arguments.parts) - set(PARTS):
         parser.error(f"no part is called {', '.join(unknown)}; take {', '.join(PARTS)}")
     missed = False

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "kill_batch.py"
+SCRIPT = "tests.robustness.kill_batch"
 
 
 def test_a_batch_killed_again_and_again_loses_and_doubles_nothing() -> None:
     done = subprocess.run(
-        [sys.executable, str(BENCHMARK), "--kills", "6", "--captures", "8"],
+        [sys.executable, "-m", SCRIPT, "--kills", "6", "--captures", "8"],
         capture_output=True,
         text=True,
         check=False,

@@ -7,7 +7,7 @@ import pytest
 
 from cucumbervision_lab.datasets.coco import read_coco
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "teaching_house.py"
+SCRIPT = Path(__file__).with_name("teaching_house.py")
 
 
 @pytest.mark.train

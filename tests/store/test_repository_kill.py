@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "kill_stops.py"
+SCRIPT = "tests.robustness.kill_stops"
 
 
 def test_a_program_killed_again_and_again_loses_and_doubles_nothing(
@@ -13,7 +13,7 @@ def test_a_program_killed_again_and_again_loses_and_doubles_nothing(
     options = ["--url", address, "--images", str(tmp_path / "pictures")]
     options += ["--stops", "24", "--kills", "3"]
     done = subprocess.run(
-        [sys.executable, str(BENCHMARK), *options],
+        [sys.executable, "-m", SCRIPT, *options],
         capture_output=True,
         text=True,
         check=False,

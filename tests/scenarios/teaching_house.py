@@ -1,6 +1,6 @@
 """A house whose fruit look unlike ours teaches its detector: recall before and after.
 
-    OMP_NUM_THREADS=1 python benchmarks/teaching_house.py --out RUN [--photos PICTURES [--beside]]
+    OMP_NUM_THREADS=1 python tests/scenarios/teaching_house.py --out RUN ...
 
 The house is drawn: yellow fruit with green stripes, under warm lamps. Its captures go through the
 real pipeline into a store, where they are corrected as a user would, by the truth: finds that hit

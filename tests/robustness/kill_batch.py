@@ -1,6 +1,6 @@
 """Whether a batch survives: `measure` is killed with signal 9 again and again, and goes on.
 
-    python benchmarks/kill_batch.py [--kills 20] [--captures 40] [--seed 1]
+    python -m tests.robustness.kill_batch [--kills 20] [--captures 40] [--seed 1]
 
 A child process measures drawn captures into a folder as `cucumbervision measure` does, and says
 when a record of its journal is on disk. It is killed at a random moment: in every fourth run while

@@ -1,6 +1,6 @@
 """Whether a stop survives: a program that saves stops is killed again and again.
 
-    python benchmarks/kill_stops.py [--url house.db] [--stops 100] [--kills 0] [--images FOLDER]
+    python -m tests.robustness.kill_stops [--url house.db] [--stops 100] [--kills 0] ...
 
 A child process saves stops with their pictures and says when the store has acknowledged one. It
 is killed with signal 9 at random moments, while it opens the store, writes pictures, or is within
@@ -22,8 +22,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from made_stops import FRUIT, METHODS, made_round, made_stop
 from sqlalchemy import func, select
+from tests.robustness.made_stops import FRUIT, METHODS, made_round, made_stop
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.store.engine import begin

@@ -3,15 +3,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from alembic import command
-from alembic.config import Config
-from sqlalchemy import text
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.edits import StopPlace
-from cucumbervision.store.engine import MIGRATIONS, begin, database_url, make_engine
 from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of
-from cucumbervision.store.repository import Store, open_store
+from cucumbervision.store.repository import Store
 from cucumbervision.store.views import LinkKind, LinkRecord, Position, Saved
 
 if TYPE_CHECKING:
@@ -122,23 +118,3 @@ def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[s
         store.restore_round(WALK)
     with pytest.raises(StoreError, match="is not in the store"):
         store.rename_round(key_of("nowhere"), "x")
-
-
-def test_a_store_of_the_first_version_is_brought_up_to_date(address: str) -> None:
-    engine = make_engine(database_url(address))
-    with begin(engine, write=True) as connection:
-        config = Config()
-        config.set_main_option("script_location", str(MIGRATIONS))
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0001")
-        connection.execute(
-            text(
-                "INSERT INTO rounds (key, name, house, started_s, profile, note) "
-                f"VALUES ('{WALK}', 'old', 'house 1', 5.0, '', '')"
-            )
-        )
-    engine.dispose()
-    with open_store(address) as store:
-        assert [one.record.name for one in store.rounds()] == ["old"]
-        store.delete_round(WALK)
-        assert store.rounds() == []

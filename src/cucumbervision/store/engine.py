@@ -1,6 +1,6 @@
 """The connection to a database: SQLite made safe, PostgreSQL by URL, errors in one line.
 
-A database is brought to the software's own version when it is opened, or refused untouched.
+A new database gets its tables when it is opened; one of another version is refused untouched.
 """
 
 from __future__ import annotations
@@ -257,59 +257,52 @@ class Database:
         self.close()
 
 
-REVISIONS = ("0001", "0002", "0003")
-HEAD = REVISIONS[-1]
+VERSION = "1"
+"""Of the tables; a change that is more than a new column of a record raises it."""
+
 VERSION_TABLE = "cucumbervision_version"
-MIGRATIONS = Path(__file__).with_name("migrations")
 
-_POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of migrations
+_POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of those who make the tables
 
 
-def migrate(engine: Engine) -> None:
-    """Make the tables, or bring them up to date, in one transaction.
+def prepare(engine: Engine) -> None:
+    """Make the tables of a new store, and add columns that records have gained since.
 
-    Columns that records have and tables have not are added, empty.
-
-    Two programs that open a new store at once wait for each other; one that is killed meanwhile
-    leaves the database as it was.
+    All in one transaction: two programs that open a new store at once wait for each other, and
+    one that is killed meanwhile leaves the database as it was.
 
     Raises
     ------
     StoreVersionError
-        If a newer version of the software wrote it; nothing is changed.
+        If another version of the software wrote it; nothing is changed.
     StoreError
-        If the database holds tables of ours that no version made.
+        If the database holds another program's tables under our names.
     """
     with begin(engine) as connection:
-        if stored_revision(connection) == HEAD and not _missing_columns(connection):
+        if stored_version(connection) == VERSION and not _missing_columns(connection):
             return
     with begin(engine, write=True) as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
-        found = stored_revision(connection)
-        if found is not None and found not in REVISIONS:
-            raise StoreVersionError(
-                f"its version {found} is newer than this software's {HEAD}",
-                source=named(engine.url),
-                remedy="update cucumbervision; nothing was changed",
-            )
+        found = stored_version(connection)
         if found is None:
             _check_free(connection, named(engine.url))
-        if found != HEAD:
-            _upgrade(connection)
-        from alembic.migration import MigrationContext
-        from alembic.operations import Operations
-
+            _make_tables(connection)
+        elif found != VERSION:
+            raise StoreVersionError(
+                f"has schema {found}, and this software reads schema {VERSION}",
+                source=named(engine.url),
+                remedy="use the version of cucumbervision that wrote it; nothing was changed",
+            )
         for table, column in _missing_columns(connection):
-            operations = Operations(MigrationContext.configure(connection))
-            operations.add_column(table, Column(column.name, column.type, nullable=True))
+            kind = column.type.compile(connection.dialect)
+            connection.execute(text(f"ALTER TABLE {table} ADD COLUMN {column.name} {kind}"))
 
 
 def _missing_columns(connection: Connection) -> list[tuple[str, Column[Any]]]:
     """Return the columns of records that the tables do not have yet, such as a new trait's.
 
-    They may be empty, so that older software goes on with such a database; all other changes of
-    the tables need a revision.
+    They may be empty, so that older software can still use such a database.
     """
     inspector = inspect(connection)
     found = []
@@ -320,11 +313,11 @@ def _missing_columns(connection: Connection) -> list[tuple[str, Column[Any]]]:
     return found
 
 
-def stored_revision(connection: Connection) -> str | None:
-    """Return the revision that the database was left at; None where there is no store yet."""
+def stored_version(connection: Connection) -> str | None:
+    """Return the version of a database's tables; None where there is no store yet."""
     if not inspect(connection).has_table(VERSION_TABLE):
         return None
-    found = connection.execute(text(f"SELECT version_num FROM {VERSION_TABLE}")).scalar()
+    found = connection.execute(text(f"SELECT version FROM {VERSION_TABLE}")).scalar()
     return None if found is None else str(found)
 
 
@@ -338,11 +331,26 @@ def _check_free(connection: Connection, source: str) -> None:
         )
 
 
-def _upgrade(connection: Connection) -> None:
-    from alembic import command
-    from alembic.config import Config
+def _make_tables(connection: Connection) -> None:
+    Base.metadata.create_all(connection, checkfirst=False)
+    dialect = connection.dialect.name
+    for statement in _KEEP_LOG[dialect]:
+        connection.execute(text(statement))
+    connection.execute(text(f"CREATE TABLE {VERSION_TABLE} (version TEXT NOT NULL)"))
+    connection.execute(text(f"INSERT INTO {VERSION_TABLE} VALUES (:v)"), {"v": VERSION})
 
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    config.attributes["connection"] = connection
-    command.upgrade(config, "head")
+
+_KEEP_LOG = {
+    "sqlite": [
+        f"CREATE TRIGGER actions_no_{what.lower()} BEFORE {what} ON actions "
+        "BEGIN SELECT RAISE(ABORT, 'the log is only added to'); END"
+        for what in ("UPDATE", "DELETE")
+    ],
+    "postgresql": [
+        "CREATE FUNCTION cucumbervision_keep_log() RETURNS trigger LANGUAGE plpgsql AS "
+        "$$ BEGIN RAISE EXCEPTION 'the log is only added to'; END $$",
+        "CREATE TRIGGER actions_keep BEFORE UPDATE OR DELETE ON actions "
+        "FOR EACH ROW EXECUTE FUNCTION cucumbervision_keep_log()",
+    ],
+}
+"""The database itself keeps lines of the log from being changed or removed."""

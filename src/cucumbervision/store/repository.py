@@ -17,7 +17,7 @@ from cucumbervision.store.corrections import (
     mark_added,
 )
 from cucumbervision.store.edits import MEASURE_AGAIN, log_action, original_name, stop_line
-from cucumbervision.store.engine import database_url, make_engine, migrate, named
+from cucumbervision.store.engine import database_url, make_engine, named, prepare
 from cucumbervision.store.joint import JointRecords
 from cucumbervision.store.queries import Queries, round_id_of
 from cucumbervision.store.records import (
@@ -104,7 +104,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
         raise StoreError("is not there", source=named(url), remedy="check the path")
     engine = make_engine(url)
     try:
-        migrate(engine)
+        prepare(engine)
     except BaseException:
         engine.dispose()
         raise

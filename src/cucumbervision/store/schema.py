@@ -57,7 +57,7 @@ class JsonObject(JSON):
 
 
 class Base(DeclarativeBase):
-    """All tables; constraints are named, as migrations need."""
+    """All tables; constraints have names."""
 
     metadata = MetaData(
         naming_convention={

@@ -38,7 +38,7 @@ class Reading:
         Methods whose length is another method's.
     kind, method, mask_source : str
         What the reported length is, by which method, on whose mask; empty where unknown.
-    distance_m, fill, tilt_deg : float
+    distance_m, fill : float
         Of the fruit; NaN where unknown.
     flags : str
         As the row has them.
@@ -53,7 +53,6 @@ class Reading:
     mask_source: str = ""
     distance_m: float = math.nan
     fill: float = math.nan
-    tilt_deg: float = math.nan
     flags: str = ""
 
 
@@ -165,7 +164,6 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
         mask_source=_word(row, "mask_source"),
         distance_m=math.nan if distance is None else distance,
         fill=math.nan if row.get("fill") is None else float(row["fill"]),
-        tilt_deg=_tilt_deg(methods.get(row.get("method"), {}).get("tips_m")),
         flags=_word(row, "flags"),
     )
 
@@ -181,10 +179,3 @@ def _metres(length_cm: float | None) -> float | None:
     if length_cm is not None and not 0 < length_cm < _LONGEST_CM:
         raise ValueError(f"{length_cm:g} cm is no length")
     return None if length_cm is None else length_cm / 100
-
-
-def _tilt_deg(tips_m: Sequence[Sequence[float]] | None) -> float:
-    if not tips_m:
-        return math.nan
-    x, y, z = (abs(b - a) for a, b in zip(*tips_m, strict=True))
-    return math.degrees(math.atan2(z, math.hypot(x, y)))

@@ -1,7 +1,8 @@
-"""Hand-measured lengths against a run: matched, checked, every method scored, and the report."""
+"""Lengths of a run compared with hand-measured ones: matched, checked, every method scored."""
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import platform
@@ -13,16 +14,15 @@ import numpy as np
 
 from cucumbervision.about import installed_versions, software
 from cucumbervision.accuracy.measured import REPORTED, Reading
-from cucumbervision.accuracy.page import Table, write_report
-from cucumbervision.accuracy.records import Masks, Record, append_record, readings_frame
 from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
+from cucumbervision.accuracy.table import Table
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError, TruthError, naming_os_errors
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from cucumbervision.accuracy.measured import Measured
@@ -49,7 +49,7 @@ class MethodScore:
     Parameters
     ----------
     method : str
-        As `Record.lengths_m` names it.
+        As `Reading.lengths_m` names it.
     kind : LengthDefinition
         What was measured by hand.
     metrics : Metrics
@@ -75,20 +75,20 @@ class OwnTruth:
 
     Parameters
     ----------
-    records : list of Record
-        One a fruit of a capture.
-    scores : list of MethodScore
+    pairs : tuple of (TrueLength, Reading)
+        Each hand-measured length, and what the run read.
+    scores : tuple of MethodScore
         By kind and method.
     floor : Floor or None
-        The hand's own spread.
-    notes : list of str
+        Repeatability of measuring by hand.
+    notes : tuple of str
         What to know when reading the numbers.
     """
 
-    records: list[Record]
-    scores: list[MethodScore]
+    pairs: tuple[tuple[TrueLength, Reading], ...]
+    scores: tuple[MethodScore, ...]
     floor: Floor | None
-    notes: list[str]
+    notes: tuple[str, ...]
 
 
 def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
@@ -100,12 +100,12 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
         If the truth names what the run does not hold, or is not in centimetres.
     """
     pairs = match_truth(measured, truth)
-    records = _own_records(pairs, measured)
     floor = floor_of(truth.lengths)
     notes = _notes(truth, floor, pairs)
-    if any(record.details["simulated"] for record in records):
-        notes.append("Simulated captures are among them: drawn, not taken.")
-    return OwnTruth(records, _score_methods(records), floor, notes)
+    simulated = {c["name"] for c in measured.report.get("captures", []) if c.get("simulated")}
+    if any(one.capture in simulated for one, _ in pairs):
+        notes.append("Some of these captures are simulated.")
+    return OwnTruth(tuple(pairs), tuple(_score_methods(pairs)), floor, tuple(notes))
 
 
 def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
@@ -168,34 +168,18 @@ def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
     return _KIND_OF.get(method, kind) is kind
 
 
-def _own_records(pairs: Iterable[tuple[TrueLength, Reading]], measured: Measured) -> list[Record]:
-    """Return records as a benchmark keeps them, one a fruit of a capture.
-
-    What a hand cannot know (bend, hidden share) is None or NaN; the tilt is that of the measured
-    line, where the run's JSON has it.
-    """
-    simulated = {c["name"]: bool(c.get("simulated")) for c in measured.report.get("captures", [])}
-    grouped: dict[tuple[str, int, str], list[tuple[TrueLength, Reading]]] = {}
-    for one, reading in pairs:
-        number = reading.fruit
-        grouped.setdefault((one.capture, number, "" if number else one.specimen), []).append(
-            (one, reading)
-        )
-    return [_record(same, simulated) for same in grouped.values()]
-
-
-def _score_methods(records: Sequence[Record]) -> list[MethodScore]:
-    """Score each method against each kind of truth that it can be held against."""
-    methods = list(dict.fromkeys(key for r in records for key in r.lengths_m))
+def _score_methods(pairs: Sequence[tuple[TrueLength, Reading]]) -> list[MethodScore]:
+    """Score each method against each kind of true length that it is comparable with."""
+    methods = list(dict.fromkeys(key for _, reading in pairs for key in reading.lengths_m))
     scores = []
     for kind in LengthDefinition:
         for method in methods:
             chosen = [
-                (r.lengths_m[method], true, r.fruit)
-                for r in records
-                if (true := getattr(r, f"{kind}_m")) is not None
-                and method in r.lengths_m
-                and comparable(method, kind, r.details["reported_kind"])
+                (reading.lengths_m[method], one.length_m, one.specimen)
+                for one, reading in pairs
+                if one.kind is kind
+                and method in reading.lengths_m
+                and comparable(method, kind, reading.kind)
             ]
             if chosen:
                 scores.append(_score(method, kind, chosen))
@@ -213,33 +197,6 @@ def _score(
         found = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
         low, high = found.low, found.high
     return MethodScore(method, kind, score(lengths, truth), low, high, len(set(fruit)))
-
-
-def _record(same: Sequence[tuple[TrueLength, Reading]], simulated: dict[str, bool]) -> Record:
-    one, reading = same[0]
-    by_kind = {t.kind: t.length_m for t, _ in same}
-    details: dict[str, Any] = {
-        "selected": reading.method,
-        "reported_kind": reading.kind,
-        "flags": reading.flags.split(),
-        "simulated": simulated.get(one.capture, False),
-    }
-    return Record(
-        case=f"{one.capture}#{reading.fruit or one.specimen}",
-        suite="own",
-        masks=Masks.PERCEIVED,
-        fruit=one.specimen,
-        centreline_m=by_kind.get(LengthDefinition.CENTRELINE),
-        thread_m=by_kind.get(LengthDefinition.THREAD),
-        chord_m=by_kind.get(LengthDefinition.CHORD),
-        distance_m=reading.distance_m,
-        tilt_deg=reading.tilt_deg,
-        bend_radius_m=None,
-        hidden_share=math.nan,
-        fill=reading.fill,
-        lengths_m=dict(reading.lengths_m),
-        details=details,
-    )
 
 
 def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:
@@ -294,41 +251,55 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + more
 
 
-_RECORDS = "records.jsonl"
+def write_own_truth(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
+    """Write `scores.csv`, `lengths.csv` and `scores.json` into a folder.
 
-
-def write_own_report(found: OwnTruth, out: Path, measured: Measured, truth: Truth) -> None:
-    """Write the report over one's own fruit, its records and its scores.
-
-    `out` gets `scores.json` (what the command prints), `records.jsonl`, and the report.
+    `lengths.csv` has a row for each hand-measured length, with what each method read, in
+    centimetres; `scores.json` repeats the scores with notes, versions and provenance.
 
     Raises
     ------
     CucumberVisionError
-        If the folder cannot be written.
-    MissingExtraError
-        If what draws the page is not installed; scores and records are written before it.
+        If the folder cannot be written, or there is nothing to write.
     """
+    if not found.pairs:
+        raise CucumberVisionError(
+            "there is nothing to report", source=out, remedy="measure at least one fruit first"
+        )
+    lengths = [
+        {
+            "capture": one.capture,
+            "fruit": one.fruit,
+            "specimen": one.specimen,
+            "kind": str(one.kind),
+            "true_cm": 100 * one.length_m,
+            **{f"{key}_cm": x and 100 * x for key, x in reading.lengths_m.items()},
+        }
+        for one, reading in found.pairs
+    ]
+    scores = [
+        {key: value for key, value in (vars(one) | asdict(one.metrics)).items() if key != "metrics"}
+        for one in found.scores
+    ]
+    head = {
+        **software(),
+        "versions": {"python": platform.python_version(), **installed_versions()},
+        **_provenance(measured, truth),
+        "notes": found.notes,
+        "floor": found.floor and asdict(found.floor),
+        "scores": [json_value(asdict(one)) for one in found.scores],
+    }
     with naming_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
-        (out / _RECORDS).unlink(missing_ok=True)
-        for record in found.records:
-            append_record(out / _RECORDS, record)
-        provenance = _provenance(measured, truth)
-        floor = found.floor and asdict(found.floor)
-        scores = [json_value(asdict(one)) for one in found.scores]
-        versions = {"python": platform.python_version(), **installed_versions()}
-        head = {
-            **software(),
-            "versions": versions,
-            **provenance,
-            "notes": found.notes,
-            "floor": floor,
-            "scores": scores,
-        }
+        for name, rows in (("lengths", lengths), ("scores", scores)):
+            with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+                writer = csv.DictWriter(
+                    file, list(dict.fromkeys(key for row in rows for key in row))
+                )
+                writer.writeheader()
+                writer.writerows(rows)
         text = json.dumps(head, indent=1, ensure_ascii=False)
         (out / "scores.json").write_text(text + "\n", encoding="utf-8")
-        _write_page(found, out, provenance)
 
 
 _SCORES = {
@@ -354,31 +325,6 @@ def scores_table(scores: Sequence[MethodScore]) -> Table:
         for one in scores
     ]
     return Table.of_records("Errors against hand-measured lengths", _SCORES, rows)
-
-
-def _write_page(found: OwnTruth, out: Path, provenance: dict[str, Any]) -> None:
-    if not found.records:
-        raise CucumberVisionError(
-            "there is nothing to report", source=out, remedy="measure at least one fruit first"
-        )
-    readings = readings_frame(found.records)
-    from cucumbervision.accuracy.length_report import GLOSSARY, reading_section
-
-    count, fruit = readings["case"].nunique(), readings["fruit"].nunique()
-    intro = (
-        "Fruit measured by hand, held against what this program read from their captures.",
-        f"{count} measurements of {fruit} fruit.",
-    )
-    write_report(
-        out,
-        "Lengths against one's own ground truth",
-        scores_table(found.scores),
-        [reading_section("Your own fruit", intro, readings)],
-        notes=[("", "\n\n".join(found.notes))],
-        provenance=provenance,
-        glossary=GLOSSARY,
-        numbers={"records": count},
-    )
 
 
 def _provenance(measured: Measured, truth: Truth) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.table import Table
     from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
 
 
@@ -99,7 +99,7 @@ _CORRECTIONS = {
 
 
 def _corrections_table(entries: Sequence[CorrectionEntry]) -> Table:
-    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.table import Table
 
     rows = []
     for entry in entries:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy import page
+    from cucumbervision.accuracy import table
     from cucumbervision.pipeline.detect import DetectOptions, DetectResult
     from cucumbervision.pipeline.measurer import Failure
     from cucumbervision.pipeline.options import MeasureOptions
@@ -61,14 +61,14 @@ def columns_table(title: str | None, left: Sequence[str], *right: str) -> Table:
     return table
 
 
-def print_table(console: Console, figures: page.Table) -> None:
+def print_table(console: Console, figures: table.Table) -> None:
     """Print a report's table, and its comment below."""
-    table = Table(title=figures.title, title_justify="left")
+    printed = Table(title=figures.title, title_justify="left")
     for column, numeric in zip(figures.columns, figures.numeric, strict=True):
-        table.add_column(column.head, justify="right" if numeric else "left")
+        printed.add_column(column.head, justify="right" if numeric else "left")
     for row in figures.text_rows():
-        table.add_row(*row)
-    console.print(table)
+        printed.add_row(*row)
+    console.print(printed)
     if figures.comment:
         console.print(figures.comment, soft_wrap=True, markup=False, style="dim")
 

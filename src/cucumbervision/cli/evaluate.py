@@ -32,11 +32,11 @@ def lengths(
             "specimen, repeat, length_1_cm, length_2_cm …"
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the report.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the tables.")],
 ) -> None:
-    """Compare every method with hand-measured lengths: a table here, a report in the folder."""
+    """Compare every method with hand-measured lengths: a table, and CSV files in the folder."""
     from cucumbervision.accuracy.measured import read_measured
-    from cucumbervision.accuracy.own_truth import evaluate_lengths, scores_table, write_own_report
+    from cucumbervision.accuracy.own_truth import evaluate_lengths, scores_table, write_own_truth
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.cli.console import print_table, screen
 
@@ -46,5 +46,5 @@ def lengths(
     print_table(console, scores_table(found.scores))
     for note in found.notes:
         console.print(note, soft_wrap=True, markup=False)
-    write_own_report(found, out, measured, table)
-    console.print(f"The report is in {out}/", soft_wrap=True, markup=False)
+    write_own_truth(found, out, measured, table)
+    console.print(f"The tables are in {out}/", soft_wrap=True, markup=False)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.accuracy.page import Cell, Table
-from cucumbervision.accuracy.records import Masks
 from cucumbervision.accuracy.statistics import score
+from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.geometry.camera import scale_error_tilted
 from cucumbervision.geometry.curve import polyline_length
 from cucumbervision.measurement.m6 import measure_m6
 from cucumbervision_lab.benchmark.cases import CAMERA, Suite
+from cucumbervision_lab.report.records import Masks
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

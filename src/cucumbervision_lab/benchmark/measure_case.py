@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.measurement.cloud import masked_points
 from cucumbervision.measurement.intervals import mask_features, tube_features
 from cucumbervision.measurement.methods import AVAILABLE
@@ -19,6 +18,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_iou
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
+from cucumbervision_lab.report.records import Masks, Record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -16,17 +16,18 @@ from __future__ import annotations
 
 import pandas as pd
 
-from cucumbervision.accuracy.length_tables import (
+from cucumbervision.accuracy.statistics import estimate, score
+from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.benchmark.cases import Suite
+from cucumbervision_lab.report.length_tables import (
     PAPER_METHODS,
     against,
     length_and_error,
     span_text,
 )
-from cucumbervision.accuracy.page import Cell, Section, Table
-from cucumbervision.accuracy.records import Masks
-from cucumbervision.accuracy.statistics import estimate, score
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_lab.benchmark.cases import Suite
+from cucumbervision_lab.report.page import Section
+from cucumbervision_lab.report.records import Masks
 
 _PUBLISHED: dict[str, tuple[Cell, ...]] = {
     "M1": (1.63, 2.26, 9.68, None, 1.31, 0.89),

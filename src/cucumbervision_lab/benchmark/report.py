@@ -7,21 +7,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from cucumbervision.accuracy import length_report, page
-from cucumbervision.accuracy.length_tables import (
+from cucumbervision.accuracy.statistics import binomial_interval, score
+from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.benchmark.cases import Suite
+from cucumbervision_lab.benchmark.paper import NOTES, paper_section
+from cucumbervision_lab.report import length_report, page
+from cucumbervision_lab.report.length_tables import (
     Factor,
     against,
     factors_of,
     shown_methods,
 )
-from cucumbervision.accuracy.page import Cell, Picture, Section, Table
-from cucumbervision.accuracy.plots import as_png, method_style, new_figure
-from cucumbervision.accuracy.records import Masks
-from cucumbervision.accuracy.statistics import binomial_interval, score
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_lab.benchmark.cases import Suite
-from cucumbervision_lab.benchmark.paper import NOTES, paper_section
+from cucumbervision_lab.report.page import Picture, Section
+from cucumbervision_lab.report.plots import as_png, method_style, new_figure
+from cucumbervision_lab.report.records import Masks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -13,7 +13,6 @@ import pandas as pd
 
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
-from cucumbervision.accuracy.records import Masks, append_record, read_records, readings_frame
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.intervals import (
     IntervalModels,
@@ -34,14 +33,15 @@ from cucumbervision_lab.benchmark.interval_fit import (
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.processes import each_done
+from cucumbervision_lab.report.records import Masks, append_record, read_records, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy.page import Table
-    from cucumbervision.accuracy.records import Record
+    from cucumbervision.accuracy.table import Table
     from cucumbervision_lab.benchmark.cases import Case
+    from cucumbervision_lab.report.records import Record
 
 TRUTH_OF = {
     **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),

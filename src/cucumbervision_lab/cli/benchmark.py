@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     import pandas as pd
 
-    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.table import Table
 
 
 def benchmark(
@@ -82,10 +82,10 @@ _SUMMARY = {
 
 def _summary_tables(readings: pd.DataFrame) -> list[Table]:
     """Return one table a suite and kind of mask: every method against the centreline."""
-    from cucumbervision.accuracy.length_tables import against, method_metrics
-    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.table import Table
     from cucumbervision.measurement.result import LengthDefinition
     from cucumbervision_lab.benchmark.report import parts_of
+    from cucumbervision_lab.report.length_tables import against, method_metrics
 
     tables = []
     for suite, masks, part in parts_of(readings):

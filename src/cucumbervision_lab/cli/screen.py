@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rich.progress import TaskID
 
-    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.table import Table
     from cucumbervision_lab.training.train import EpochReport
 
 _SHOWN = (

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from cucumbervision.accuracy.length_tables import DESCRIPTIONS
-from cucumbervision.accuracy.page import Cell, Table
-from cucumbervision.accuracy.records import Masks, readings_frame
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
+from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.detection.average_precision import (
     OKS_SIGMA,
@@ -33,14 +31,16 @@ from cucumbervision_lab.detection.outcomes import (
 )
 from cucumbervision_lab.detection.parts import PartScore, score_parts
 from cucumbervision_lab.detection.pictures import Stage
+from cucumbervision_lab.report.length_tables import DESCRIPTIONS
+from cucumbervision_lab.report.records import Masks, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.accuracy.records import Record
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.picture_result import OverlapRow
     from cucumbervision_lab.detection.run import DetectionResult
+    from cucumbervision_lab.report.records import Record
 
 
 @dataclass(frozen=True)

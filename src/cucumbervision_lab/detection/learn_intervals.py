@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
-from cucumbervision.accuracy.records import Masks, append_record, read_records, readings_frame
 from cucumbervision.capture.files import read_color
 from cucumbervision.pipeline.finders import Finder, make_finder
 from cucumbervision.pipeline.options import MeasureOptions
@@ -18,14 +17,15 @@ from cucumbervision_lab.detection.lengths import length_records
 from cucumbervision_lab.detection.outcomes import match_frame
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 from cucumbervision_lab.processes import each_done
+from cucumbervision_lab.report.records import Masks, append_record, read_records, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from cucumbervision.accuracy.records import Record
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+    from cucumbervision_lab.report.records import Record
 
     Report = Callable[[str, int, int], None]
 

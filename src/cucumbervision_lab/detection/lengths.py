@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.accuracy.length_tables import against
-from cucumbervision.accuracy.records import Masks, Record
 from cucumbervision.accuracy.statistics import Estimate, estimate, score
 from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.measurement.selector import measure_fruit
@@ -16,6 +14,8 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths, noted
+from cucumbervision_lab.report.length_tables import against
+from cucumbervision_lab.report.records import Masks, Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

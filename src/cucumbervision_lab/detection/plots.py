@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.accuracy.plots import as_png, new_figure
 from cucumbervision.capture.files import read_color
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import DRAWN, Stage
+from cucumbervision_lab.report.plots import as_png, new_figure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

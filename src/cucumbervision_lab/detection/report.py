@@ -11,8 +11,6 @@ import pandas as pd
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
-from cucumbervision.accuracy.page import HTML_NAME, Picture, Section, render_page
-from cucumbervision.accuracy.records import readings_frame
 from cucumbervision.accuracy.statistics import Estimate
 from cucumbervision.capture.files import json_value
 from cucumbervision.errors import CucumberVisionError
@@ -35,12 +33,14 @@ from cucumbervision_lab.detection.figures import (
 from cucumbervision_lab.detection.outcomes import HIDDEN_SHARE, EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.picture_result import OverlapRow
 from cucumbervision_lab.detection.plots import KINDS, draw_sheet, worst_cases
+from cucumbervision_lab.report.page import HTML_NAME, Picture, Section, render_page
+from cucumbervision_lab.report.records import readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy.page import Table
+    from cucumbervision.accuracy.table import Table
     from cucumbervision_lab.detection.figures import EndScore, Summary
     from cucumbervision_lab.detection.outcomes import GroupScore
     from cucumbervision_lab.detection.photos import PhotoResult

@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.accuracy.records import Record
     from cucumbervision.perception.instances import Instance
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
+    from cucumbervision_lab.report.records import Record
 
 
 @dataclass(frozen=True)

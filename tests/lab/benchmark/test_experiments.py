@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cucumbervision.accuracy.records import Masks, Record, readings_frame
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.experiments import (
     burst_sizes,
@@ -16,6 +15,7 @@ from cucumbervision_lab.benchmark.experiments import (
     selectors,
     wrong_intrinsics,
 )
+from cucumbervision_lab.report.records import Masks, Record, readings_frame
 
 
 def record(**changes: object) -> Record:

@@ -3,18 +3,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.accuracy.conftest import make_record
+from tests.lab.report.conftest import make_record
 
-from cucumbervision.accuracy.records import Masks, readings_frame
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.paper import (
     paper_section,
     paper_table,
     paper_validation_table,
 )
+from cucumbervision_lab.report.records import Masks, readings_frame
 
 if TYPE_CHECKING:
-    from tests.accuracy.conftest import MakeRecord
+    from tests.lab.report.conftest import MakeRecord
 
 __all__ = ["make_record"]  # the fixture
 

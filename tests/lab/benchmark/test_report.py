@@ -8,17 +8,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cucumbervision.accuracy.length_tables import against
-from cucumbervision.accuracy.records import Masks, readings_frame
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import Suite
+from cucumbervision_lab.report.length_tables import against
+from cucumbervision_lab.report.records import Masks, readings_frame
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
-from tests.accuracy.conftest import make_record
-from tests.accuracy.test_plots import picture, pixels
+from tests.lab.report.conftest import make_record
+from tests.lab.report.test_plots import picture, pixels
 
 from cucumbervision_lab.benchmark.report import (
     TILT_EDGES_DEG,
@@ -32,9 +32,9 @@ from cucumbervision_lab.benchmark.report import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tests.accuracy.conftest import MakeRecord
+    from tests.lab.report.conftest import MakeRecord
 
-    from cucumbervision.accuracy.records import Record
+    from cucumbervision_lab.report.records import Record
 
 __all__ = ["make_record"]  # the fixture
 

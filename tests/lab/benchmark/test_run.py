@@ -8,8 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cucumbervision.accuracy.length_tables import against, method_metrics
-from cucumbervision.accuracy.records import Masks, Record, readings_frame
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.instances import Instance
@@ -37,6 +35,8 @@ from cucumbervision_lab.benchmark.run import (
     run_cases,
     with_intervals,
 )
+from cucumbervision_lab.report.length_tables import against, method_metrics
+from cucumbervision_lab.report.records import Masks, Record, readings_frame
 
 
 @pytest.fixture(scope="module")

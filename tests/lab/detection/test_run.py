@@ -21,7 +21,6 @@ pytest.importorskip("onnx")
 
 import onnx
 
-from cucumbervision.accuracy.records import Masks
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
@@ -48,6 +47,7 @@ from cucumbervision_lab.detection.run import (
     chosen_networks,
     evaluate_detection,
 )
+from cucumbervision_lab.report.records import Masks
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

@@ -136,7 +136,6 @@ def _reading(
         mask_source=record.mask_source or "",
         distance_m=_or_nan(record.distance_m),
         fill=_or_nan(record.fill),
-        tilt_deg=_or_nan(record.tilt_deg),
         flags=record.flags,
     )
 

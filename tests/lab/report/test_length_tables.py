@@ -4,7 +4,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision.accuracy.length_tables import (
+from cucumbervision.accuracy.table import Cell, Table
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.report.length_tables import (
     accuracy_table,
     against,
     comparison_table,
@@ -13,14 +15,12 @@ from cucumbervision.accuracy.length_tables import (
     group_table,
     method_metrics,
 )
-from cucumbervision.accuracy.page import Cell, Table
-from cucumbervision.accuracy.records import Record, readings_frame
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.report.records import Record, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tests.accuracy.conftest import MakeRecord
+    from tests.lab.report.conftest import MakeRecord
 
 
 def methods_against(records: Sequence[Record], truth: LengthDefinition) -> list[str]:

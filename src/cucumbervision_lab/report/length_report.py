@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.accuracy import plots
-from cucumbervision.accuracy.length_tables import (
+from cucumbervision.accuracy.table import Table
+from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.report import plots
+from cucumbervision_lab.report.length_tables import (
     accuracy_table,
     against,
     comparison_table,
@@ -14,8 +16,7 @@ from cucumbervision.accuracy.length_tables import (
     group_table,
     truths_of,
 )
-from cucumbervision.accuracy.page import Picture, Section, Table
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.report.page import Picture, Section
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -160,7 +160,7 @@ def readings_frame(records: Iterable[Record]) -> pd.DataFrame:
     try:
         import pandas as pd
     except ModuleNotFoundError:
-        raise MissingExtraError("pandas", "report") from None
+        raise MissingExtraError("pandas", "benchmark") from None
     rows = []
     for record in records:
         shared = {**vars(record), **record.details}

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.accuracy.records import (
+from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision_lab.report.records import (
     Masks,
     Record,
     append_record,
     read_records,
     readings_frame,
 )
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
 
 ONE = Record(
     "a", "stress", Masks.DISTURBED, "f1", 0.2, None, 0.19, 0.5, 12.0, 0.3, 0.1, 0.97,
@@ -57,5 +57,5 @@ def test_a_row_is_a_record_and_a_method() -> None:
 
 def test_without_pandas_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"cucumbervision\[report\]"):
+    with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
         readings_frame([ONE])

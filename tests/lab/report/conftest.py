@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from cucumbervision.accuracy.records import Masks, Record
+from cucumbervision_lab.report.records import Masks, Record
 
 
 class MakeRecord(Protocol):

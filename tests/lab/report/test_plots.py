@@ -6,17 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.accuracy.records import readings_frame
 from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision_lab.report.records import readings_frame
 
 pytest.importorskip("matplotlib")
 
-from cucumbervision.accuracy import plots
+from cucumbervision_lab.report import plots
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
-    from tests.accuracy.conftest import MakeRecord
+    from tests.lab.report.conftest import MakeRecord
 
 # Three hues that no other of these methods, nor text or grid, has.
 COLOURS = {"M6": (0xD5, 0x5E, 0x00), "M5": (0x00, 0x72, 0xB2), "M1": (0xE6, 0x9F, 0x00)}

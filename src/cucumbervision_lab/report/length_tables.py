@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from cucumbervision.accuracy.page import Cell, Table
 from cucumbervision.accuracy.statistics import Estimate, Metrics, compare, estimate, score
+from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
 
     Examples
     --------
-    >>> from cucumbervision.accuracy.records import Masks, Record, readings_frame
+    >>> from cucumbervision_lab.report.records import Masks, Record, readings_frame
     >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22, "oracle": 0.2}
     >>> one = Record("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
     ...     1.0, lengths_m=read)

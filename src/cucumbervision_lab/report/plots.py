@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.accuracy.length_tables import against, shown_methods
 from cucumbervision.errors import MissingExtraError
+from cucumbervision_lab.report.length_tables import against, shown_methods
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -171,7 +171,7 @@ def new_figure(height_in: float) -> Figure:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        raise MissingExtraError("matplotlib", "report") from None
+        raise MissingExtraError("matplotlib", "benchmark") from None
     return Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, layout="constrained")
 
 

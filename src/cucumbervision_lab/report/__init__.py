@@ -1,0 +1,1 @@
+"""Reports of benchmarks: tables and plots over readings, set out as one page."""

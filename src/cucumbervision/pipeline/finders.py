@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instances import Instance, MaskSource, with_keypoints
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.masks import box_of_mask, without_flower
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.stages import Stage
 
@@ -111,21 +111,29 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         drawn = [k for k, i in enumerate(found.instances) if options.segmenter or i.mask is None]
         if name == "none" or not drawn:
             kept: tuple[Stage, ...] = (Stage.KEPT,) if found.instances else ()
-            return _placed(found, found.instances, kept)
+            return _placed(capture, found, found.instances, kept)
         prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
         with _noting(networks, by_stage, Stage.DRAWN):
             segmenter = networks.segmenter(name)
         masked = dict(zip(drawn, segmenter.segment(capture.color, prompts), strict=True))
         instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
         kept = (Stage.KEPT,) if len(drawn) < len(instances) else ()
-        return _placed(found, instances, (*kept, Stage.DRAWN))
+        return _placed(capture, found, instances, (*kept, Stage.DRAWN))
 
     return Finder(find, networks.models, by_stage)
 
 
-def _placed(found: Found, instances: tuple[Instance, ...], stages: tuple[Stage, ...]) -> Found:
+def _placed(
+    capture: Capture, found: Found, instances: tuple[Instance, ...], stages: tuple[Stage, ...]
+) -> Found:
     """Return what was found with masks and keypoints as they are measured."""
-    return replace(found, instances=place_keypoints(instances), stages=found.stages + stages)
+    cleaned = tuple(
+        replace(one, mask=without_flower(one.mask, capture.color))
+        if one.mask is not None and one.mask_source in (MaskSource.SAM, MaskSource.DETECTOR)
+        else one
+        for one in instances
+    )
+    return replace(found, instances=place_keypoints(cleaned), stages=found.stages + stages)
 
 
 @contextmanager

@@ -113,7 +113,7 @@ def test_table_of_methods_is_what_they_read() -> None:
     assert figures.reading_table(figures.load_example()) in text
 
 
-@pytest.mark.parametrize("page", ["camera.md", "python.md"])
+@pytest.mark.parametrize("page", ["camera.md", "integration.md"])
 def test_examples(page: str, run_page: Callable[[Path], doctest.TestResults]) -> None:
     result = run_page(ROOT / "docs" / page)
     assert result.attempted > 2

@@ -8,7 +8,7 @@ import pytest
 
 from cucumbervision.streaming.stream import FRAME_FIELDS, TRACK_FIELDS
 
-PAGE = Path(__file__).parents[2] / "docs" / "streams.md"
+PAGE = Path(__file__).parents[2] / "docs" / "integration.md"
 
 
 def test_the_pages_examples_run(run_page: Callable[[Path], doctest.TestResults]) -> None:

@@ -1,7 +1,4 @@
-"""The typed tables between a round and every file that is written of it, and all their columns.
-
-`docs/exports.md` lists the same columns.
-"""
+"""The typed tables between a round and every file that is written of it, and all their columns."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The length of one fruit from all its frames: surer only as its views really differ.
 
-Much of a depth camera's error stays where it is from frame to frame (`docs/sensor.md`), and so do
+Much of a depth camera's error stays where it is from frame to frame (`docs/results.md`), and so do
 an outline's error and what hides an end. A hundred frames from one place are therefore hardly more
 than one: they are first put together to one view, of whose variance `FIXED` stays however many
 they are. Views from different places are combined as a round combines its stops', by

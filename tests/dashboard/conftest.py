@@ -176,6 +176,8 @@ def _answers(address: str, server: subprocess.Popen[bytes]) -> bool:
         try:
             with urllib.request.urlopen(f"{address}/_stcore/health", timeout=10):
                 return True
+        except urllib.error.HTTPError:  # it answers strangers with 403
+            return True
         except (urllib.error.URLError, OSError):
             time.sleep(0.2)
     return False

@@ -1,11 +1,9 @@
+"""Who is admitted: by the address, by the token, and by an OpenID Connect provider's list."""
+
 from __future__ import annotations
 
-import contextlib
-import os
-import stat
-import threading
+import asyncio
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,230 +11,144 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-import argon2
-
-from cucumbervision.dashboard import access
 from cucumbervision.dashboard.access import (
+    COOKIE,
     SESSION_S,
+    AccessGuard,
     Login,
-    PasswordChecker,
-    Session,
-    accounts_file,
+    OpenIdConnect,
     decide_login,
-    read_accounts,
+    note_viewer,
     read_openid_connect,
-    set_password,
 )
 from cucumbervision.errors import AccessError
-from cucumbervision.service.settings import is_loopback
 
-WORDS = "grüne gurken im haus"
-HASHER = access._HASHER  # as it ships
 AUTH = '[auth]\nredirect_uri = "https://a/oauth2callback"\ncookie_secret = "x"\n'
 CLIENT = 'client_id = "a"\nclient_secret = "b"\nserver_metadata_url = "https://c"\n'
 ADMITTED = '[cucumbervision]\nadmitted = ["Anna@example.org", "248289761001"]\n'
+TOKEN = "a-token-of-this-test-only"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _quick_hashes() -> Iterator[None]:
-    """Hash as little as Argon2 allows: how dear a guess is, is a test of its own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(access, "_HASHER", argon2.PasswordHasher(1, 8, 1))
-        access._hash_of_nothing.cache_clear()
-        yield
-    access._hash_of_nothing.cache_clear()
+def ask(
+    guard_of: tuple[Login, str],
+    path: str = "/",
+    *,
+    query: str = "",
+    kind: str = "http",
+    method: str = "GET",
+    **headers: str,
+) -> tuple[bool, list[dict[str, Any]]]:
+    """Send a request through the guard; return whether it went on, and the answer."""
+    reached, sent = [], list[dict[str, Any]]()
+
+    async def app(*_: object) -> None:
+        reached.append(True)
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    async def receive() -> None:
+        pytest.fail("the body was read")
+
+    scope: dict[str, Any] = {
+        "type": kind,
+        "path": path,
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }
+    if kind == "http":
+        scope["method"] = method
+    asyncio.run(AccessGuard(app, *guard_of)(scope, receive, send))
+    return bool(reached), sent
 
 
-@pytest.fixture(scope="module")
-def accounts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    path = tmp_path_factory.mktemp("accounts") / "accounts"
-    set_password(path, "anna", WORDS)
-    return read_accounts(path)
+@pytest.mark.parametrize("address", ["127.0.0.1", "localhost", "::1"])
+def test_this_machine_needs_no_login_unless_asked_for(address: str) -> None:
+    assert decide_login(address, oidc=True) is Login.NONE
+    assert decide_login(address, oidc=True, always=True) is Login.OIDC
+    assert decide_login(address, oidc=False, always=True) is Login.TOKEN
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1", "127.8.8.8", "localhost", "LOCALHOST", "[::1]"])
-def test_loopback_requires_no_login_unless_asked_for(address: str) -> None:
-    assert is_loopback(address)
-    assert decide_login(address, oidc=False, accounts=False) is Login.NONE
-    assert decide_login(address, oidc=False, accounts=True, always=True) is Login.PASSWORD
-    with pytest.raises(AccessError, match="--login requires a login, and none is set up"):
-        decide_login(address, oidc=False, accounts=False, always=True)
-
-
-@pytest.mark.parametrize(
-    "address", ["0.0.0.0", "::", "", "192.168.1.7", "house.example", "127.0.0.1.example"]
-)
-def test_other_addresses_require_a_login(address: str) -> None:
-    with pytest.raises(AccessError, match="no login is set up; run `cucumbervision dashboard set-"):
-        decide_login(address, oidc=False, accounts=False)
-    assert decide_login(address, oidc=False, accounts=True) is Login.PASSWORD
-    assert decide_login(address, oidc=True, accounts=True) is Login.OIDC
-
-
-def test_only_argon2_hashes_are_stored_for_their_owner(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(access, "_HASHER", HASHER)
-    path = tmp_path / "new" / "accounts"
-    assert read_accounts(path) == {}
-    set_password(path, "anna", WORDS)
-    set_password(path, "ben@house", WORDS)
-    first = read_accounts(path)
-    set_password(path, "anna", WORDS)
-    again = read_accounts(path)
-    assert list(again) == ["anna", "ben@house"]
-    assert again["anna"] != first["anna"]  # another salt
-    assert again["ben@house"] == first["ben@house"]
-    assert argon2.PasswordHasher().verify(again["anna"], WORDS)
-    parameters = argon2.extract_parameters(again["anna"])
-    assert parameters.type is argon2.Type.ID
-    assert parameters.memory_cost >= 19 * 1024  # KiB: OWASP's least for argon2id
-    assert WORDS not in path.read_text(encoding="utf-8")
-    assert [p.name for p in path.parent.iterdir()] == ["accounts"]
-    if os.name == "posix":
-        assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        path.chmod(0o640)
-        with pytest.raises(AccessError, match=r"others on this machine .* chmod 600"):
-            read_accounts(path)
+@pytest.mark.parametrize("address", ["0.0.0.0", "::", "192.168.1.5", "greenhouse.local", ""])
+def test_other_addresses_need_one(address: str) -> None:
+    assert decide_login(address, oidc=False) is Login.TOKEN
+    assert decide_login(address, oidc=True) is Login.OIDC
 
 
 @pytest.mark.parametrize(
-    ("account", "password", "message"),
+    ("headers", "admitted"),
     [
-        ("anna", "123456789", "has 9 characters; use at least 10"),
-        ("anna:ben", WORDS, "cannot be an account's name"),
-        ("", WORDS, "cannot be an account's name"),
-        ("a\nb", WORDS, "cannot be an account's name"),
+        ({"host": "127.0.0.1:8501"}, True),
+        ({"host": "localhost:8501", "origin": "http://localhost:8501"}, True),
+        ({"host": "[::1]:8501"}, True),
+        ({"host": "evil.example:8501"}, False),  # a name that was rebound to this machine
+        ({"host": "localhost:8501", "origin": "https://evil.example"}, False),
+        ({"host": "localhost:8501", "origin": "null"}, False),
+        ({}, False),
     ],
 )
-def test_unusable_names_and_passwords_are_refused(
-    account: str, password: str, message: str, tmp_path: Path
+def test_without_a_login_only_loopback_names_are_admitted(
+    headers: dict[str, str], admitted: bool
 ) -> None:
-    with pytest.raises(AccessError, match=message):
-        set_password(tmp_path / "accounts", account, password)
-    assert not (tmp_path / "accounts").exists()
+    assert ask((Login.NONE, ""), **headers)[0] is admitted
+    reached, sent = ask((Login.NONE, ""), kind="websocket", **headers)
+    assert reached is admitted
+    assert admitted or sent == [{"type": "websocket.close", "code": 1008}]
 
 
-@pytest.mark.parametrize("text", ["anna", "anna:secret", "anna:$argon2id$v=19$x", "a b c"])
-def test_a_file_of_anything_else_is_named(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "accounts"
-    path.touch(mode=0o600)
-    assert read_accounts(path) == {}
-    path.write_text(text)
-    with pytest.raises(AccessError, match="accounts: is not a list of accounts"):
-        read_accounts(path)
-    with pytest.raises(AccessError, match="accounts: is not a list of accounts"):
-        set_password(path, "anna", WORDS)
+def test_the_link_sets_a_cookie_that_admits() -> None:
+    guard = Login.TOKEN, TOKEN
+    reached, sent = ask(guard, "/capture", query=f"token={TOKEN}&row=3", host="house:8501")
+    assert not reached
+    answer = {name.decode(): value.decode() for name, value in sent[0]["headers"]}
+    assert (sent[0]["status"], answer["location"]) == (303, "/capture?row=3")
+    assert "HttpOnly" in answer["set-cookie"]
+    cookie = answer["set-cookie"].split(";")[0]
+    assert ask(guard, "/capture", host="house:8501", cookie=f"other=1; {cookie}")[0]
+    assert ask(guard, "/_stcore/stream", kind="websocket", cookie=cookie)[0]
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(AccessError, match="cannot be"):
-        set_password(tmp_path / "file" / "accounts", "anna", WORDS)
+@pytest.mark.parametrize("path", ["/", "/_stcore/health", "/_stcore/upload_file/eve/1"])
+@pytest.mark.parametrize("cookie", ["", f"{COOKIE}=wrong", f"{COOKIE}=", "=;"])
+def test_without_the_token_nothing_is_answered(path: str, cookie: str) -> None:
+    reached, sent = ask((Login.TOKEN, TOKEN), path, cookie=cookie, query="token=wrong")
+    assert not reached
+    assert sent[0]["status"] == 403
+    assert not ask((Login.TOKEN, TOKEN), path, kind="websocket", query=f"token={TOKEN}")[0]
+    assert not ask((Login.TOKEN, ""), path, cookie=f"{COOKIE}=", query="token=")[0]
 
 
-def test_a_variable_names_another_file() -> None:
-    assert accounts_file({"CUCUMBERVISION_ACCOUNTS_FILE": "/run/secret"}) == Path("/run/secret")
-    assert accounts_file({}).name == "dashboard-accounts"
+def test_the_token_leads_to_no_other_site() -> None:
+    _, sent = ask((Login.TOKEN, TOKEN), "//evil.example/x", query=f"token={TOKEN}")
+    assert dict(sent[0]["headers"])[b"location"] == b"/evil.example/x"
 
 
-def test_a_password_opens_its_own_account_only(accounts: dict[str, str]) -> None:
-    checker = PasswordChecker()
-    session = checker.log_in(accounts, " anna ", WORDS)
-    assert session is not None
-    assert session.account == "anna"
-    for account, password in (("anna", WORDS + " "), ("anna", ""), ("ben", WORDS), ("", "")):
-        assert checker.log_in(accounts, account, password) is None
+@pytest.mark.parametrize(
+    "path",
+    ["/_stcore/upload_file/eve/1", "/house/_stcore/upload_file/eve/1", "/_stcore/upload_file"],
+)
+def test_with_a_provider_a_stranger_sends_no_file(path: str) -> None:
+    reached, sent = ask((Login.OIDC, ""), path)
+    assert not reached
+    assert sent[0]["status"] == 403
 
 
-def test_a_session_ends_with_time_password_and_account(
-    accounts: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = 1_700_000_000.0
-    monkeypatch.setattr("time.monotonic", lambda: now)
-    session = PasswordChecker().log_in(accounts, "anna", WORDS)
-    assert session == Session("anna", accounts["anna"], now + SESSION_S)
-    assert session.holds(accounts)
-    set_password(tmp_path / "accounts", "anna", WORDS + "!")
-    assert not session.holds(read_accounts(tmp_path / "accounts"))
-    assert not session.holds({})
-    now += SESSION_S
-    assert not session.holds(accounts)
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """A clock that stands still until a test moves it."""
-    now = [1000.0]
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
-    return now
-
-
-def test_wrong_passwords_make_an_account_wait_ever_longer(
-    accounts: dict[str, str], clock: list[float]
-) -> None:
-    checker = PasswordChecker()
-    for seconds in (0, 0, 0, 1, 2, 4, 8, 16, 32, 60, 60):
-        if seconds:
-            clock[0] += seconds - 0.5
-            with pytest.raises(AccessError, match="wait 1 second and try again"):
-                checker.log_in(accounts, "anna", WORDS)  # not looked at, and lengthens nothing
-            clock[0] += 0.5
-        assert checker.log_in(accounts, "anna", "wrong") is None
-    with pytest.raises(AccessError, match="wait 60 seconds"):
-        checker.log_in(accounts, "anna", WORDS)
-    assert checker.log_in(accounts, "ben", WORDS) is None  # another account is not affected
-    clock[0] += 60
-    assert checker.log_in(accounts, "anna", WORDS) is not None  # clears the count
-    for _ in range(3):
-        assert checker.log_in(accounts, "anna", "wrong") is None
-
-
-def test_wrong_passwords_are_forgotten_after_a_while(
-    accounts: dict[str, str], clock: list[float]
-) -> None:
-    checker = PasswordChecker()
-    for _ in range(3):
-        assert checker.log_in(accounts, "anna", "wrong") is None
-        clock[0] += 15 * 60 + 1
-    for _ in range(3):
-        assert checker.log_in(accounts, "anna", "wrong") is None
-
-
-def test_invented_names_fill_no_memory(
-    accounts: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(access, "_verifies", lambda *_: False)
-    monkeypatch.setattr(access, "_MOST_NAMES", 50)
-    checker = PasswordChecker()
-    for number in range(80):
-        checker.log_in(accounts, f"nobody {number}", "wrong")
-    assert len(checker._wrong) == 50
-
-
-def test_many_attempts_at_once_gain_nothing(accounts: dict[str, str]) -> None:
-    checker, verified = PasswordChecker(), []
-
-    def guess() -> None:
-        with contextlib.suppress(AccessError):
-            verified.append(checker.log_in(accounts, "anna", "wrong"))
-
-    # All are counted before the first is verified, which takes long.
-    with checker._verifying:
-        threads = [threading.Thread(target=guess) for _ in range(30)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join(0.2)
-    for thread in threads:
-        thread.join()
-    assert 3 <= len(verified) <= 6
+def test_with_a_provider_a_viewer_sends_files_until_the_login_ends() -> None:
+    admitted = [True]
+    note_viewer("anna", lambda: admitted[0])
+    assert ask((Login.OIDC, ""), "/_stcore/upload_file/anna/1")[0]
+    admitted[0] = False
+    assert not ask((Login.OIDC, ""), "/_stcore/upload_file/anna/1")[0]
+    admitted[0] = True
+    note_viewer("anna", None)
+    assert not ask((Login.OIDC, ""), "/_stcore/upload_file/anna/1")[0]
+    assert ask((Login.OIDC, ""), "/_stcore/health")[0]
 
 
 def test_openid_connect_must_be_complete_and_admit_somebody(tmp_path: Path) -> None:
     path = tmp_path / "secrets.toml"
 
-    def read(text: str) -> access.OpenIdConnect | None:
+    def read(text: str) -> OpenIdConnect | None:
         path.write_text(text)
         return read_openid_connect((tmp_path / "none.toml", path))
 

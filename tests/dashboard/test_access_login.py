@@ -1,9 +1,8 @@
-"""The login of a real server, in a real browser: with accounts, and with an OpenID provider."""
+"""The login of a real server, in a real browser: by the token, and by an OpenID provider."""
 
 from __future__ import annotations
 
 import json
-import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,10 +19,7 @@ pytest.importorskip("playwright")
 from joserfc import jwt
 from joserfc.jwk import RSAKey
 
-from cucumbervision.dashboard.access import set_password
-
-WORDS = "a row of cucumbers"
-UUID = re.compile(rb"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
+TOKEN = "a-token-of-this-test-only"
 
 # One server and one browser, and no limit that a busy machine could reach.
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
@@ -32,113 +28,29 @@ NewPage = Callable[[], Any]
 StartServer = Callable[..., str]
 
 
-@pytest.fixture(scope="module")
-def accounts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("login") / "accounts"
-    for account in ("anna", "ben"):
-        set_password(path, account, WORDS)
-    return path
-
-
-@pytest.fixture(scope="module")
-def address(accounts: Path, start_server: StartServer) -> str:
-    """A server that requires a password."""
-    folder = accounts.parent
-    variables = {"CUCUMBERVISION_ACCOUNTS_FILE": str(accounts), "HOME": str(folder)}
-    return start_server(folder, "--login", "--store", str(folder / "house.db"), **variables)
-
-
-def log_in(page: Any, account: str, password: str) -> None:
-    page.get_by_label("Account").fill(account)
-    page.get_by_label("Password", exact=True).fill(password)
-    page.get_by_test_id("stFormSubmitButton").get_by_role("button").click()
-
-
 def links(page: Any) -> Any:
     """The links to the pages, which only who is logged in sees."""
     return page.get_by_test_id("stTopNavLink")
 
 
-def test_nothing_is_shown_without_the_password_and_all_with_it(
-    address: str, new_page: NewPage
+def test_only_the_link_with_the_token_opens_the_pages(
+    start_server: StartServer, new_page: NewPage, tmp_path: Path
 ) -> None:
+    variables = {"CUCUMBERVISION_TOKEN": TOKEN, "HOME": str(tmp_path)}
+    address = start_server(tmp_path, "--login", "--store", str(tmp_path / "house.db"), **variables)
     page = new_page()
-    for path in ("", "/capture", "/settings"):
-        page.goto(address + path)
-        page.get_by_label("Password", exact=True).wait_for()
-        assert links(page).count() == 0
-    log_in(page, "anna", "wrong password")
-    page.get_by_text("Account or password is wrong.").wait_for()
-    assert links(page).count() == 0
-    log_in(page, "anna", WORDS)
+    for path in ("", "/capture", "/_stcore/health", "/?token=wrong"):
+        assert page.goto(address + path).status == 403
+    form = {"file": {"name": "a.png", "mimeType": "image/png", "buffer": b"x"}}
+    upload = f"{address}/_stcore/upload_file/invented/1"
+    assert page.request.put(upload, multipart=form).status == 403
+    page.goto(f"{address}/settings?token={TOKEN}")
     links(page).first.wait_for()
-    page.get_by_role("button", name="Log out").click()
-    page.get_by_label("Password", exact=True).wait_for()
-    links(page).first.wait_for(state="hidden")
-    # Another viewer of the same server is not logged in by the first.
-    log_in(page, "anna", WORDS)
-    links(page).first.wait_for()
-    other = new_page()
-    other.goto(address)
-    other.get_by_label("Password", exact=True).wait_for()
-    assert links(other).count() == 0
-
-
-def test_an_account_waits_after_wrong_passwords(address: str, new_page: NewPage) -> None:
-    page = new_page()
+    assert "token" not in page.url
+    # The cookie admits this browser from now on, and no other.
     page.goto(address)
-    waits = page.get_by_text("too many wrong passwords")
-    for number in range(40):
-        log_in(page, "ben", f"wrong {number}")
-        page.wait_for_timeout(500)
-        if waits.count():
-            break
-    waits.wait_for()
-    assert links(page).count() == 0
-
-
-def test_only_who_is_inside_may_upload(address: str, new_page: NewPage) -> None:
-    page, sessions = new_page(), set[str]()
-
-    def note(frame: Any) -> None:
-        if isinstance(frame, bytes):
-            sessions.update(m.group().decode() for m in UUID.finditer(frame))
-
-    page.on("websocket", lambda socket: socket.on("framereceived", note))
-    page.goto(address)
-    page.get_by_label("Password", exact=True).wait_for()
-    assert sessions  # the page's own, which Streamlit tells it before any login
-
-    def statuses() -> set[int]:
-        form = {"file": {"name": "a.png", "mimeType": "image/png", "buffer": b"x"}}
-        places = (f"{address}/_stcore/upload_file/{one}/1" for one in (*sessions, "invented"))
-        return {page.request.put(place, multipart=form).status for place in places}
-
-    assert statuses() == {403}
-    log_in(page, "anna", WORDS)
     links(page).first.wait_for()
-    links(page).filter(has_text="Upload").click()
-    with page.expect_response(lambda answer: "upload_file" in answer.url) as sent:
-        page.locator("input[type=file]").first.set_input_files(
-            {"name": "a.png", "mimeType": "image/png", "buffer": b"x"}
-        )
-    assert sent.value.status < 300
-
-
-def test_an_open_page_closes_when_its_account_is_removed(
-    address: str, accounts: Path, new_page: NewPage
-) -> None:
-    set_password(accounts, "carla", WORDS)
-    page = new_page()
-    page.goto(address)
-    page.get_by_label("Password", exact=True).wait_for()
-    log_in(page, "carla", WORDS)
-    links(page).first.wait_for()
-    kept = [line for line in accounts.read_text().splitlines() if not line.startswith("carla:")]
-    accounts.write_text("\n".join(kept) + "\n")
-    # Nobody touches the page: it asks by itself.
-    page.get_by_label("Password", exact=True).wait_for()
-    links(page).first.wait_for(state="hidden")
+    assert new_page().goto(address).status == 403
 
 
 class Provider(BaseHTTPRequestHandler):

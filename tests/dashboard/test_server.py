@@ -1,43 +1,56 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("streamlit")
 
-from cucumbervision.dashboard.access import Login, configured_login, set_password
-from cucumbervision.dashboard.server import serve, server_arguments
+from cucumbervision.dashboard.server import LOGIN_VARIABLE, serve, server_arguments
 from cucumbervision.errors import AccessError, CucumberVisionError
+from cucumbervision.service.settings import TOKEN_VARIABLE
 
 
 @pytest.fixture(autouse=True)
-def accounts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A home without any login; the path of the accounts that may be made."""
+def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """A home without any login; what Streamlit was started with."""
+    commands: list[list[str]] = []
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("CUCUMBERVISION_ACCOUNTS_FILE", str(tmp_path / "accounts"))
-    monkeypatch.setenv("CUCUMBERVISION_LOGIN", "")
+    for name in (LOGIN_VARIABLE, TOKEN_VARIABLE):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
     monkeypatch.chdir(tmp_path)
-    return tmp_path / "accounts"
+    monkeypatch.setattr("streamlit.web.cli.main", lambda words, **_: commands.append(words))
+    return commands
 
 
-@pytest.mark.parametrize("address", ["0.0.0.0", "::", "192.168.1.5", "greenhouse.local", ""])
-def test_it_does_not_start_for_others_without_a_login(address: str, tmp_path: Path) -> None:
-    with pytest.raises(AccessError, match="no login is set up"):
-        serve(str(tmp_path / "house.db"), address=address, browser=False)
-    assert not (tmp_path / "house.db").exists()
-
-
-def test_a_login_that_is_required_must_be_set_up(
-    accounts: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.5", "greenhouse.local", "::"])
+def test_other_machines_need_the_random_token_of_the_link(
+    address: str, started: list[list[str]]
 ) -> None:
-    with pytest.raises(AccessError, match="none is set up"):
+    shown: list[str] = []
+    serve("house.db", address=address, browser=False, ready=shown.append)
+    place, _, token = shown[0].partition("/?token=")
+    assert len(token) >= 24
+    assert place.startswith("http://")
+    assert place.endswith(":8501")
+    assert len(started) == 1
+    os.environ.pop(TOKEN_VARIABLE)
+    serve("house.db", address=address, browser=False, ready=shown.append)
+    assert shown[1] != shown[0]
+
+
+def test_this_machine_needs_none_and_a_short_one_is_refused(
+    started: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[str] = []
+    serve("house.db", browser=False, ready=shown.append)
+    assert shown == ["http://127.0.0.1:8501"]
+    monkeypatch.setenv(TOKEN_VARIABLE, "short")
+    with pytest.raises(AccessError, match="the token has 5 characters"):
         serve("house.db", browser=False, login=True)
-    # The server's pages decide by the same variable.
-    set_password(accounts, "anna", "a row of cucumbers")
-    assert configured_login("127.0.0.1") is Login.PASSWORD
-    monkeypatch.setenv("CUCUMBERVISION_LOGIN", "")
-    assert configured_login("127.0.0.1") is Login.NONE
+    assert len(started) == 1
 
 
 def test_a_replay_that_does_not_exist_is_refused(tmp_path: Path) -> None:

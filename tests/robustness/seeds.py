@@ -393,13 +393,10 @@ def judgement(folder: Path) -> None:
 
 
 def settings(folder: Path) -> None:
-    """Write the dashboard's settings and its accounts."""
+    """Write the dashboard's settings and its login by OpenID Connect."""
     from cucumbervision.dashboard.settings import Settings, write_settings
 
     write_settings(Settings(unit="in"), folder / "house.settings.json")
-    entry = "$argon2id$v=19$m=65536,t=3,p=4$c29tZXNhbHRzb21l$" + "A" * 43
-    (folder / "accounts.txt").write_text(f"anna:{entry}\nbob:{entry}\n")
-    (folder / "accounts.txt").chmod(0o600)
     (folder / "secrets.toml").write_text(
         '[auth]\nredirect_uri = "https://a/b"\ncookie_secret = "s"\nclient_id = "c"\n'
         'client_secret = "d"\nserver_metadata_url = "https://p/x"\n'

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -202,20 +201,16 @@ def _judgement(folder: Path, _name: str) -> None:
 
 
 def _settings(folder: Path, name: str) -> None:
-    from cucumbervision.dashboard.access import read_accounts, read_openid_connect
+    from cucumbervision.dashboard.access import read_openid_connect
     from cucumbervision.dashboard.settings import read_settings
 
     def units() -> None:
         found = read_settings(folder / "house.settings.json")
         _ = found.units, found.rates, found.options
 
-    accounts, secrets = folder / "accounts.txt", folder / "secrets.toml"
-    with suppress(OSError):
-        accounts.chmod(0o600)
     reads: dict[str, Callable[[], object]] = {
         "house.settings.json": units,
-        "accounts.txt": partial(read_accounts, accounts),
-        "secrets.toml": partial(read_openid_connect, (secrets,)),
+        "secrets.toml": lambda: read_openid_connect((folder / "secrets.toml",)),
     }
     _those_of(reads, name)
 
@@ -321,7 +316,7 @@ TARGETS: tuple[Target, ...] = (
     Target("ONNX", seeds.network, _network, 300),
     Target("own networks", seeds.own_networks, _registry, 100),
     Target("judged networks", seeds.judgement, _judgement, 100, whole=False),
-    Target("settings, accounts", seeds.settings, _settings, 450),
+    Target("settings, login", seeds.settings, _settings, 450),
     Target("profiles, registry, audit", seeds.published, _published, 100),
     Target("COCO data sets", seeds.coco_set, _data_set, 100),
     Target("YOLO data sets", seeds.yolo_set, _data_set, 100),

@@ -48,13 +48,13 @@ app.command("record", epilog=EXIT_CODES)(record.record)
 app.command("cameras")(record.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(serve.serve)
+app.command("dashboard")(dashboard.dashboard)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
 for _edit in (round_edits.stops, round_edits.delete_stop, round_edits.delete, round_edits.restore):
     round.app.command()(_edit)
 round.app.command(epilog=EXIT_CODES)(round_edits.remeasure)
 _GROUPS = {
-    "dashboard": dashboard.app,
     "evaluate": evaluate.app,
     "models": models.app,
     "round": round.app,

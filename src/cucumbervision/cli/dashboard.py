@@ -1,4 +1,4 @@
-"""`cucumbervision dashboard`: the pages in a browser, and accounts for other machines."""
+"""`cucumbervision dashboard`: the pages in a browser,."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ import typer
 
 from cucumbervision.cli.choices import ListenOn, Port
 
-app = typer.Typer(help="Capture, look at and forecast rounds in a browser.")
 
-
-@app.callback(invoke_without_command=True)
 def dashboard(
-    context: typer.Context,
     store: Annotated[
         str | None,
         typer.Option(help="SQLite file or postgresql:// URL; your own file by default."),
@@ -36,16 +32,16 @@ def dashboard(
         bool,
         typer.Option(
             "--login",
-            help="Require a login on this machine too: behind a proxy that others reach.",
+            help="Require the token on this machine too: behind a proxy that others reach.",
         ),
     ] = False,
 ) -> None:
-    """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'."""
-    if context.invoked_subcommand is not None:
-        return
+    """Capture, look at and forecast rounds in a browser. Needs the extra 'dashboard'.
+
+    Other machines need the token in the link that is printed, or a login by OpenID Connect.
+    """
     from cucumbervision.dashboard.server import default_store, serve
 
-    typer.echo(f"The dashboard comes up at http://{address}:{port}; Ctrl-C ends it.", err=True)
     serve(
         store or default_store(),
         replay=replay,
@@ -54,20 +50,5 @@ def dashboard(
         port=port,
         browser=browser,
         login=login,
+        ready=lambda place: typer.echo(f"{place} (Ctrl-C ends)", err=True),
     )
-
-
-@app.command("set-password")
-def set_password(
-    account: Annotated[str, typer.Argument(help="Name of the account.", metavar="ACCOUNT")],
-) -> None:
-    """Set an account's password for viewers on other machines; only its argon2 hash is stored."""
-    from cucumbervision.dashboard.server import require_extra
-
-    require_extra()
-    from cucumbervision.dashboard import access
-
-    password = typer.prompt("Password", hide_input=True, confirmation_prompt=True)
-    path = access.accounts_file()
-    access.set_password(path, account, password)
-    typer.echo(f"The accounts are in {path}; to remove one, delete its line")

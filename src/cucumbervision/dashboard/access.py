@@ -1,48 +1,31 @@
-"""Who may open the dashboard: anyone on this machine, nobody from elsewhere without a login.
+"""Who may open the dashboard: anyone on this machine; from elsewhere only with a login.
 
-Two ways to log in: accounts of the dashboard's own, with passwords that argon2-cffi hashes, or an
-OpenID Connect provider by Streamlit's `st.login` with a list of whom it may admit.
+Either the random token of the link that the program prints, as Jupyter has it, or an OpenID Connect
+provider by Streamlit's `st.login` with a list of whom it may admit.
 """
 
 from __future__ import annotations
 
-import math
-import os
-import re
-import secrets
-import threading
+import hmac
 import time
 import tomllib
-from collections import OrderedDict
-from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
+from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl, urlencode, urlsplit
 
-from argon2 import PasswordHasher, extract_parameters
-from argon2.exceptions import InvalidHashError, VerificationError
-
-from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.errors import AccessError
 from cucumbervision.service.settings import is_loopback
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 
 SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
-_SHORTEST = 10  # characters of a password
-_FREE_ATTEMPTS = 3  # wrong passwords in a row before the first delay
-_LONGEST_DELAY_S = 60.0
-_FORGOTTEN_S = 15 * 60.0  # after this time without one, wrong passwords no longer count
-_MOST_NAMES = 10_000  # of accounts, real or invented, whose wrong passwords are remembered
-_ACCOUNTS_VARIABLE = "CUCUMBERVISION_ACCOUNTS_FILE"
-_SET_UP = (
-    "run `cucumbervision dashboard set-password NAME`, or set up [auth] in Streamlit's secrets.toml"
-)
-_HASHER = PasswordHasher()  # argon2id with the parameters of RFC 9106 for 64 MiB
-_ACCOUNT = re.compile(r"[\w.@-]{1,64}")
+COOKIE = "cucumbervision_token"
+_UPLOAD = "/_stcore/upload_file"
+_MOST_VIEWERS = 10_000  # sessions that are remembered
 _OIDC_SHARED = ("redirect_uri", "cookie_secret")
 _OIDC_PROVIDER = ("client_id", "client_secret", "server_metadata_url")
 
@@ -52,67 +35,29 @@ class Login(StrEnum):
 
     NONE = "none"
     OIDC = "oidc"
-    PASSWORD = "password"
+    TOKEN = "token"
 
 
-def decide_login(address: str, *, oidc: bool, accounts: bool, always: bool = False) -> Login:
+def decide_login(address: str, *, oidc: bool, always: bool = False) -> Login:
     """Return how viewers of a server log in.
 
     Parameters
     ----------
     address : str
         What the server binds to.
-    oidc, accounts : bool
-        Whether OpenID Connect is set up, and whether there are accounts with passwords.
+    oidc : bool
+        Whether OpenID Connect is set up.
     always : bool
         Require a login on this machine too: for a server behind a proxy that others reach.
 
-    Raises
-    ------
-    AccessError
-        If a login is required and none is set up.
-
     Examples
     --------
-    >>> decide_login("localhost", oidc=False, accounts=True)
-    <Login.NONE: 'none'>
-    >>> decide_login("0.0.0.0", oidc=False, accounts=True)
-    <Login.PASSWORD: 'password'>
-    >>> decide_login("0.0.0.0", oidc=False, accounts=False)
-    Traceback (most recent call last):
-    ...
-    cucumbervision.errors.AccessError: 0.0.0.0: other machines can reach this address, and no login
-    is set up; run `cucumbervision dashboard set-password NAME`, ...
+    >>> decide_login("localhost", oidc=False), decide_login("0.0.0.0", oidc=False)
+    (<Login.NONE: 'none'>, <Login.TOKEN: 'token'>)
     """
     if is_loopback(address) and not always:
         return Login.NONE
-    if oidc:
-        return Login.OIDC
-    if accounts:
-        return Login.PASSWORD
-    if is_loopback(address):
-        raise AccessError("--login requires a login, and none is set up", remedy=_SET_UP)
-    raise AccessError(
-        "other machines can reach this address, and no login is set up",
-        source=address or "all addresses",
-        remedy=f"{_SET_UP}, or bind to 127.0.0.1",
-    )
-
-
-def configured_login(address: str) -> Login:
-    """Return how viewers of a server at this address log in, by this machine's configuration.
-
-    Raises
-    ------
-    AccessError
-        If a login is required and none is set up, or its files cannot be used.
-    """
-    return decide_login(
-        address,
-        oidc=read_openid_connect() is not None,
-        accounts=bool(read_accounts(accounts_file())),
-        always=bool(os.environ.get(LOGIN_VARIABLE)),
-    )
+    return Login.OIDC if oidc else Login.TOKEN
 
 
 @dataclass(frozen=True)
@@ -203,194 +148,107 @@ def read_openid_connect(files: tuple[Path, ...] | None = None) -> OpenIdConnect 
     return OpenIdConnect(tuple(named), frozenset(names))
 
 
-def accounts_file(environment: Mapping[str, str] | None = None) -> Path:
-    """Return the path of the file that holds the accounts' password hashes.
-
-    `CUCUMBERVISION_ACCOUNTS_FILE` names another than the user's own, as for a mounted secret.
-    """
-    named = (os.environ if environment is None else environment).get(_ACCOUNTS_VARIABLE)
-    if named:
-        return Path(named)
-    from platformdirs import user_config_path
-
-    return user_config_path("cucumbervision", appauthor=False) / "dashboard-accounts"
+_viewers: dict[str, Callable[[], bool]] = {}
 
 
-def read_accounts(path: Path) -> dict[str, str]:
-    """Return the password hash of each account; empty where there is no file.
-
-    Raises
-    ------
-    AccessError
-        If other users of this machine can read or write the file, or a line is not 'name:hash'.
-    """
-    try:
-        mode = path.stat().st_mode
-        lines = path.read_text(encoding="utf-8", errors="replace").split()
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise AccessError(
-            f"cannot be read ({error.strerror})", source=path, remedy="check its permissions"
-        ) from None
-    if os.name == "posix" and mode & 0o077:
-        raise AccessError(
-            "others on this machine can read or write it", source=path, remedy=f"chmod 600 {path}"
-        )
-    accounts = dict(line.split(":", 1) for line in lines if ":" in line)
-    try:
-        for password_hash in accounts.values():
-            extract_parameters(password_hash)
-    except InvalidHashError:
-        accounts = {}
-    if len(accounts) < len(lines):
-        raise AccessError(
-            "is not a list of accounts with argon2 hashes",
-            source=path,
-            remedy="delete it and run `cucumbervision dashboard set-password NAME`",
-        )
-    return accounts
-
-
-def set_password(path: Path, account: str, password: str) -> None:
-    """Write an account's new password hash into the file, readable by its owner only.
+def note_viewer(session: str, is_admitted: Callable[[], bool] | None) -> None:
+    """Note who is behind a page, for the uploads of that page.
 
     Parameters
     ----------
-    path : Path
-        As `accounts_file` gives it; made where it is missing, replaced in one step.
-    account : str
-        1 to 64 letters, digits, '.', '-', '_' and '@'.
-    password : str
-        At least `_SHORTEST` characters.
-
-    Raises
-    ------
-    AccessError
-        If name or password does not serve, or the file cannot be read or written.
+    session : str
+        Streamlit's identifier of the page's session.
+    is_admitted : callable, optional
+        Whether the viewer is still logged in, asked at each upload; None for one who is not.
     """
-    if not _ACCOUNT.fullmatch(account):
-        raise AccessError(
-            f"{account[:64]!r} cannot be an account's name", remedy="use letters and digits"
-        )
-    if len(password) < _SHORTEST:
-        raise AccessError(
-            f"the password has {len(password)} characters",
-            remedy=f"use at least {_SHORTEST}, for example four words",
-        )
-    accounts = read_accounts(path) | {account: _HASHER.hash(password)}
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:  # noqa: PTH123
-            stream.writelines(f"{name}:{kept}\n" for name, kept in accounts.items())
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise AccessError(
-            f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"
-        ) from None
+    _viewers.pop(session, None)
+    if is_admitted is not None:
+        _viewers[session] = is_admitted
+    while len(_viewers) > _MOST_VIEWERS:
+        del _viewers[next(iter(_viewers))]
 
 
-@dataclass(frozen=True)
-class Session:
-    """A viewer who logged in with a password.
+class AccessGuard:
+    """ASGI middleware that refuses strangers before Streamlit sees their request.
 
-    It ends after `SESSION_S`, by a clock that nobody can set back, and when the account's password
-    changes or the account is removed.
+    - Without a login only requests to a loopback name, from pages of such a name, are admitted: a
+      page of another site, or a name that was rebound to this machine, operates nothing.
+    - With a token, a request needs it in its cookie; the link `?token=…` sets the cookie.
+    - With OpenID Connect, Streamlit's pages ask for the login; here only uploads of sessions that
+      are not logged in are refused, since Streamlit takes files from every session.
+
+    Parameters
+    ----------
+    app : callable
+        The ASGI application.
+    login : Login
+        How viewers log in.
+    token : str
+        The token, where that is how.
     """
 
-    account: str
-    password_hash: str
-    until_s: float
+    def __init__(
+        self, app: Callable[..., Awaitable[None]], login: Login = Login.NONE, token: str = ""
+    ) -> None:
+        self._app, self._login, self._token = app, login, token
 
-    def holds(self, accounts: Mapping[str, str]) -> bool:
-        """Return whether the session still holds, given the accounts that there are now."""
-        return time.monotonic() < self.until_s and accounts.get(self.account) == self.password_hash
+    async def __call__(
+        self, scope: MutableMapping[str, Any], receive: Callable[..., Any], send: Callable[..., Any]
+    ) -> None:
+        """Pass a request on, redirect it, or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
+        query = dict(parse_qsl(scope.get("query_string", b"").decode("latin-1")))
+        is_link = scope.get("method") == "GET" and self._is_token(query.pop("token", ""))
+        if self._login is Login.TOKEN and is_link:
+            await self._redirect(scope["path"], query, send)
+        elif self._admits(scope["path"], headers):
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await _answer(send, 403, self._refusal, {})
 
+    def _admits(self, path: str, headers: Mapping[str, str]) -> bool:
+        if self._login is Login.TOKEN:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+            return cookie is not None and self._is_token(cookie.value)
+        if self._login is Login.OIDC:
+            _, found, rest = path.partition(_UPLOAD)
+            is_admitted = _viewers.get(rest.strip("/").split("/")[0])
+            return not found or (is_admitted is not None and is_admitted())
+        origin = headers.get("origin")
+        names = [headers.get("host", ""), *([] if origin is None else [urlsplit(origin).netloc])]
+        return all(is_loopback(urlsplit(f"//{name}").hostname or "?") for name in names)
 
-class PasswordChecker:
-    """Checks passwords for the whole server; any number of threads may use it.
+    def _is_token(self, given: str) -> bool:
+        return bool(self._token) and hmac.compare_digest(given.encode(), self._token.encode())
 
-    After `_FREE_ATTEMPTS` wrong passwords in a row an account takes no other for 1 s, then for 2 s,
-    4 s and so on up to `_LONGEST_DELAY_S`, whoever tries. An attempt within that time is not looked
-    at and lengthens nothing, so that nobody can keep an account's owner out for long. The right
-    password clears the count.
+    @property
+    def _refusal(self) -> str:
+        if self._login is Login.TOKEN:
+            return "Open the link that the program printed at its start; it contains the token."
+        if self._login is Login.OIDC:
+            return "Log in first."
+        return "This dashboard is open on its own machine only, at http://localhost."
 
-    Examples
-    --------
-    >>> checker = PasswordChecker()
-    >>> accounts = {"anna": PasswordHasher().hash("correct horse battery")}
-    >>> checker.log_in(accounts, "anna", "wrong") is None
-    True
-    >>> checker.log_in(accounts, "anna", "correct horse battery").account
-    'anna'
-    """
-
-    def __init__(self) -> None:
-        self._wrong: OrderedDict[str, tuple[int, float]] = OrderedDict()
-        self._counting = threading.Lock()
-        self._verifying = threading.Lock()  # one at a time: each takes 64 MiB
-
-    def log_in(self, accounts: Mapping[str, str], account: str, password: str) -> Session | None:
-        """Return a session if the password is the account's, else None.
-
-        Raises
-        ------
-        AccessError
-            If the account waits after wrong passwords: this one is then not looked at.
-        """
-        account = account.strip()[:64]
-        self._count(account)
-        password_hash = accounts.get(account)
-        with self._verifying:
-            # An unknown account takes as long as a known one.
-            right = _verifies(password_hash or _hash_of_nothing(), password)
-        if not right or password_hash is None:
-            return None
-        with self._counting:
-            self._wrong.pop(account, None)
-        return Session(account, password_hash, time.monotonic() + SESSION_S)
-
-    def _count(self, account: str) -> None:
-        """Count an attempt before it is verified: many at once gain nothing."""
-        now = time.monotonic()
-        with self._counting:
-            wrong, last_s = self._wrong.pop(account, (0, now))
-            if now - last_s > _FORGOTTEN_S:
-                wrong = 0
-            left_s = last_s + delay_s(wrong) - now
-            self._wrong[account] = (wrong, last_s) if left_s > 0 else (wrong + 1, now)
-            while len(self._wrong) > _MOST_NAMES:
-                self._wrong.popitem(last=False)
-        if left_s > 0:
-            seconds = math.ceil(left_s)
-            raise AccessError(
-                "too many wrong passwords for this account",
-                remedy=f"wait {seconds} second{'s' * (seconds > 1)} and try again",
-            )
+    async def _redirect(
+        self, path: str, query: Mapping[str, str], send: Callable[..., Any]
+    ) -> None:
+        """Put the token into a cookie, and take it out of the address."""
+        place = f"/{path.lstrip('/')}" + (f"?{urlencode(query)}" if query else "")
+        cookie = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Lax"
+        await _answer(send, 303, "", {"location": place, "set-cookie": cookie})
 
 
-def delay_s(wrong: int) -> float:
-    """Return how long an account waits after this many wrong passwords in a row, seconds.
-
-    Examples
-    --------
-    >>> [delay_s(wrong) for wrong in (0, 3, 4, 5, 6, 9, 10, 1000)]
-    [0.0, 1.0, 2.0, 4.0, 8.0, 60.0, 60.0, 60.0]
-    """
-    if wrong < _FREE_ATTEMPTS:
-        return 0.0
-    return min(2.0 ** min(wrong - _FREE_ATTEMPTS, 30), _LONGEST_DELAY_S)
-
-
-def _verifies(password_hash: str, password: str) -> bool:
-    with suppress(VerificationError):
-        return _HASHER.verify(password_hash, password)
-    return False
-
-
-@cache
-def _hash_of_nothing() -> str:
-    return _HASHER.hash(secrets.token_hex())
+async def _answer(
+    send: Callable[..., Any], status: int, text: str, headers: Mapping[str, str]
+) -> None:
+    every = {"content-type": "text/plain", "connection": "close", **headers}
+    head = [(name.encode(), value.encode()) for name, value in every.items()]
+    await send({"type": "http.response.start", "status": status, "headers": head})
+    await send({"type": "http.response.body", "body": text.encode()})

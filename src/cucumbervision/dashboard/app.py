@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import streamlit as st
@@ -10,17 +11,9 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.access import (
-    Login,
-    PasswordChecker,
-    Session,
-    accounts_file,
-    configured_login,
-    read_accounts,
-    read_openid_connect,
-)
+from cucumbervision.dashboard.access import Login, note_viewer, read_openid_connect
 from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.uploaders import note_viewer
+from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.dashboard.views import (
     accuracy,
     capture,
@@ -31,11 +24,9 @@ from cucumbervision.dashboard.views import (
     today,
     upload,
 )
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import AccessError, CucumberVisionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from streamlit.navigation.page import StreamlitPage
 
 # Streamlit forgets the input of a page that is left; these are kept for its return.
@@ -74,19 +65,19 @@ def main() -> None:
     st.set_page_config(page_title="CucumberVision", page_icon="🥒", layout="wide")
     st.html(_STYLE)
     try:
-        login = configured_login(st.get_option("server.address") or "")
-        inside = _is_inside(login)
+        login = _login()
+        admitted = _is_admitted(login)
         # Without a login too, so that each page's address leads to the form.
         pages = _pages()
         st.session_state["pages"] = {page.url_path or "today": page for page in pages}
-        chosen = st.navigation(pages, position="top" if inside else "hidden")
-        if inside:
+        chosen = st.navigation(pages, position="top" if admitted else "hidden")
+        if admitted:
             _draw_log_out(login)
             keep_inputs()
             page_elements.progress(resources.prepare())
             chosen.run()
         else:
-            _draw_login(login)
+            _draw_login()
     except CucumberVisionError as error:
         st.error(plain(error), icon=":material/error:")
     footer()
@@ -130,82 +121,61 @@ def footer() -> None:
     st.caption(f"CucumberVision {__version__} · {LICENCE} · {where}")
 
 
-def _is_inside(login: Login) -> bool:
-    """Return whether the viewer may see the pages; uploads are let in by the same answer."""
-    holds = _who(login)
-    inside = holds()
+def _login() -> Login:
+    """Return how viewers log in; `server.serve` has decided, and the guard enforces a token."""
+    try:
+        return Login(os.environ[LOGIN_VARIABLE])
+    except KeyError:
+        raise AccessError(
+            "the pages run without their guard", remedy="start them with `cucumbervision dashboard`"
+        ) from None
+
+
+def _is_admitted(login: Login) -> bool:
+    """Return whether the viewer may see the pages; uploads are admitted by the same answer."""
+    if login is not Login.OIDC:
+        return True
+    logged_in, claims = bool(st.user.is_logged_in), st.user.to_dict()
+
+    def is_admitted() -> bool:  # at any later time and in any thread
+        oidc = read_openid_connect()
+        return logged_in and oidc is not None and oidc.admits(claims)
+
+    admitted = is_admitted()
     context = get_script_run_ctx()
     if context is not None:
-        note_viewer(context.session_id, holds if inside else None)
-    return inside
+        note_viewer(context.session_id, is_admitted if admitted else None)
+    return admitted
 
 
-def _who(login: Login) -> Callable[[], bool]:
-    """Return what says whether the viewer is inside, at any later time and in any thread."""
-    if login is Login.PASSWORD:
-        session: Session | None = st.session_state.get("session")
-        return lambda: session is not None and session.holds(read_accounts(accounts_file()))
-    if login is Login.OIDC:
-        logged_in, claims = bool(st.user.is_logged_in), st.user.to_dict()
-
-        def admitted() -> bool:
-            oidc = read_openid_connect()
-            return logged_in and oidc is not None and oidc.admits(claims)
-
-        return admitted
-    return lambda: True
-
-
-def _draw_login(login: Login) -> None:
+def _draw_login() -> None:
     oidc = read_openid_connect()
-    if login is Login.PASSWORD or oidc is None:
-        _draw_password_form()
-    elif st.user.is_logged_in:
+    if st.user.is_logged_in:
         name = plain(st.user.get("email") or st.user.get("sub"))
         st.error(
             f"The login as {name} is not admitted, or older than 12 hours.",
             icon=":material/lock:",
         )
         st.button("Log out", icon=":material/logout:", on_click=st.logout)
-    else:
-        for name in oidc.providers or ("",):
-            st.button(
-                f"Log in with {name}" if name else "Log in",
-                type="primary",
-                on_click=st.login,
-                args=(name,) if name else (),
-            )
-
-
-@st.cache_resource(show_spinner=False)
-def _checker() -> PasswordChecker:
-    return PasswordChecker()
-
-
-def _draw_password_form() -> None:
-    with st.form("login"):
-        account = st.text_input("Account", autocomplete="username")
-        password = st.text_input("Password", type="password", autocomplete="current-password")
-        if not st.form_submit_button("Log in", type="primary"):
-            return
-        session = _checker().log_in(read_accounts(accounts_file()), account, password)
-        if session is None:
-            st.error("Account or password is wrong.", icon=":material/lock:")
-        else:
-            st.session_state["session"] = session
-            st.rerun()
+        return
+    for name in (oidc and oidc.providers) or ("",):
+        st.button(
+            f"Log in with {name}" if name else "Log in",
+            type="primary",
+            on_click=st.login,
+            args=(name,) if name else (),
+        )
 
 
 def _draw_log_out(login: Login) -> None:
-    if login is Login.NONE:
+    if login is not Login.OIDC:
         return
-    leave = st.logout if login is Login.OIDC else st.session_state.clear
-    st.button("Log out", icon=":material/logout:", on_click=leave)
+    st.button("Log out", icon=":material/logout:", on_click=st.logout)
 
     @st.fragment(run_every=_SESSION_CHECK_S)
     def _end_with_session() -> None:
         """Leave a page that stays open, such as the camera's, when the session ends."""
-        if not _is_inside(login):
+        if not _is_admitted(login):
             st.rerun()
 
     _end_with_session()

@@ -67,11 +67,9 @@ def store() -> Store:
 
 
 def _who() -> str:
-    """Return the account that is logged in here; 'dashboard' where nobody has to log in."""
+    """Return who is logged in by OpenID Connect; 'dashboard' without that."""
     if get_script_run_ctx(suppress_warning=True) is None:  # a job of the worker
         return "dashboard"
-    if (session := st.session_state.get("session")) is not None:
-        return str(session.account)
     return str(st.user.get("email") or st.user.get("sub") or "dashboard")
 
 

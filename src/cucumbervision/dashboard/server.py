@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import secrets
+import socket
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.service.settings import TOKEN_VARIABLE, check_access
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"
@@ -29,10 +33,9 @@ def default_store() -> str:
 
 
 def require_extra() -> None:
-    """Raise MissingExtraError if a package of the extra 'dashboard' is not installed."""
-    for package in ("streamlit", "argon2"):
-        if find_spec(package) is None:
-            raise MissingExtraError(package, "dashboard")
+    """Raise MissingExtraError if the extra 'dashboard' is not installed."""
+    if find_spec("streamlit") is None:
+        raise MissingExtraError("streamlit", "dashboard")
 
 
 def server_arguments(address: str, port: int, *, browser: bool) -> list[str]:
@@ -78,6 +81,7 @@ def serve(
     port: int = 8501,
     browser: bool = True,
     login: bool = False,
+    ready: Callable[[str], None] | None = None,
 ) -> None:
     """Serve the dashboard until it is interrupted.
 
@@ -97,26 +101,41 @@ def serve(
         Open a browser on this machine.
     login : bool
         Require a login on this machine too: for a proxy on it that others reach.
+    ready : callable, optional
+        Called with the address to open, which contains the token where one is needed.
 
     Raises
     ------
     MissingExtraError
         If the extra 'dashboard' is not installed.
     AccessError
-        If a login is required (the address can be reached from other machines, or `login`), and
-        none is set up.
+        If OpenID Connect is set up incompletely, or the token of the environment is short.
     CucumberVisionError
         If the replay does not exist.
     """
     require_extra()
-    from cucumbervision.dashboard.access import configured_login
+    from cucumbervision.dashboard.access import Login, decide_login, read_openid_connect
 
-    os.environ.update({LOGIN_VARIABLE: "always"} if login else {})
-    configured_login(address)
+    how = decide_login(address, oidc=read_openid_connect() is not None, always=login)
+    os.environ[LOGIN_VARIABLE] = how.value
+    place = f"http://{_shown_host(address)}:{port}"
+    if how is Login.TOKEN:
+        token = os.environ.setdefault(TOKEN_VARIABLE, secrets.token_urlsafe(24))
+        check_access(address, token)
+        place += f"/?token={token}"
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
     given = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay, IMAGES_VARIABLE: images}
     os.environ.update({name: str(value) for name, value in given.items() if value})
+    if ready is not None:
+        ready(place)
     from streamlit.web import cli
 
     cli.main(server_arguments(address, port, browser=browser), standalone_mode=False)
+
+
+def _shown_host(address: str) -> str:
+    """Return what to open in a browser: of all addresses, this machine's name."""
+    if address in ("", "0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{address}]" if ":" in address else address

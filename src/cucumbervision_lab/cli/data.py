@@ -76,7 +76,7 @@ def convert(
     out: Annotated[Path, typer.Argument(help="New folder.", metavar="OUT")],
     to: Annotated[
         str,
-        typer.Option(help="coco (the hub form), yolo-seg, yolo-pose, yolo-detect or bop."),
+        typer.Option(help="coco (the hub form), yolo-seg, yolo-pose or yolo-detect."),
     ] = "coco",
     names: Names = "",
     keep: Annotated[
@@ -276,29 +276,6 @@ def from_store(
     screen().print(table)
     if made.without_picture:
         show(f"{made.without_picture} judged pictures were not kept in the store and are left out")
-
-
-@app.command()
-def card(
-    folder: Folder,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File to write; else to the screen.")
-    ] = None,
-    names: Names = "",
-    title: Annotated[str, typer.Option(help="The page's head.")] = "Data set",
-) -> None:
-    """Describe a set in Markdown: counts, sources, licences, sizes, how much is hidden."""
-    from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.datasets.card import dataset_card
-    from cucumbervision_lab.datasets.labels import write_text
-
-    dataset = _open(folder, names)
-    text = dataset_card(dataset, title)
-    if out is None:
-        show(text)
-    else:
-        write_text(out, text)
-    _finish(dataset)
 
 
 def _list(names: str) -> list[str]:

@@ -11,7 +11,6 @@ from cucumbervision.capture.files import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.mask_codes import Rle
-from cucumbervision_lab.datasets.bop import write_bop
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import SPLITS, keep_classes, ticked
 from cucumbervision_lab.datasets.yolo_writer import write_yolo
@@ -168,7 +167,7 @@ def _draw(
     return tuple(labels), faults
 
 
-_FORMS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect", "bop")
+_FORMS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect")
 
 _TASKS = {"yolo-seg": "segment", "yolo-pose": "pose", "yolo-detect": "detect"}
 
@@ -232,7 +231,7 @@ def convert_dataset(
     Raises
     ------
     DataSetError
-        If there is no such form, or what `write_coco`, `write_yolo` and `write_bop` raise.
+        If there is no such form, or what `write_coco` and `write_yolo` raise.
     """
     if form not in _FORMS:
         raise DataSetError(
@@ -251,9 +250,6 @@ def convert_dataset(
         written = write_coco(dataset, out, link=link, progress=progress)
         labels = sum(len(p.labels) for p in written.pictures)
         return f"{len(written.pictures)} pictures, {labels} labels in {out}"
-    if form == "bop":
-        scenes = write_bop(dataset, out, link=link, progress=progress)
-        return f"{len(dataset.pictures)} pictures in {len(scenes)} scenes in {out}"
     done = write_yolo(
         dataset,
         out,

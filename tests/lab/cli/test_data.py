@@ -67,13 +67,6 @@ def test_from_boxes_without_yaml_to_ultralytics(photos: Path, tmp_path: Path) ->
     assert result.exit_code == 0, result.output
     assert f"give Ultralytics {tmp_path / 'seg/data.yaml'}" in result.output
 
-    result = call("card", hub, "--title", "Bars", "--out", tmp_path / "card.md")
-    assert (result.exit_code, result.output) == (0, "")
-    text = (tmp_path / "card.md").read_text()
-    assert text.startswith("# Bars")
-    assert "| mine | 20 | 20 | 4 | 4 |" in text
-    assert call("card", hub).output.startswith("# Data set")
-
     result = call("merge", tmp_path / "all", hub, hub)
     assert result.exit_code == 0, result.output
     assert f"40 pictures of 2 sets are in {tmp_path / 'all'}" in result.output

@@ -121,9 +121,6 @@ def test_conversions_name_what_they_wrote(make_set: MakeSet, tmp_path: Path) -> 
     assert convert_dataset(dataset, tmp_path / "a", "coco") == (
         f"4 pictures, 6 labels in {tmp_path / 'a'}"
     )
-    assert convert_dataset(dataset, tmp_path / "b", "bop") == (
-        f"4 pictures in 3 scenes in {tmp_path / 'b'}"
-    )
     line = convert_dataset(dataset, tmp_path / "c", "yolo-seg", splits=("train", "val"))
     assert line.startswith("2 train, 1 val, 0 test, 5 labels")
     assert not (tmp_path / "c/images/test").exists()

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.lab.synthesis.sensor_statistics import noise_split
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.camera import Distortion, align_depth_to_color
@@ -12,7 +13,6 @@ from cucumbervision_lab.synthesis.depth_camera import D4xx, color_sources, sense
 from cucumbervision_lab.synthesis.leaves import Leaf
 from cucumbervision_lab.synthesis.raycast import Plane
 from cucumbervision_lab.synthesis.scene import Scene, render
-from cucumbervision_lab.synthesis.sensor_statistics import noise_split
 from cucumbervision_lab.synthesis.stereo_matching import Matcher
 
 COLOR = Intrinsics(640, 360, 462.0, 462.0, 320.0, 180.0)

@@ -4,13 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.readers import open_source
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.raycast import Plane
-from cucumbervision_lab.synthesis.scene import Scene
-from cucumbervision_lab.synthesis.sensor_statistics import (
+from tests.lab.synthesis.sensor_statistics import (
     edge_profile,
     fill_inside,
     noise_split,
@@ -18,6 +12,12 @@ from cucumbervision_lab.synthesis.sensor_statistics import (
     residual_at,
     surface_residual,
 )
+
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.readers import open_source
+from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
+from cucumbervision_lab.synthesis.raycast import Plane
+from cucumbervision_lab.synthesis.scene import Scene
 
 
 def test_white_noise_on_a_slant_is_found_again() -> None:

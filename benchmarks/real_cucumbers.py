@@ -1,6 +1,6 @@
 """Real cucumbers before a real D435: every method against lengths read off a ruler and a grid.
 
-    python benchmarks/real_cucumbers.py FOLDER [--segmenter none] [--out PLOT.png]
+    python benchmarks/real_cucumbers.py FOLDER [--segmenter none] [--calibration FILE] [--out PNG]
 
 FOLDER holds `beside_ruler/`, `on_grid/` and `intrinsics.json`. 26 colour pictures show 28 marked
 fruit; `real_cucumbers.json` holds what was marked in them, twice, without depth and before anything
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement
 
 MARKED = Path(__file__).with_suffix(".json")
@@ -87,6 +88,7 @@ class Compared:
     truth: Truth
     fruit: FruitMeasurement | None
     scale: float
+    intrinsics: Intrinsics
 
     def read_cm(self, method: Method | None) -> float | None:
         """Return a method's own raw length, or what is reported without one."""
@@ -104,8 +106,8 @@ class Compared:
             return None
         axis, camera = self.truth.passes[0].axis_cm, self.truth.camera
         ends = np.array([fit.traits.axis_m[0], fit.traits.axis_m[-1]])
-        pixels = (ends / ends[:, 2:]) @ camera.matrix.T
-        hits = level_hits(camera, camera.rays(pixels[:, :2]), float(axis[0, 2]))
+        pixels = self.intrinsics.project(ends)
+        hits = level_hits(camera, camera.rays(pixels), float(axis[0, 2]))
         tips, inner = axis[[0, -1]], axis[[40, -41]]
         if np.linalg.norm(hits[0] - tips[0]) > np.linalg.norm(hits[1] - tips[0]):
             hits = hits[::-1]
@@ -114,13 +116,13 @@ class Compared:
         return float(first), float(second)
 
     def camera_percent(self) -> float:
-        """Return the error of depth's scale and of the lens, which the intrinsics leave out."""
+        """Return the error of depth's scale and of the lens, that the intrinsics leave out."""
         camera, axis = self.truth.camera, self.truth.passes[0].axis_cm
         points = (axis - camera.centre) @ camera.rotation.T
         lens = camera.distortion
         seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)[0]
-        pixels = np.c_[np.asarray(seen).reshape(-1, 2), np.ones(len(points))]
-        read = pixels @ np.linalg.inv(camera.matrix).T * points[:, 2:] * self.scale
+        flat = self.intrinsics.rays(*np.asarray(seen).reshape(-1, 2).T)
+        read = np.column_stack([*flat, np.ones(len(points))]) * points[:, 2:] * self.scale
         lengths = [np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (read, points)]
         return float(100 * (lengths[0] / lengths[1] - 1))
 
@@ -158,7 +160,7 @@ def read_truth(matrix: NDArray[np.float64], file: Path = MARKED) -> list[Truth]:
 
 
 def depth_scale(capture: Capture, truths: list[Truth], covered: NDArray[np.bool_]) -> float:
-    """Return the distance of the plane by depth over that by its lines, beside the fruit."""
+    """Return the plane's distance by depth over that by its lines, beside the fruit."""
     camera = truths[0].camera
     around = np.vstack([one.passes[0].axis_cm[:, :2] for one in truths])
     columns, lines = np.meshgrid(np.arange(4, 1280, 8), np.arange(4, 720, 8))
@@ -175,14 +177,16 @@ def depth_scale(capture: Capture, truths: list[Truth], covered: NDArray[np.bool_
     return float(np.median(ratio[np.abs(ratio - 1) < 0.06]))
 
 
-def compare(folder: Path, segmenter: str | None) -> tuple[list[Compared], int]:
+def compare(
+    folder: Path, segmenter: str | None, calibration: Path | None = None
+) -> tuple[list[Compared], int]:
     """Measure all captures; return the marked fruit, and how many others were found."""
     camera = json.loads((folder / "intrinsics.json").read_text())
     matrix = np.array(
         [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1.0]]
     )
     truths, compared, others = read_truth(matrix), [], 0
-    measurer = Measurer(MeasureOptions(segmenter=segmenter))
+    measurer = Measurer(MeasureOptions(segmenter=segmenter, calibration=calibration))
     reading = ReadOptions(intrinsics=folder / "intrinsics.json")
     for capture in read_captures([folder / place for place in PLACES], reading):
         if isinstance(capture, Failure):
@@ -199,11 +203,12 @@ def compare(folder: Path, segmenter: str | None) -> tuple[list[Compared], int]:
                     max(top - 12, 0) : bottom + 12, max(left - 12, 0) : right + 12
                 ]
             )
-        scale, free = depth_scale(capture, here, covered), list(result.fruit)
+        scale, free = depth_scale(result.capture, here, covered), list(result.fruit)
         for truth in here:
             column, line = np.rint(truth.middle_px).astype(int)
             hit = [f for f in free if f.mask is not None and f.mask[line, column]]
-            compared.append(Compared(truth, hit[0] if hit else None, scale))
+            found = hit[0] if hit else None
+            compared.append(Compared(truth, found, scale, result.capture.intrinsics))
             free = [f for f in free if f not in hit[:1]]
         others += len(free)
     return compared, others
@@ -338,9 +343,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--segmenter", help="as `measure --segmenter`")
+    parser.add_argument("--calibration", type=Path, help="as `measure --calibration`")
     parser.add_argument("--out", type=Path, help="PNG of the errors")
     given = parser.parse_args()
-    compared, others = compare(given.folder, given.segmenter)
+    compared, others = compare(given.folder, given.segmenter, given.calibration)
     console = Console(width=170, highlight=False)
     console.print(fruit_table(compared))
     console.print(methods_table(compared))

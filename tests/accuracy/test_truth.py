@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.accuracy.truth import floor_of, read_bar_rows, read_truth
+from cucumbervision.accuracy.truth import floor_of, read_truth
 from cucumbervision.errors import TruthError
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -129,10 +129,3 @@ def test_bad_truth_is_refused_with_file_line_and_remedy(
         read_truth(path)
     assert str(path) in str(caught.value)
     assert caught.value.remedy
-
-
-def test_rows_of_the_bar(tmp_path: Path) -> None:
-    path = write(tmp_path, "capture;fruit", "a;2", "b;1")
-    assert read_bar_rows(path) == [(2, "a", 2), (3, "b", 1)]
-    with pytest.raises(TruthError, match="no columns capture and fruit"):
-        read_bar_rows(write(tmp_path, "name", "a"))

@@ -28,8 +28,7 @@ SITE = SiteCalibration(
         software="x", config_sha256="", selector="best", methods=["M3"], instances="auto"
     ),
     depth_scale=DepthScaleEntry(
-        value=1.01, standard_error=0.001, spread=0.002, captures=4, method="M3",
-        reference_length_m=0.5,
+        value=1.01, standard_error=0.001, spread=0.002, captures=4, spacing_m=0.01,
     ),
 )  # fmt: skip
 

@@ -10,9 +10,13 @@ import pytest
 
 from cucumbervision.accuracy.measured import Measured, read_measured
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.calibration.calibration_file import write_site_calibration
+from cucumbervision.calibration.calibration_file import (
+    DepthScaleEntry,
+    LensEntry,
+    write_site_calibration,
+)
 from cucumbervision.calibration.corrections import Form
-from cucumbervision.calibration.site_calibration import calibrate_depth, calibrate_lengths
+from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
@@ -62,17 +66,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def bars(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four captures of a bar of 0.3 m by a camera that reads 3 % too far."""
-    folder = tmp_path_factory.mktemp("bars")
-    for k, (spin, far) in enumerate([(0, 0.55), (40, 0.6), (85, 0.65), (20, 0.6)]):
-        more = {"far_m": far, "radius_m": 0.006, "scale": 1.03}
-        draw(folder / "captures", f"b{k}", 0.3, spin, **more)
-    measure_inputs([folder / "captures"], folder / "run", M3)
-    return folder
-
-
 def changed(run: Path, folder: Path, change: Any) -> Measured:
     report = json.loads((run / "measurements.json").read_text())
     change(report)
@@ -94,6 +87,7 @@ def test_a_site_is_calibrated_and_a_new_fruit_comes_out_right(site: Path, tmp_pa
     assert made.camera.serial == "841512"
     assert made.truth is not None
     assert made.truth.floor_mm == pytest.approx(0.5, abs=0.25)
+    assert made.measured_with is not None
     assert made.measured_with.methods == ["M3"]
     assert len(made.measured_with.config_sha256) == 64
     write_site_calibration(tmp_path / "house.json", made)
@@ -149,64 +143,26 @@ def test_without_a_camera_there_is_no_calibration(site: Path, tmp_path: Path) ->
         calibrate_lengths(read_measured(table), read_truth(site / "truth.csv"), "x")
 
 
-def test_a_bar_gives_the_depth_scale_and_the_scale_the_right_lengths(
-    bars: Path, tmp_path: Path
-) -> None:
-    made = calibrate_depth(read_measured(bars / "run"), 0.300, "cam")
-    scale = made.depth_scale
-    assert scale is not None
-    assert (scale.method, scale.captures) == ("M3", 4)
-    # The visible side of a bar of 6 mm radius ends at its rounded tips: a millimetre is missing.
-    assert scale.value == pytest.approx(1.03, abs=0.01)
-    # 0.7 px at both ends, 0.6 m away, f 460 px: 1.3 mm of 300.
-    assert scale.standard_error == pytest.approx(0.0043, abs=0.001)
-    path = tmp_path / "cam.json"
-    write_site_calibration(path, made)
-    draw(tmp_path / "new", "n", 0.3, 10.0, far_m=0.58, radius_m=0.006, scale=1.03, tilt_deg=8.0)
-    options = replace(M3, calibration=path)
-    (row,) = measure_inputs([tmp_path / "new"], tmp_path / "out", options).rows
-    assert row["length_cm"] == pytest.approx(30.0, rel=0.006)
-    assert (row["calibration"], row["raw_length_cm"]) == (made.tag, None)
+def test_what_a_run_was_measured_with_is_carried_on(site: Path, tmp_path: Path) -> None:
+    scale = DepthScaleEntry(
+        value=1.02, standard_error=0.002, spread=0.001, captures=3, spacing_m=0.01
+    )
+    lens = LensEntry(coefficients=(0.1, -0.2, 0.0, 0.0, 0.0), residual_px=0.5)
+    bare = calibrate_lengths(read_measured(site / "run"), read_truth(site / "truth.csv"), "x")
 
+    def calibrated(report: dict[str, Any]) -> None:
+        report["calibration"] = {
+            "tag": "x@1",
+            "depth_scale": scale.model_dump(),
+            "lens": lens.model_dump(),
+            "camera": bare.camera.model_dump(mode="json"),
+        }
+        for capture in report["captures"]:
+            capture["intrinsics"]["distortion"] = "brown_conrady"
+            capture["intrinsics"]["coefficients"] = list(lens.coefficients)
 
-def test_a_scale_is_carried_on_into_corrections_made_with_it(
-    site: Path, bars: Path, tmp_path: Path
-) -> None:
-    made = calibrate_depth(read_measured(bars / "run"), 0.3, "x").depth_scale
-    assert made is not None
-
-    def scaled(report: dict[str, Any]) -> None:
-        report["calibration"] = {"tag": "x@1", "depth_scale": made.model_dump()}
-
-    measured = changed(site / "run", tmp_path, scaled)
+    measured = changed(site / "run", tmp_path, calibrated)
     after = calibrate_lengths(measured, read_truth(site / "truth.csv"), "y")
-    assert after.depth_scale == made
-    assert after.measured_with.depth_scale == made.value
-    with pytest.raises(CalibrationError, match="already measured with a depth scale"):
-        calibrate_depth(measured, 0.2, "y")
-
-
-@pytest.mark.parametrize(
-    ("reference_m", "text"),
-    [
-        (30.0, "a bar of 30 m is none; give its length in metres"),
-        (0.2, r"1\.5.. times its length, which no depth scale is"),
-    ],
-)
-def test_a_wrong_reference_is_refused(bars: Path, reference_m: float, text: str) -> None:
-    with pytest.raises(CalibrationError, match=text):
-        calibrate_depth(read_measured(bars / "run"), reference_m, "x")
-
-
-def test_rows_that_are_no_bar_are_refused(site: Path, bars: Path, tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"scatter by .* of 'c\d\d' reads"):
-        calibrate_depth(read_measured(site / "run"), 0.2, "x")
-    rows = tmp_path / "rows.csv"
-    rows.write_text("capture,fruit\nb0,1\nb1,1\n")
-    with pytest.raises(CalibrationError, match="in 2 rows of 2 captures; give at least 3"):
-        calibrate_depth(read_measured(bars / "run"), 0.3, "x", rows)
-    rows.write_text("capture,fruit\nb0,1\nb9,1\n")
-    with pytest.raises(CalibrationError, match="line 3: fruit 1 of capture 'b9'"):
-        calibrate_depth(read_measured(bars / "run"), 0.3, "x", rows)
-    with pytest.raises(CalibrationError, match="M5 measured the bar in 0 rows"):
-        calibrate_depth(read_measured(bars / "run"), 0.3, "x", method="M5")
+    assert (after.depth_scale, after.lens, after.camera) == (scale, lens, bare.camera)
+    assert after.measured_with is not None
+    assert after.measured_with.depth_scale == 1.02

@@ -78,7 +78,7 @@ def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -
     [
         (("calibrate", "{run}", "--out", "{tmp}/a.json"), "nothing to calibrate with"),
         (("calibrate", "{tmp}", "{truth}", "--out", "{tmp}/a.json"), "holds no measurements"),
-        (("calibrate", "{run}", "--reference-length", "0.5", "--out", "{tmp}/a.json"), "rows of"),
+        (("calibrate", "{run}", "--grid", "10", "--out", "{tmp}/a.json"), "no captures that"),
         (("evaluate", "lengths", "{run}", "{tmp}/no.csv", "--out", "{tmp}"), "no.csv: cannot be"),
         (
             ("measure", "{run}", "--out", "{tmp}/o", "--calibration", "{tmp}/no.json"),

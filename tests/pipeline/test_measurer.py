@@ -66,8 +66,7 @@ def entry(
 
 def site(*entries: CorrectionEntry, scale: float | None = None, camera: Any = CAMERA) -> Any:
     depth = scale and DepthScaleEntry(
-        value=scale, standard_error=0.001, spread=0.0, captures=3, method="M3",
-        reference_length_m=0.5,
+        value=scale, standard_error=0.001, spread=0.0, captures=3, spacing_m=0.01,
     )  # fmt: skip
     return SiteCalibration(
         name="house", created="", software="", camera=CalibratedCamera.of(camera, "841"),

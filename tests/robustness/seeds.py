@@ -230,8 +230,7 @@ def calibration(folder: Path) -> None:
         standard_error=0.001,
         spread=0.002,
         captures=4,
-        method="M3",
-        reference_length_m=0.5,
+        spacing_m=0.01,
     )
     site = SiteCalibration(
         name="house-3",

@@ -104,11 +104,10 @@ def _instances(*names: str) -> Callable[[Path, str], None]:
 
 
 def _truth(folder: Path, name: str) -> None:
-    from cucumbervision.accuracy.truth import floor_of, read_bar_rows, read_truth
+    from cucumbervision.accuracy.truth import floor_of, read_truth
 
     def read(path: Path) -> None:
         floor_of(read_truth(path).lengths)
-        read_bar_rows(path)
 
     _those_of({p.name: partial(read, p) for p in sorted(folder.glob("*.csv"))}, name)
 

@@ -157,8 +157,7 @@ def test_a_calibration_holds_for_all_views_together(store: Store, tmp_path: Path
         standard_error=0.001,
         spread=0.002,
         captures=5,
-        method="bar",
-        reference_length_m=0.5,
+        spacing_m=0.01,
     )
     site = SiteCalibration(
         name="house",

@@ -249,28 +249,6 @@ def read_truth(path: Path) -> Truth:
     return Truth(path, lengths, "specimen" in table.columns, digest, tuple(unused))
 
 
-def read_bar_rows(path: Path) -> list[tuple[int, str, int]]:
-    """Read which rows of a run are the bar: line, capture and fruit; other columns do not count.
-
-    Raises
-    ------
-    TruthError
-        If a column is missing, or a fruit is no number.
-    """
-    table = read_table(path, TruthError)
-    if not {"capture", "fruit"} <= set(table.columns):
-        raise TruthError(
-            "has no columns capture and fruit", source=path, remedy="name the rows of the bar"
-        )
-    _require_lines(table, path)
-    rows = []
-    for line in table.lines:
-        fruit = _fruit(line, path)
-        if fruit is not None:
-            rows.append((line.number, line.cells["capture"], fruit))
-    return rows
-
-
 def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
     """Pool the spread of repeated measurements; None where nothing was measured twice.
 

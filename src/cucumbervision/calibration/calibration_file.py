@@ -126,14 +126,20 @@ class CorrectionEntry(_Frozen):
 
 
 class DepthScaleEntry(_Frozen):
-    """Ratio of what the camera reads to what is, from a bar of known length."""
+    """Ratio of what the camera reads to what is, from pictures of a printed grid."""
 
     value: float = Field(gt=0.5, lt=2)
     standard_error: float = Field(ge=0)
     spread: float
     captures: int
-    method: str
-    reference_length_m: float = Field(gt=0)
+    spacing_m: float = Field(gt=0)
+
+
+class LensEntry(_Frozen):
+    """The lens by the same grid: Brown-Conrady k1, k2, p1, p2, k3, and what remains of it."""
+
+    coefficients: tuple[float, float, float, float, float]
+    residual_px: float = Field(ge=0)
 
 
 class SiteCalibration(_Frozen):
@@ -157,9 +163,10 @@ class SiteCalibration(_Frozen):
     created: str
     software: str
     camera: CalibratedCamera
-    measured_with: MeasuredWith
+    measured_with: MeasuredWith | None = None
     truth: TruthUsed | None = None
     depth_scale: DepthScaleEntry | None = None
+    lens: LensEntry | None = None
     corrections: list[CorrectionEntry] = Field(default_factory=list)
     interval_basis: Literal["own truth"] = "own truth"
 

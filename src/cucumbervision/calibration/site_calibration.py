@@ -1,4 +1,4 @@
-"""A site's calibration from a run and hand-measured fruit, or from a bar of known length."""
+"""A site's calibration from a run and hand-measured fruit, or from pictures of a printed grid."""
 
 from __future__ import annotations
 
@@ -11,45 +11,45 @@ import numpy as np
 from cucumbervision._version import __version__
 from cucumbervision.accuracy.measured import REPORTED
 from cucumbervision.accuracy.own_truth import comparable, match_truth
-from cucumbervision.accuracy.truth import floor_of, read_bar_rows
+from cucumbervision.accuracy.truth import floor_of
 from cucumbervision.calibration.calibration_file import (
     CalibratedCamera,
     CorrectionEntry,
     DepthScaleEntry,
     IntervalEntry,
+    LensEntry,
     MeasuredWith,
     SiteCalibration,
     TruthUsed,
 )
 from cucumbervision.calibration.corrections import (
-    LEAST_CAPTURES,
     LEVEL,
     Fit,
     fit_correction,
-    fit_depth_scale,
 )
+from cucumbervision.calibration.grid import LEAST_CROSSINGS, fit_grid
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model
 from cucumbervision.errors import CalibrationError, refusing
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping, Sequence
 
     from cucumbervision.accuracy.measured import Measured, Reading
     from cucumbervision.accuracy.truth import TrueLength, Truth
+    from cucumbervision.capture.frames import Capture
 
-_BAR_METHODS = ("M6 chord", "M3")
 _WORST_SCALE = 0.10
-_WORST_SPREAD = 0.02
+_PLANE_ERROR = 0.002  # of the depth of a plane as a whole, whatever the number of pictures
 
 
 @dataclass(frozen=True)
 class _Run:
     camera: CalibratedCamera
-    measured_with: MeasuredWith
+    measured_with: MeasuredWith | None
     depth_scale: DepthScaleEntry | None
+    lens: LensEntry | None
 
 
 def calibrate_lengths(
@@ -73,7 +73,7 @@ def calibrate_lengths(
     Returns
     -------
     SiteCalibration
-        With the depth scale that the run itself was made with, so that one file carries both.
+        With the depth scale and the lens that the run itself was made with: one file carries all.
 
     Raises
     ------
@@ -109,67 +109,59 @@ def calibrate_lengths(
     return _site(name, run, truth=used, corrections=entries)
 
 
-def calibrate_depth(
-    measured: Measured,
-    reference_m: float,
-    name: str,
-    rows: Path | None = None,
-    method: str | None = None,
-) -> SiteCalibration:
-    """Compute the camera's depth scale from captures of a bar of known length.
+def calibrate_camera(captures: Iterable[Capture], spacing_m: float, name: str) -> SiteCalibration:
+    """Compute a camera's depth scale and lens distortion from pictures of a printed grid.
 
     Parameters
     ----------
-    measured : Measured
-        A run of `measure` over captures of the bar.
-    reference_m : float
-        Its length, metres.
+    captures : iterable of Capture
+        Of one camera; those without a grid are left out.
+    spacing_m : float
+        Distance between the grid's lines, metres.
     name : str
         What the calibration is called in rows.
-    rows : Path, optional
-        A table with columns capture and fruit that says which rows are the bar; without it every
-        row is.
-    method : str, optional
-        Whose length counts; M6's chord where every row has it, else M3.
 
     Raises
     ------
     CalibrationError
-        Below three captures of the bar, if its readings scatter by more than 2 %, or if the scale
-        would be more than 10 % off: no depth camera is, so the reference, the intrinsics or the
-        mask is wrong.
+        If the captures are of several cameras, no grid is found, or the depth scale would be more
+        than 10 % off: no depth camera is, so the spacing or the intrinsics are wrong.
     """
-    run = _run(measured)
-    if not 0.05 <= reference_m <= 3:
+    taken = list(captures)
+    cameras = [
+        CalibratedCamera.of(one.intrinsics, _serial({"provenance": one.provenance}))
+        for one in taken
+    ]
+    for capture, camera in zip(taken, cameras, strict=True):
+        different = cameras[0].difference(camera.intrinsics.intrinsics, camera.serial)
+        if different:
+            raise _other_camera(capture.name, different, capture.source)
+    fit = fit_grid(taken, spacing_m)
+    if fit is None:
         raise CalibrationError(
-            f"a bar of {reference_m:g} m is none",
-            source="--reference-length",
-            remedy="give its length in metres, such as 0.500",
+            f"no grid of {LEAST_CROSSINGS} crossings in {len(taken)} captures",
+            source="calibrate --grid",
+            remedy="show a flat square grid whose lines are 12 to 60 pixels apart",
         )
-    if run.depth_scale is not None:
+    scale, count = float(np.mean(fit.ratios)), len(fit.ratios)
+    if abs(scale - 1) > _WORST_SCALE:
         raise CalibrationError(
-            "was already measured with a depth scale",
-            source=measured.path,
-            remedy="measure the bar without --calibration",
+            f"depth reads {scale:.3f} times the distance of the grid, which no depth scale is",
+            source="calibrate --grid",
+            remedy="check the spacing of the lines (in millimetres) and the intrinsics",
         )
-    bar = _bar_readings(measured, rows)
-    method = method or _bar_method(bar, measured)
-    lengths = [(reading, reading.lengths_m.get(method)) for reading in bar]
-    known = [(reading, x) for reading, x in lengths if x and method not in reading.fell_back]
-    if len({reading.capture for reading, _ in known}) < max(LEAST_CAPTURES, len(known)):
-        raise CalibrationError(
-            f"{method} measured the bar in {len(known)} rows of "
-            f"{len({r.capture for r, _ in known})} captures",
-            source=measured.path,
-            remedy=f"give at least {LEAST_CAPTURES} captures with the bar in each once, or name "
-            "its rows in a table with columns capture and fruit",
-        )
-    pixels = [r.distance_m for r, _ in known if np.isfinite(r.distance_m)]
-    pixel_m = float(np.median(pixels)) / run.camera.intrinsics.fx if pixels else 0.0
-    found = fit_depth_scale([x for _, x in known], reference_m, pixel_m)
-    _require_plausible(found.value, found.spread, known, measured.path)
-    entry = DepthScaleEntry(**vars(found), method=method, reference_length_m=reference_m)
-    return _site(name, run, depth_scale=entry)
+    spread = float(fit.ratios.std(ddof=1)) if count > 1 else 0.0
+    entry = DepthScaleEntry(
+        value=scale,
+        standard_error=float(np.hypot(spread / np.sqrt(count), _PLANE_ERROR)),
+        spread=spread,
+        captures=count,
+        spacing_m=spacing_m,
+    )
+    k1, k2, p1, p2, k3 = fit.coefficients.tolist()
+    lens = LensEntry(coefficients=(k1, k2, p1, p2, k3), residual_px=fit.residual_px)
+    run = _Run(cameras[0], None, entry, lens)
+    return _site(name, run)
 
 
 def _site(name: str, run: _Run, **parts: Any) -> SiteCalibration:
@@ -194,18 +186,14 @@ def _run(measured: Measured) -> _Run:
 
 def _run_of(measured: Measured) -> _Run:
     captures = measured.report["captures"]
+    applied = measured.report.get("calibration") or {}
     cameras = [CalibratedCamera.of(_camera(c, measured), _serial(c)) for c in captures]
     first = next((camera for camera in cameras if camera.serial), cameras[0])
     for capture, camera in zip(captures, cameras, strict=True):
         different = first.difference(camera.intrinsics.intrinsics, camera.serial)
         if different:
-            raise CalibrationError(
-                f"capture '{capture['name']}' is of another camera than the first: {different}",
-                source=measured.path,
-                remedy="measure and calibrate each camera on its own",
-            )
+            raise _other_camera(capture["name"], different, str(measured.path))
     report, config = measured.report, measured.report.get("config", {})
-    applied = report.get("calibration") or {}
     scale = applied.get("depth_scale")
     measured_with = MeasuredWith(
         software=str(report.get("software", "")),
@@ -218,7 +206,20 @@ def _run_of(measured: Measured) -> _Run:
         depth_scale=scale["value"] if scale else 1.0,
     )
     depth = DepthScaleEntry.model_validate(scale) if scale else None
-    return _Run(first, measured_with, depth)
+    lens = applied.get("lens")
+    if lens is None:
+        return _Run(first, measured_with, depth, None)
+    # The run's captures carry the calibrated lens; a calibration names the camera without it.
+    bare = CalibratedCamera.model_validate(applied["camera"])
+    return _Run(bare, measured_with, depth, LensEntry.model_validate(lens))
+
+
+def _other_camera(capture: str, different: str, source: str) -> CalibrationError:
+    return CalibrationError(
+        f"capture '{capture}' is of another camera than the first: {different}",
+        source=source,
+        remedy="calibrate each camera on its own",
+    )
 
 
 def _camera(capture: dict[str, Any], measured: Measured) -> Any:
@@ -226,7 +227,7 @@ def _camera(capture: dict[str, Any], measured: Measured) -> Any:
     return parse_model(CameraModel, said, source=measured.path, error=CalibrationError).intrinsics
 
 
-def _serial(capture: dict[str, Any]) -> str | None:
+def _serial(capture: Mapping[str, Any]) -> str | None:
     serial = (capture.get("provenance") or {}).get("serial")
     return str(serial) if serial else None
 
@@ -269,50 +270,3 @@ def _interval(fit: Fit, level: float) -> IntervalEntry:
     else:
         reason = "a fruit left out of the fit came out negative"
     return IntervalEntry(level=level, half_width=width, reason=reason)
-
-
-def _bar_readings(measured: Measured, rows: Path | None) -> list[Reading]:
-    if rows is None:
-        return list(measured.readings)
-    readings = {(r.capture, r.fruit): r for r in measured.readings}
-    chosen = []
-    for line, capture, fruit in read_bar_rows(rows):
-        if (capture, fruit) not in readings:
-            raise CalibrationError(
-                f"line {line}: fruit {fruit} of capture '{capture}' is not among the measurements",
-                source=rows,
-                remedy="name rows of the run",
-            )
-        chosen.append(readings[capture, fruit])
-    return chosen
-
-
-def _bar_method(bar: Sequence[Reading], measured: Measured) -> str:
-    for method in _BAR_METHODS:
-        if all(reading.lengths_m.get(method) for reading in bar):
-            return method
-    raise CalibrationError(
-        f"neither {' nor '.join(_BAR_METHODS)} measured the bar in every capture",
-        source=measured.path,
-        remedy="measure with --methods all, or leave out captures where the bar has no mask",
-    )
-
-
-def _require_plausible(
-    scale: float, spread: float, known: Sequence[tuple[Reading, float]], path: Path
-) -> None:
-    middle = float(np.median([x for _, x in known]))
-    odd, length = max(known, key=lambda pair: abs(pair[1] - middle))
-    if spread > _WORST_SPREAD:
-        raise CalibrationError(
-            f"the bar's readings scatter by {100 * spread:.1f} %; fruit {odd.fruit} of "
-            f"'{odd.capture}' reads {length:.4f} m, the median is {middle:.4f} m",
-            source=path,
-            remedy="leave that capture out, or name the rows of the bar in a table",
-        )
-    if abs(scale - 1) > _WORST_SCALE:
-        raise CalibrationError(
-            f"the bar reads {scale:.3f} times its length, which no depth scale is",
-            source=path,
-            remedy="check --reference-length (in metres), the intrinsics and the bar's mask",
-        )

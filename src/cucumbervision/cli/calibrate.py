@@ -1,4 +1,4 @@
-"""`cucumbervision calibrate`: a site's correction from hand-measured fruit or a known bar."""
+"""`cucumbervision calibrate`: a site's correction from hand-measured fruit or a printed grid."""
 
 from __future__ import annotations
 
@@ -16,46 +16,54 @@ if TYPE_CHECKING:
 
 def calibrate(
     measurements: Annotated[
-        Path, typer.Argument(help="Folder of a `measure` run, or its measurements.json.")
+        Path,
+        typer.Argument(
+            help="Folder of a `measure` run, or its measurements.json; with --grid, captures."
+        ),
     ],
     truth: Annotated[
         Path | None,
-        typer.Argument(
-            help="CSV of hand-measured lengths, as for `evaluate lengths`; with "
-            "--reference-length, optionally, which rows are the bar (capture, fruit)."
-        ),
+        typer.Argument(help="CSV of hand-measured lengths, as for `evaluate lengths`."),
     ] = None,
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write (JSON).")],
     name: Annotated[
         str | None, typer.Option(help="What rows call it; the file's name without it.")
     ] = None,
-    reference_length: Annotated[
+    grid: Annotated[
         float | None,
-        typer.Option(help="Length in metres of a bar that the captures show: the depth scale."),
+        typer.Option(
+            min=1.0,
+            metavar="MM",
+            help="Millimetres between the lines of a flat square grid that the captures show: "
+            "depth scale and lens.",
+        ),
     ] = None,
-    method: Annotated[
-        str | None, typer.Option(help="Whose length of the bar counts: 'M6 chord', M3 …")
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="With --grid: camera file (JSON) of the colour stream.")
     ] = None,
     level: Annotated[float, typer.Option(min=0.5, max=0.99, help="Level of the intervals.")] = 0.90,
 ) -> None:
-    """Fit corrections to hand-measured fruit, or the depth scale to a bar of known length."""
+    """Fit corrections to hand-measured fruit, or depth scale and lens to a printed grid."""
     from cucumbervision.accuracy.measured import read_measured
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.calibration.calibration_file import write_site_calibration
-    from cucumbervision.calibration.site_calibration import calibrate_depth, calibrate_lengths
+    from cucumbervision.calibration.site_calibration import calibrate_camera, calibrate_lengths
+    from cucumbervision.capture.readers import open_source
+    from cucumbervision.capture.source import ReadOptions
     from cucumbervision.errors import CalibrationError
 
-    measured = read_measured(measurements)
-    if reference_length is not None:
-        site = calibrate_depth(measured, reference_length, name or out.stem, truth, method)
+    if grid is not None:
+        captures = (ref.load() for ref in open_source(measurements, ReadOptions(intrinsics)))
+        site = calibrate_camera(captures, grid / 1000, name or out.stem)
     elif truth is None:
         raise CalibrationError(
             "there is nothing to calibrate with",
             source="calibrate",
-            remedy="give a CSV of hand-measured lengths, or --reference-length in metres",
+            remedy="give a CSV of hand-measured lengths, or captures of a grid and --grid in mm",
         )
     else:
+        measured = read_measured(measurements)
         site = calibrate_lengths(measured, read_truth(truth), name or out.stem, level)
     write_site_calibration(out, site)
     _show(site, out)
@@ -69,8 +77,13 @@ def _show(site: SiteCalibration, out: Path) -> None:
         scale = site.depth_scale
         console.print(
             f"Depth scale {scale.value:.5f} ± {scale.standard_error:.5f} (standard error) from "
-            f"{scale.captures} captures of a bar of {scale.reference_length_m:g} m by "
-            f"{scale.method}; depth is divided by it.",
+            f"{scale.captures} captures of a grid; depth is divided by it.",
+            soft_wrap=True,
+        )
+    if site.lens is not None:
+        numbers = ", ".join(f"{one:.4f}" for one in site.lens.coefficients)
+        console.print(
+            f"Lens (k1, k2, p1, p2, k3): {numbers}; {site.lens.residual_px:.2f} px remain.",
             soft_wrap=True,
         )
     if site.corrections:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.calibration.corrections import Form, corrected
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.errors import CalibrationError, CaptureError, InternalError, named_error
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.result import (
@@ -386,10 +386,11 @@ def accepted_fruit(fruit: FruitMeasurement, limits_m: tuple[float, float]) -> Fr
 
 
 def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
-    """Return a capture with its depth divided by the calibrated depth scale.
+    """Return a capture with its depth divided by the calibrated depth scale, and its lens.
 
     Every length scales by 1 / scale: x = z (u - cx)/fx and y scale with the depth z as z itself
-    does. A depth gate in metres, such as M2's, keeps its width.
+    does. A depth gate in metres, such as M2's, keeps its width. The calibrated distortion takes
+    the place of the capture's own.
 
     Parameters
     ----------
@@ -413,7 +414,12 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
         )
     if site.depth_scale is None:
         return capture
-    return replace(capture, depth_m=capture.depth_m / np.float32(site.depth_divisor))
+    intrinsics = capture.intrinsics
+    if site.lens is not None:
+        kind, numbers = Distortion.BROWN_CONRADY, site.lens.coefficients
+        intrinsics = replace(intrinsics, distortion=kind, coefficients=numbers)
+    depth_m = capture.depth_m / np.float32(site.depth_divisor)
+    return replace(capture, depth_m=depth_m, intrinsics=intrinsics)
 
 
 def calibrated_fruit(
@@ -442,7 +448,7 @@ def calibrated_fruit(
     if site.depth_scale is not None:
         fruit = replace(fruit, calibration=site.tag)
     raw, method = fruit.length, fruit.method
-    if raw is None or method is None:
+    if raw is None or method is None or not site.corrections:
         return fruit
     entry = site.entry(calibration_key(method, raw.kind), definition)
     if entry is None:

@@ -81,6 +81,8 @@ def _as_read(store: Store, record: CaptureRecord, stop: StopRecord) -> Capture:
             site = SiteCalibration.model_validate(dict(one.details))
             depth_m = capture.depth_m * np.float32(site.depth_divisor)
             capture = replace(capture, depth_m=depth_m)
+            if site.lens is not None:
+                capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
     masks = [
         decode_rle(fruit.mask, capture.height, capture.width)
         for fruit in record.fruit

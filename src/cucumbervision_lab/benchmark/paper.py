@@ -62,7 +62,7 @@ NOTES = {
         "smooth field of 1.5 px RMS. For 'perceived' ones nothing is given: the detector finds the "
         "fruit, the pose network places its keypoints and MobileSAM draws it; a fruit that is not "
         "found counts as not measured. The depth scale is exact in all tables, as after `calibrate "
-        "--reference-length`; a camera that nobody calibrated adds its own.\n\n"
+        "--grid`; a camera that nobody calibrated adds its own.\n\n"
         "The oracle knows the tube and errs only by where the mask ends it: no method can be "
         "expected to do better."
     ),

@@ -1,0 +1,289 @@
+"""Depth scale and lens distortion of a camera, from pictures of a printed square grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+    from scipy.spatial import cKDTree
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+LEAST_CROSSINGS = 40
+_LINE_PX, _BLUR_PX, _NEIGHBOUR_PX = 13, 2.0, 51  # lines are thinner than the first
+_CONTRAST = 0.35  # of the strongest crossings nearby
+_STEP_ERROR, _HOMOGRAPHY_ERROR_PX, _LEAST_SEED = 0.12, 3.0, 16
+_SQUARE_ERROR = 0.1  # of the sides' ratio and of the cosine between them, lens unknown
+_MATCH_ERROR = 0.14, 0.14, 0.085, 0.085, 0.085  # round by round, of a cell's diagonal
+_OFF_PLANE, _OUTLIER = 0.02, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class GridFit:
+    """What pictures of a grid tell of a camera.
+
+    Parameters
+    ----------
+    coefficients : ndarray of float64, shape (5,)
+        Brown-Conrady k1, k2, p1, p2, k3.
+    residual_px : float
+        Median distance of the crossings from where the fit puts them.
+    ratios : ndarray of float64, shape (N,)
+        Depth read over true depth of the grid: the median of each picture.
+    """
+
+    coefficients: NDArray[np.float64]
+    residual_px: float
+    ratios: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A grid in one picture: all possible crossings, and the first that were counted."""
+
+    crossings_px: NDArray[np.float64]
+    cells: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    depth_m: NDArray[np.float32]
+
+
+def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
+    """Fit lens distortion and depth scale to captures of one camera.
+
+    The focal length stays: from a plane it is hardly told apart from the distance, and with a
+    wrong one the depth scale still makes lengths across the view right.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Colour and depth; those that show no grid are left out. Things may cover part of it.
+    spacing_m : float
+        Distance between the grid's lines, metres.
+
+    Returns
+    -------
+    GridFit or None
+        None if no capture shows a grid.
+    """
+    import cv2
+
+    if not captures:
+        return None
+    camera = captures[0].intrinsics
+    seen = [one for capture in captures if (one := _seen_grid(capture)) is not None]
+    lens = np.zeros(5)
+    flags = (
+        cv2.CALIB_USE_INTRINSIC_GUESS
+        | cv2.CALIB_FIX_PRINCIPAL_POINT
+        | cv2.CALIB_FIX_FOCAL_LENGTH
+        | cv2.CALIB_FIX_K3
+    )
+    poses = [_pose(one, camera.matrix) for one in seen]
+    cells = [one.cells for one in seen]
+    for error in _MATCH_ERROR:
+        matched = [
+            _matched(one, at, pose, camera.matrix, lens, error)
+            for one, at, pose in zip(seen, cells, poses, strict=True)
+        ]
+        kept = [k for k, (at, _) in enumerate(matched) if len(at) >= LEAST_CROSSINGS]
+        if not kept:
+            return None
+        seen, matched = [seen[k] for k in kept], [matched[k] for k in kept]
+        cells, pixels = [at for at, _ in matched], [at for _, at in matched]
+        _, _, found, turns, shifts, *_ = cv2.calibrateCameraExtended(
+            [_flat(at).astype(np.float32) for at in cells],
+            [at.astype(np.float32).reshape(-1, 1, 2) for at in pixels],
+            camera.size,
+            camera.matrix,
+            np.zeros(5),
+            flags=flags,
+        )
+        lens = np.asarray(found, float).ravel()[:5]
+        poses = [
+            (np.asarray(turn, float), np.asarray(shift, float))
+            for turn, shift in zip(turns, shifts, strict=True)
+        ]
+    off, ratios = [], []
+    for one, at, px, pose in zip(seen, cells, pixels, poses, strict=True):
+        off.append(np.linalg.norm(_projected(at, pose, camera.matrix, lens) - px, axis=1))
+        ratios.append(float(np.nanmedian(_depth_ratios(one.depth_m, at, px, pose))) / spacing_m)
+    return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios))
+
+
+def _seen_grid(capture: Capture) -> _Seen | None:
+    import cv2
+    from scipy.spatial import cKDTree
+
+    gray = np.asarray(cv2.cvtColor(capture.color, cv2.COLOR_RGB2GRAY), np.uint8)
+    peaks = _crossing_peaks(gray)
+    if len(peaks) < LEAST_CROSSINGS:
+        return None
+    tree, done, best = cKDTree(peaks), set[int](), (0, peaks, peaks)
+    for first in range(len(peaks)):
+        if first in done:
+            continue
+        lattice = _lattice(peaks, tree, first)
+        if len(lattice) < _LEAST_SEED:
+            continue
+        done.update(lattice.values())
+        cells, pixels = np.array(list(lattice), float), peaks[list(lattice.values())]
+        homography, inside = cv2.findHomography(cells, pixels, cv2.RANSAC, _HOMOGRAPHY_ERROR_PX)
+        if np.size(homography) != 9 or not _is_square(
+            np.asarray(homography, float), capture.intrinsics
+        ):
+            continue
+        fits = np.asarray(inside).ravel() > 0
+        if fits.sum() > max(best[0], _LEAST_SEED):
+            best = int(fits.sum()), cells[fits], pixels[fits]
+    if not best[0]:
+        return None
+    start = peaks.astype(np.float32).reshape(-1, 1, 2)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
+    refined = np.asarray(cv2.cornerSubPix(gray, start, (7, 7), (-1, -1), stop), float)
+    return _Seen(refined.reshape(-1, 2), best[1], best[2], capture.depth_m)
+
+
+def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return where thin lines cross, whole pixels, and other spots; bright lines or dark ones.
+
+    At a crossing brightness bends in every direction, along a line only across it.
+    """
+    import cv2
+
+    kernel = np.ones((_LINE_PX, _LINE_PX), np.uint8)
+    kinds = [cv2.morphologyEx(gray, way, kernel) for way in (cv2.MORPH_TOPHAT, cv2.MORPH_BLACKHAT)]
+    lines = np.asarray(max(kinds, key=lambda kind: float(np.mean(kind))), np.float32)
+    smooth = cv2.GaussianBlur(lines, (0, 0), _BLUR_PX)
+    xx, yy, xy = (
+        np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3))
+        for order in ((2, 0), (0, 2), (1, 1))
+    )
+    bend = -((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))
+    near = np.ones((_NEIGHBOUR_PX, _NEIGHBOUR_PX), np.uint8)
+    usual = np.asarray(cv2.blur(cv2.dilate(bend, near), near.shape))
+    highest = np.asarray(cv2.dilate(bend, np.ones((9, 9), np.uint8)))
+    v, u = np.nonzero((bend == highest) & (bend > _CONTRAST * usual) & (bend > 0))
+    return np.stack([u, v], axis=1).astype(np.float64)
+
+
+def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tuple[int, int], int]:
+    """Return the peaks that are reached from one by steps that change little, by their cell."""
+    far, near = (np.asarray(one) for one in tree.query(peaks[first], k=9))
+    ways = [
+        peaks[k] - peaks[first]
+        for reach, k in zip(far[1:], near[1:], strict=True)
+        if tree.query(2 * peaks[first] - peaks[k])[0] < _STEP_ERROR * reach
+    ]
+    if not ways:
+        return {}
+    across = [
+        w
+        for w in ways[1:]
+        if abs(float(ways[0][0] * w[1] - ways[0][1] * w[0]))
+        > 0.5 * float(np.linalg.norm(ways[0]) * np.linalg.norm(w))
+    ]
+    if not across:
+        return {}
+    found, steps = {(0, 0): first}, {(0, 0): (ways[0], across[0])}
+    taken, queue = {first}, [(0, 0)]
+    for cell in queue:
+        along, beside = steps[cell]
+        for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            there = cell[0] + i, cell[1] + j
+            if there in found:
+                continue
+            step = i * along + j * beside
+            off, k = tree.query(peaks[found[cell]] + step)
+            if off < _STEP_ERROR * np.linalg.norm(step) and int(k) not in taken:
+                found[there] = int(k)
+                taken.add(int(k))
+                step = peaks[int(k)] - peaks[found[cell]]
+                steps[there] = (i * step, beside) if i else (along, j * step)
+                queue.append(there)
+    return found
+
+
+def _is_square(homography: NDArray[np.float64], camera: Intrinsics) -> bool:
+    sides = (np.linalg.inv(camera.matrix) @ homography)[:, :2]
+    long = np.linalg.norm(sides, axis=0)
+    cosine = abs(float(sides[:, 0] @ sides[:, 1])) / float(long[0] * long[1])
+    return abs(float(long[0] / long[1]) - 1) < _SQUARE_ERROR and cosine < _SQUARE_ERROR
+
+
+def _flat(cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([cells, np.zeros(len(cells))])
+
+
+_Pose = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
+
+
+def _pose(seen: _Seen, matrix: NDArray[np.float64]) -> _Pose:
+    import cv2
+
+    _, turn, shift = cv2.solvePnP(_flat(seen.cells), seen.pixels, matrix, np.zeros(5))
+    return np.asarray(turn, float), np.asarray(shift, float)
+
+
+def _projected(
+    cells: NDArray[np.float64], pose: _Pose, matrix: NDArray[np.float64], lens: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    import cv2
+
+    return np.asarray(cv2.projectPoints(_flat(cells), *pose, matrix, lens)[0], float).reshape(-1, 2)
+
+
+def _matched(
+    seen: _Seen,
+    cells: NDArray[np.float64],
+    pose: _Pose,
+    matrix: NDArray[np.float64],
+    lens: NDArray[np.float64],
+    error: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the grid's crossings, as cells and pixels, that lie on its plane by depth, too."""
+    from scipy.spatial import cKDTree
+
+    low, high = cells.min(axis=0) - 3, cells.max(axis=0) + 4
+    grid = (
+        np.stack(np.meshgrid(*map(np.arange, low, high)), axis=-1).reshape(-1, 2).astype(np.float64)
+    )
+    expected = _projected(grid, pose, matrix, lens)
+    diagonal = np.linalg.norm(_projected(grid + 1, pose, matrix, lens) - expected, axis=1)
+    off, at = (np.asarray(one) for one in cKDTree(seen.crossings_px).query(expected))
+    near = off < error * diagonal
+    if not near.any():
+        return grid[:0], expected[:0]
+    pixels, off = seen.crossings_px[at[near]], off[near]
+    ratio = _depth_ratios(seen.depth_m, grid[near], pixels, pose)
+    level = np.abs(ratio / np.nanmedian(ratio) - 1) <= _OFF_PLANE
+    kept = level & (off <= max(_OUTLIER * float(np.median(off)), 0.5))
+    return grid[near][kept], pixels[kept]
+
+
+def _depth_ratios(
+    depth_m: NDArray[np.float32],
+    cells: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    pose: _Pose,
+) -> NDArray[np.float64]:
+    """Return depth read over the pose's, in cells; NaN where too little was read."""
+    import cv2
+
+    turn = np.asarray(cv2.Rodrigues(pose[0])[0], float)
+    expected = (_flat(cells) @ turn.T + pose[1].ravel())[:, 2]
+    ratios = np.full(len(cells), np.nan)
+    for k, (u, v) in enumerate(np.rint(pixels).astype(int)):
+        window = depth_m[max(v - 2, 0) : v + 3, max(u - 2, 0) : u + 3]
+        read = window[valid_depth(window)]
+        if read.size > window.size // 4:
+            ratios[k] = float(np.median(read)) / expected[k]
+    return ratios

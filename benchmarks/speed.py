@@ -34,7 +34,7 @@ from scipy.interpolate import CubicSpline
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception import runtime as runtimes
@@ -114,7 +114,7 @@ class Figure:
 def copies(folder: Path, count: int) -> Path:
     """Lay out the bundled captures again and again, each under a name of its own."""
     folder.mkdir()
-    bundled = sorted(p for p in bundled_captures().iterdir() if p.is_dir())
+    bundled = sorted(p for p in example_captures().iterdir() if p.is_dir())
     for k in range(count):
         source = bundled[k % len(bundled)]
         shutil.copytree(source, folder / f"c{k:03d}")
@@ -150,7 +150,7 @@ def processor_ms(rounds: int) -> tuple[float, float]:
     inside, beyond, clock = [], [], NetworkClock()
     with tempfile.TemporaryDirectory() as tmp:
         worker = Worker(MODELS, OutputFolder(Path(tmp)))
-        captures = list_captures([bundled_captures()], MODELS.reading)
+        captures = list_captures([example_captures()], MODELS.reading)
         tasks = [Task(one) for one in captures if isinstance(one, Listed)]
         for turn in range(rounds + 1):
             clock.start()
@@ -167,7 +167,7 @@ def processor_ms(rounds: int) -> tuple[float, float]:
 def pipeline(quick: bool) -> list[Figure]:
     """Compare the whole pipeline with its networks' own times, when nothing runs beside them."""
     count, clock = 9 if quick else 30, NetworkClock()
-    captures = [ref.load() for ref in open_source(bundled_captures())]
+    captures = [ref.load() for ref in open_source(example_captures())]
     alone = Measurer(MODELS)
 
     def networks_s() -> float:
@@ -217,7 +217,7 @@ app.main()
 def started(*words: str) -> float:
     """Return the seconds from the process's start to the first journalled capture."""
     with tempfile.TemporaryDirectory() as tmp:
-        one = str(bundled_captures() / "simulated-row-b")
+        one = str(example_captures() / "simulated-row-b")
         command = [sys.executable, "-c", _START, str(HERE), "measure", one, "--out", tmp, *words]
         begun = time.time()
         done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -244,7 +244,7 @@ def start(quick: bool) -> list[Figure]:
 def stream(quick: bool) -> list[Figure]:
     """Time `stream --fast`: a frame, beside its networks."""
     clock, frames = NetworkClock(), 10 if quick else 120
-    captures = [ref.load() for ref in open_source(bundled_captures())]
+    captures = [ref.load() for ref in open_source(example_captures())]
     fruit = FruitStream.fast(MODELS)
     taken_s, network_s = [], []
     for k in range(frames + 3):
@@ -377,7 +377,7 @@ def help_times_its_libraries() -> float:
 
 def times_its_reading() -> float:
     """Compare a capture's way through the pipeline with reading it: what is added to every one."""
-    captures = list(open_source(bundled_captures()))
+    captures = list(open_source(example_captures()))
 
     def read() -> None:
         for ref in captures:

@@ -18,7 +18,7 @@ from PIL import Image
 
 from cucumbervision import MeasureOptions, Measurer, draw_overlay, open_source
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.fruit_view import depth_picture
 from cucumbervision.measurement.result import FruitMeasurement
 from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
@@ -62,7 +62,7 @@ def pictures(
 
 def main() -> None:
     """Measure the capture and write the animation."""
-    (ref,) = open_source(bundled_captures() / SCENE)
+    (ref,) = open_source(example_captures() / SCENE)
     result = Measurer(MeasureOptions()).measure(ref.load())
     shown = list(pictures(result.capture, result.fruit))
     height = round(WIDTH_PX * result.capture.height / result.capture.width)

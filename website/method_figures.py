@@ -23,7 +23,7 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.geometry.axis import align_near
 from cucumbervision.measurement.m1 import WINDOW_PX, reference_depth, sample_grid, window_depths
 from cucumbervision.measurement.m2_m3 import GATE_M
@@ -67,7 +67,7 @@ class Example:
 
 def load_example() -> Example:
     """Read the capture, and build its scene again for the truth."""
-    (ref,) = open_source(bundled_captures() / SCENE)
+    (ref,) = open_source(example_captures() / SCENE)
     capture = ref.load()
     scene = build_scene(next(demo for demo in SCENES if demo.name == SCENE))[0]
     truth = truth_of(scene, CAMERA)[FRUIT]

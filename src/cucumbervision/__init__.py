@@ -5,8 +5,8 @@ The public names, which `__init__.pyi` lists; each is loaded when it is first us
 Examples
 --------
 >>> import cucumbervision
->>> from cucumbervision.capture.source import bundled_captures
->>> capture = next(iter(cucumbervision.open_source(bundled_captures()))).load()
+>>> from cucumbervision.capture.source import example_captures
+>>> capture = next(iter(cucumbervision.open_source(example_captures()))).load()
 >>> measurer = cucumbervision.Measurer(cucumbervision.MeasureOptions(instances="dataset"))
 >>> length = measurer.measure(capture).fruit[0].length
 >>> f"{capture.name}: {length.value_m:.2f} m ({length.low_m:.2f} to {length.high_m:.2f})"

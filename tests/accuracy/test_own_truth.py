@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.accuracy.measured import Measured, Reading, read_measured
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths, write_own_truth
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, TruthError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.pipeline.options import MeasureOptions
@@ -37,7 +37,7 @@ def reading(capture: str, fruit: int, **lengths_m: float | None) -> Reading:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bundled captures through the real run."""
     out = tmp_path_factory.mktemp("run")
-    measure_inputs([bundled_captures()], out, MeasureOptions())
+    measure_inputs([example_captures()], out, MeasureOptions())
     return out
 
 
@@ -45,7 +45,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def table(run: Path) -> Path:
     """Their truth, centreline and chord, as a European spreadsheet writes it."""
     lines = ["capture;fruit;length_cm;kind"]
-    for folder in sorted(bundled_captures().iterdir()):
+    for folder in sorted(example_captures().iterdir()):
         for k, true in enumerate(json.loads((folder / "truth.json").read_text()), 1):
             for kind in ("centreline", "chord"):
                 text = f"{100 * true[kind + '_m']:.3f}".replace(".", ",")

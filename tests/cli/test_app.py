@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -16,13 +16,13 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
     code = "from cucumbervision.cli.app import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", code, "measure", str(bundled_captures()), "--out", str(tmp_path)],
+        [sys.executable, "-c", code, "measure", str(example_captures()), "--out", str(tmp_path)],
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
     assert (
-        "8 of 8 fruit measured in 3 captures; masks by data set 8; simulated captures"
+        "8 of 8 fruit measured in 3 captures; masks by data set 8; some of these captures"
         in done.stdout
     )
     assert "centreline" in done.stdout
@@ -39,7 +39,7 @@ def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
 
 
 def test_some_input_unread_is_exit_code_1(run: Run, tmp_path: Path) -> None:
-    done = run("measure", "nowhere", str(bundled_captures()), "--out", str(tmp_path))
+    done = run("measure", "nowhere", str(example_captures()), "--out", str(tmp_path))
     assert done.returncode == 1
     assert "8 of 8 fruit measured" in done.stdout
     assert "nowhere: does not exist" in done.stderr
@@ -58,28 +58,28 @@ def test_some_input_unread_is_exit_code_1(run: Run, tmp_path: Path) -> None:
 def test_what_cannot_start_is_exit_code_2_in_plain_words(
     run: Run, tmp_path: Path, arguments: tuple[str, ...], text: str
 ) -> None:
-    done = run("measure", str(bundled_captures()), "--out", str(tmp_path), *arguments)
+    done = run("measure", str(example_captures()), "--out", str(tmp_path), *arguments)
     assert done.returncode == 2
     assert text in done.stderr
     assert "Traceback" not in done.stderr
 
 
 def test_json_mode_prints_rows_and_nothing_else(run: Run, tmp_path: Path) -> None:
-    done = run("measure", str(bundled_captures()), "--out", str(tmp_path), "--json")
+    done = run("measure", str(example_captures()), "--out", str(tmp_path), "--json")
     rows = json.loads(done.stdout)
     assert len(rows) == 8
     assert rows[0]["length_cm"] > 0
 
 
 def test_quiet_mode_prints_nothing(run: Run, tmp_path: Path) -> None:
-    done = run("measure", str(bundled_captures()), "--out", str(tmp_path), "--quiet")
+    done = run("measure", str(example_captures()), "--out", str(tmp_path), "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_paper_selector_and_chosen_methods(run: Run, tmp_path: Path) -> None:
     out = str(tmp_path)
     arguments = ("--selector", "paper", "--methods", "m1,m3", "--json")
-    rows = json.loads(run("measure", str(bundled_captures()), "--out", out, *arguments).stdout)
+    rows = json.loads(run("measure", str(example_captures()), "--out", out, *arguments).stdout)
     assert {row["method"] for row in rows} == {"M3"}
     assert all(row["m5_cm"] is None and row["m1_cm"] for row in rows)
 

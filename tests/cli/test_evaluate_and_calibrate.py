@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
@@ -21,11 +21,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run by the paper's methods, and hand lengths of a camera that reads a fifth too short."""
     folder = tmp_path_factory.mktemp("truth")
     options = MeasureOptions(methods=(Method.M3, Method.M5))
-    assert measure_inputs([bundled_captures()], folder / "run", options).failures == []
+    assert measure_inputs([example_captures()], folder / "run", options).failures == []
     with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(["capture", "fruit", "length_1_cm", "length_2_cm", "kind", "specimen"])
-        for capture in sorted(bundled_captures().iterdir()):
+        for capture in sorted(example_captures().iterdir()):
             for k, true in enumerate(json.loads((capture / "truth.json").read_text()), 1):
                 tape = 125 * true["centreline_m"]
                 row = [capture.name, k, f"{tape - 0.05:.2f}", f"{tape + 0.05:.2f}", "centreline"]
@@ -55,7 +55,7 @@ def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -
     assert "scale+offset needs 10 fruit, there are 8" in done.stdout
     assert "90 % needs 9 fruit, there are 8" in done.stdout
     arguments = ("--methods", "m3,m5", "--calibration", site, "--json")
-    done = run("measure", bundled_captures(), "--out", tmp_path / "out", *arguments)
+    done = run("measure", example_captures(), "--out", tmp_path / "out", *arguments)
     rows = json.loads(done.stdout)
     scale = next(
         e["scale"] for e in json.loads(site.read_text())["corrections"] if e["method"] == "M5"
@@ -66,7 +66,7 @@ def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -
         assert (row["raw_length_cm"], row["raw_length_kind"]) == (row["m5_cm"], "surface-arc")
         assert row["length_kind"] == "centreline"
         assert row["interval_basis"] is None
-    mixed = run("measure", bundled_captures(), "--out", tmp_path / "m1", "--methods", "m1",
+    mixed = run("measure", example_captures(), "--out", tmp_path / "m1", "--methods", "m1",
                 "--calibration", site, "--json")  # fmt: skip
     for row in json.loads(mixed.stdout):
         # Drawn fruit are slanted, and M1's own interval then says nothing.

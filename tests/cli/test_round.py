@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.forecasting import growth_links
@@ -41,7 +41,7 @@ def house(tmp_path: Path) -> list[str]:
 
 
 def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
-    rows = [str(bundled_captures() / f"simulated-row-{name}") for name in "ab"]
+    rows = [str(example_captures() / f"simulated-row-{name}") for name in "ab"]
     where = ("--row", "4", "--side", "left", "--position", "2", "--spacing", "3")
     said = run("add", *rows, *where, "--instances", "dataset", *house)
     assert "2 stops added" in said
@@ -65,7 +65,7 @@ def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
 def test_a_pair_without_intrinsics_gets_them_by_the_option(
     house: list[str], tmp_path: Path
 ) -> None:
-    native = bundled_captures() / "simulated-row-a"
+    native = example_captures() / "simulated-row-a"
     pair = tmp_path / "pair"
     pair.mkdir()
     shutil.copy(native / "color_000000.jpg", pair / "rgb_1.jpg")
@@ -78,7 +78,7 @@ def test_a_pair_without_intrinsics_gets_them_by_the_option(
 
 
 def test_what_has_changed_is_measured_again_and_a_round_on_demand(house: list[str]) -> None:
-    row = (str(bundled_captures() / "simulated-row-a"), "--instances", "dataset")
+    row = (str(example_captures() / "simulated-row-a"), "--instances", "dataset")
     run("add", *row, *house)
     again = run("add", *row, "--length", "chord", *house)
     assert "0 stops added with 0 fruit; 0 were there already." in again
@@ -87,7 +87,7 @@ def test_what_has_changed_is_measured_again_and_a_round_on_demand(house: list[st
 
 
 def test_a_stop_that_is_put_back_is_merged_at_once(house: list[str]) -> None:
-    row = str(bundled_captures() / "simulated-row-a")
+    row = str(example_captures() / "simulated-row-a")
     run("add", row, "--row", "4", "--position", "2", "--instances", "dataset", *house)
     with open_store(house[1]) as store:
         key = store.rounds()[0].key
@@ -97,7 +97,7 @@ def test_a_stop_that_is_put_back_is_merged_at_once(house: list[str]) -> None:
 
 
 def test_stops_and_rounds_are_deleted_and_brought_back(house: list[str]) -> None:
-    rows = [str(bundled_captures() / f"simulated-row-{name}") for name in "ab"]
+    rows = [str(example_captures() / f"simulated-row-{name}") for name in "ab"]
     where = ("--row", "4", "--side", "left", "--position", "2", "--spacing", "3")
     run("add", *rows, *where, "--instances", "dataset", *house)
     listed = run("stops", *house)
@@ -128,7 +128,7 @@ def test_a_round_into_which_captures_wait_is_not_deleted(house: list[str]) -> No
     waiting = WaitingCaptures(waiting_folder(house[1]))
     with open_store(house[1]) as store:
         key = store.rounds()[0].key
-    capture = next(iter(open_source(bundled_captures()))).load()
+    capture = next(iter(open_source(example_captures()))).load()
     waiting.put(capture, new_key(), key, 1_700_000_000.0)
     with pytest.raises(CucumberVisionError, match="1 capture waits to be measured into it"):
         run("delete", "morning", *house)

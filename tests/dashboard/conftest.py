@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
@@ -42,7 +42,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     measurer = SharedMeasurer(load_registry())
     with open_store(path) as store:
         store.save_round(WALK)
-        for ref in open_source(bundled_captures()):
+        for ref in open_source(example_captures()):
             measurer.take_stop(store, WALK.key, ref.load(), MeasureOptions(instances="auto"))
     return path
 
@@ -73,7 +73,7 @@ def house(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copyfile(made, path)
     shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
     monkeypatch.setenv("CUCUMBERVISION_STORE", str(path))
-    monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(bundled_captures()))
+    monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(example_captures()))
     return path
 
 

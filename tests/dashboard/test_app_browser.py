@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.store.repository import open_store
 
 TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
@@ -77,7 +77,7 @@ def served(
     artefacts = Path(named) if named else None
     if artefacts is not None:
         artefacts.mkdir(parents=True, exist_ok=True)
-    store, replay = folder / "house.db", bundled_captures()
+    store, replay = folder / "house.db", example_captures()
     address = start_server(folder, "--store", str(store), "--replay", str(replay))
     page, hosts, faults = new_page(), set[str](), list[str]()
     page.on("request", lambda r: hosts.add(r.url.split("/")[2]) if "//" in r.url else None)
@@ -164,7 +164,7 @@ def test_an_upload_is_measured_and_what_is_no_capture_is_told(
     page = dashboard.page
     packed = tmp_path / "row.zip"
     with zipfile.ZipFile(packed, "w") as archive:
-        for path in sorted((bundled_captures() / "simulated-row-a").glob("*.*")):
+        for path in sorted((example_captures() / "simulated-row-a").glob("*.*")):
             # At a place of its own: where it was drawn, the same camera has a stop already.
             text = path.read_text().replace('"demo"', '"7"') if path.suffix == ".json" else None
             archive.writestr(f"row-a/{path.name}", text or path.read_bytes())

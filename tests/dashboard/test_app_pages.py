@@ -16,7 +16,7 @@ from streamlit.testing.v1 import AppTest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
@@ -335,7 +335,7 @@ def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
 
 
 def test_a_round_that_captures_wait_for_is_not_deleted(house: Path) -> None:
-    capture = next(iter(open_source(bundled_captures()))).load()
+    capture = next(iter(open_source(example_captures()))).load()
     one = resources.waiting().put(capture, new_key(), WALK, time.time())
     test = app("results", round=WALK)
     tap(test, "Delete this round")

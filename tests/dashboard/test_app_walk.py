@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.store.repository import open_store
 from cucumbervision.store.views import StopView
 from cucumbervision.store.waiting import WaitingCaptures
@@ -36,7 +36,7 @@ class House:
         self.store = folder / "house.db"
         self.replay = folder / "recorded"
         # As a camera would have recorded them: nothing of them says that they are drawn.
-        shutil.copytree(bundled_captures(), self.replay)
+        shutil.copytree(example_captures(), self.replay)
         for path in self.replay.rglob("capture.json"):
             manifest = {**json.loads(path.read_text()), "simulated": False}
             path.write_text(json.dumps(manifest))

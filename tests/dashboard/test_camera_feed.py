@@ -12,7 +12,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.recorder import Walk
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay, ReplayBurst
 from cucumbervision.dashboard.recording import Recorder
 from cucumbervision.errors import CameraError, CaptureError
@@ -29,7 +29,7 @@ def wait_for(feed: Replay | CameraFeed, state: str, other_than: int = -1) -> Pre
 
 
 def test_a_replay_shows_what_it_takes_and_begins_again_at_its_end() -> None:
-    replay = Replay(bundled_captures())
+    replay = Replay(example_captures())
     names = []
     for _ in range(4):
         shown = wait_for(replay, "replay")
@@ -175,7 +175,7 @@ class BrokenFeed(Replay):
 
 
 def test_whatever_ends_a_recording_is_told_and_another_can_begin(tmp_path: Path) -> None:
-    recorder, feed = Recorder(tmp_path / "recordings"), BrokenFeed(bundled_captures())
+    recorder, feed = Recorder(tmp_path / "recordings"), BrokenFeed(example_captures())
     first = recorder.begin(feed, 1, Walk(), every_s=0.01)
     until = time.monotonic() + 300
     while not first.fault and time.monotonic() < until:

@@ -11,7 +11,7 @@ import pytest
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer, is_doubtful
 from cucumbervision.dashboard.round_tables import doubtful
 from cucumbervision.errors import InstancesError
@@ -44,7 +44,7 @@ def measurer() -> SharedMeasurer:
 def test_a_stop_is_saved_with_its_fruit_where_they_hang(
     store: Store, measurer: SharedMeasurer
 ) -> None:
-    capture = next(iter(open_source(bundled_captures()))).load()
+    capture = next(iter(open_source(example_captures()))).load()
     one = RoundRecord(key_of("other"))
     store.save_round(one)
     spots = Stop("4", "left", 2.0, 1), Stop("4", "right", 2.0, 2)
@@ -63,7 +63,7 @@ def test_a_stop_is_saved_with_its_fruit_where_they_hang(
 def test_what_cannot_be_measured_is_saved_with_the_reason(
     store: Store, measurer: SharedMeasurer
 ) -> None:
-    capture = replace(next(iter(open_source(bundled_captures()))).load(), masks=())
+    capture = replace(next(iter(open_source(example_captures()))).load(), masks=())
     options = replace(OPTIONS, instances="dataset")
     taken = measurer.take_stop(store, WALK, capture, options)
     assert "no masks" in taken.note
@@ -75,7 +75,7 @@ def test_what_cannot_be_measured_is_saved_with_the_reason(
 def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(
     store: Store, measurer: SharedMeasurer, tmp_path: Path
 ) -> None:
-    capture = next(iter(open_source(bundled_captures()))).load()
+    capture = next(iter(open_source(example_captures()))).load()
     boxes = ([300.0, 100.0, 200.0, 60.0], [5000.0, 100.0, 200.0, 60.0])
     instances = {
         "images": [{"id": 1, "file_name": capture.name, "width": 848, "height": 480}],
@@ -94,7 +94,7 @@ def test_what_is_no_fruit_of_the_picture_is_kept_as_a_failure(
 
 
 def test_a_stored_capture_is_the_frame_again(store: Store) -> None:
-    first = next(iter(open_source(bundled_captures()))).load()
+    first = next(iter(open_source(example_captures()))).load()
     stop = next(
         s for v in store.stops(WALK) if (s := store.stop(v.key)).captures[0].name == first.name
     )
@@ -133,7 +133,7 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Share
 def test_a_fruit_that_was_not_found_is_added_by_a_box(
     store: Store, measurer: SharedMeasurer
 ) -> None:
-    capture = replace(next(iter(open_source(bundled_captures()))).load(), name="without finds")
+    capture = replace(next(iter(open_source(example_captures()))).load(), name="without finds")
     true = capture.masks[0]
     one = RoundRecord(key_of("missed"))
     store.save_round(one)
@@ -176,7 +176,7 @@ def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted
 
 
 def test_a_correcting_tap_hides_no_end_that_is_in_sight(measurer: SharedMeasurer) -> None:
-    for ref in open_source(bundled_captures()):
+    for ref in open_source(example_captures()):
         capture = ref.load()
         for own in capture.masks:
             v, u = np.nonzero(own)

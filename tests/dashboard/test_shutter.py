@@ -8,7 +8,7 @@ import pytest
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.realsense import CameraConfig
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.camera_feed import FAR_S, REACH_S, CameraBurst, CameraFeed, Replay
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
@@ -61,7 +61,7 @@ def test_a_burst_lies_about_its_press_though_the_press_is_told_late(
 def test_quick_presses_are_each_a_stop_and_none_counts_twice(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay, told = Replay(bundled_captures()), list[int]()
+    replay, told = Replay(example_captures()), list[int]()
     shutter = Shutter(store, waiting, lambda: told.append(1))
     for number in "aabbc":
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
@@ -77,7 +77,7 @@ def test_quick_presses_are_each_a_stop_and_none_counts_twice(
 def test_two_browsers_never_give_one_place_to_two_stops(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay, shutter = Replay(bundled_captures()), Shutter(store, waiting, lambda: None)
+    replay, shutter = Replay(example_captures()), Shutter(store, waiting, lambda: None)
     places = [("a", 0.0), ("b", 0.5), ("c", 0.5), ("d", 0.0), ("e", 0.75)]
     for number, at_m in places:
         shutter.press(replay, 1, WALK, Stop("1", "left", at_m), Press(number, time.time()))
@@ -93,7 +93,7 @@ def test_two_browsers_never_give_one_place_to_two_stops(
 def test_presses_that_are_told_late_together_keep_their_order(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay, shutter = Replay(bundled_captures()), Shutter(store, waiting, lambda: None)
+    replay, shutter = Replay(example_captures()), Shutter(store, waiting, lambda: None)
     now = time.time()
     for number, at_s in (("a", now), ("b", now + 0.001), ("c", now + 60)):
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, at_s))
@@ -131,7 +131,7 @@ def test_a_press_whose_picture_is_gone_is_refused_and_told(
 ) -> None:
     stop, now = Stop("1", "left", 0.0), time.time()
     feed = CameraFeed(CameraConfig(playback=recording, warm_up=0, fps=15), paced=True)
-    for feed_of in (feed, Replay(bundled_captures())):
+    for feed_of in (feed, Replay(example_captures())):
         shutter = Shutter(store, waiting, lambda: None)
         for number in "ab":
             assert not shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
@@ -147,12 +147,12 @@ def test_a_press_whose_picture_is_gone_is_refused_and_told(
 def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refused(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    before, replay = Shutter(store, waiting, lambda: None), Replay(bundled_captures())
+    before, replay = Shutter(store, waiting, lambda: None), Replay(example_captures())
     stop, press = Stop("1", "left", 0.0), Press("a", time.time())
     assert before.press(replay, 1, WALK, stop, press)
     before.close()
     again = Shutter(store, waiting, lambda: None)
-    assert not again.press(Replay(bundled_captures()), 1, WALK, stop, press)
+    assert not again.press(Replay(example_captures()), 1, WALK, stop, press)
     again.close()
     assert again.pressed(WALK) == []
     assert len(waiting.captures()) == 1
@@ -161,7 +161,7 @@ def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refuse
 def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay = Replay(bundled_captures())
+    replay = Replay(example_captures())
     shutter = Shutter(store, waiting, lambda: None)
     shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press("a", time.time()))
     shutter.close()
@@ -185,7 +185,7 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
 def test_a_damaged_capture_does_not_hold_the_others_up(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay = Replay(bundled_captures())
+    replay = Replay(example_captures())
     shutter = Shutter(store, waiting, lambda: None)
     for number in "ab":
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))

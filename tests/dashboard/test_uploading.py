@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.uploading import CAMERAS, measure_uploads
@@ -44,7 +44,7 @@ def pair(number: int) -> list[tuple[str, io.BytesIO]]:
 
 def packed() -> io.BytesIO:
     """Return a zip of two drawn captures without a position of their own."""
-    file, folder = io.BytesIO(), bundled_captures() / "simulated-row-a"
+    file, folder = io.BytesIO(), example_captures() / "simulated-row-a"
     with zipfile.ZipFile(file, "w") as archive:
         for name in ("a", "b"):
             for path in sorted(p for p in folder.rglob("*") if p.is_file()):

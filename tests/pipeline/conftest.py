@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.resize import fit
@@ -52,7 +52,7 @@ def middles(mask: NDArray[np.bool_], count: int = 5) -> Array:
 @pytest.fixture(scope="session")
 def row_a() -> Capture:
     """A bundled capture with three hanging fruit."""
-    return next(iter(open_source(bundled_captures() / ROW_A))).load()
+    return next(iter(open_source(example_captures() / ROW_A))).load()
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from cucumbervision.capture.source import (
     CaptureRef,
     CaptureSource,
     ReadOptions,
-    bundled_captures,
+    example_captures,
 )
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
@@ -49,7 +49,7 @@ def test_two_processes_give_the_rows_of_one_and_recordings_are_read_in_the_paren
     for engine in (in_process, Processes(2)):
         out = tmp_path / f"out{len(tables)}"
         batch = BatchOptions(opener=opener, engine=engine)
-        result = measure_inputs([bundled_captures()], out, OPTIONS, batch=batch)
+        result = measure_inputs([example_captures()], out, OPTIONS, batch=batch)
         assert (result.captures, result.exit_code) == (3, 1)
         tables.append([(out / f"{n}.csv").read_bytes() for n in ("measurements", "failures")])
     assert tables[0] == tables[1]
@@ -72,7 +72,7 @@ def killing(path: Path, once: Path) -> Capture:
 def test_a_worker_that_is_killed_costs_at_most_its_own_capture(
     tmp_path: Path, always: bool
 ) -> None:
-    house = Path(shutil.copytree(bundled_captures(), tmp_path / "house"))
+    house = Path(shutil.copytree(example_captures(), tmp_path / "house"))
     once = tmp_path / ("nowhere" if always else "house") / "once"
 
     def opener(path: Path, options: ReadOptions) -> CaptureSource:

@@ -21,7 +21,7 @@ from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CalibrationError
 from cucumbervision.measurement.result import (
     Choice,
@@ -193,7 +193,7 @@ def test_depth_is_divided_by_the_scale() -> None:
 def test_lengths_scale_with_the_depth_through_the_whole_run(tmp_path: Path) -> None:
     path = tmp_path / "site.json"
     write_site_calibration(path, site(scale=1.04))
-    captures = [bundled_captures() / "simulated-bench"]
+    captures = [example_captures() / "simulated-bench"]
     options = MeasureOptions(methods=(Method.M3,))
     plain = measure_inputs(captures, tmp_path / "a", options).rows
     scaled = measure_inputs(captures, tmp_path / "b", replace(options, calibration=path)).rows
@@ -209,7 +209,7 @@ def test_another_camera_is_refused_and_the_rest_goes_on(tmp_path: Path) -> None:
     other = Intrinsics(848, 480, 640.0, 640.0, 424.0, 240.0)
     write_site_calibration(path, site(entry(), camera=other))
     options = MeasureOptions(methods=(Method.M3,), calibration=path)
-    result = measure_inputs([bundled_captures()], tmp_path / "out", options)
+    result = measure_inputs([example_captures()], tmp_path / "out", options)
     assert (result.rows, len(result.failures)) == ([], 3)
     assert {f.error for f in result.failures} == {"CalibrationError"}
     assert "848x480 fx 640.000 px, here 848x480 fx 616.400 px" in result.failures[0].message
@@ -229,7 +229,7 @@ def test_whatever_goes_wrong_in_a_capture_is_a_failure_with_a_name(
     def broken(*_: object, **__: object) -> None:
         raise ERRORS[code]
 
-    capture = next(iter(open_source(bundled_captures()))).load()
+    capture = next(iter(open_source(example_captures()))).load()
     measurer = Measurer(MeasureOptions(instances="dataset", methods=(Method.M1,)))
     monkeypatch.setattr("cucumbervision.pipeline.measurer.measure_fruit", broken)
     result = measurer.attempt(capture)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.engines import choose_engine
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 def test_rows_are_those_of_one_process_in_the_same_order(tmp_path: Path) -> None:
-    inputs = [bundled_captures(), tmp_path / "missing"]
+    inputs = [example_captures(), tmp_path / "missing"]
     engine = choose_engine("ray", 1)
     tables: list[list[bytes]] = []
     for batch in (BatchOptions(), BatchOptions(engine=engine)):
@@ -36,5 +36,5 @@ def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
     options = MeasureOptions(instances="models", segmenter="none", pose=tmp_path / "no.onnx")
     with pytest.raises(CucumberVisionError, match=r"no\.onnx: "):
         measure_inputs(
-            [bundled_captures()], tmp_path, options, batch=BatchOptions(engine=choose_engine("ray"))
+            [example_captures()], tmp_path, options, batch=BatchOptions(engine=choose_engine("ray"))
         )

@@ -19,7 +19,7 @@ from cucumbervision.capture.source import (
     CaptureRef,
     CaptureSource,
     ReadOptions,
-    bundled_captures,
+    example_captures,
 )
 from cucumbervision.errors import CucumberVisionError, InstancesError, ModelError
 from cucumbervision.measurement.result import Method
@@ -37,11 +37,11 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run over the bundled captures and a broken one, with the data set's masks."""
     folder = tmp_path_factory.mktemp("run")
     broken = folder / "broken"
-    shutil.copytree(bundled_captures() / "simulated-bench", broken)
+    shutil.copytree(example_captures() / "simulated-bench", broken)
     (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
     seen: list[Outcome] = []
     result = measure_inputs(
-        [broken, bundled_captures(), folder / "missing"],
+        [broken, example_captures(), folder / "missing"],
         folder / "out",
         MeasureOptions(),
         seen.append,
@@ -73,7 +73,7 @@ def test_bad_input_loses_nothing_of_the_rest(run_out: Path) -> None:
 
 def test_lengths_are_near_the_truth_within_each_methods_known_error(run_out: Path) -> None:
     rows = [r for r in read_csv(run_out / "measurements.csv") if r["capture"] == ROW_A]
-    truth = json.loads((bundled_captures() / ROW_A / "truth.json").read_text())
+    truth = json.loads((example_captures() / ROW_A / "truth.json").read_text())
     for row, true in zip(rows, truth, strict=True):
         assert row["method"] == "M6"
         assert float(row["centreline_cm"]) / (100 * true["centreline_m"]) == pytest.approx(
@@ -125,9 +125,9 @@ def test_an_annotated_picture_for_each_capture(run_out: Path) -> None:
 
 def test_captures_of_one_name_get_pictures_of_their_own(tmp_path: Path) -> None:
     other = tmp_path / "again"
-    shutil.copytree(bundled_captures() / ROW_A, other)
+    shutil.copytree(example_captures() / ROW_A, other)
     result = measure_inputs(
-        [bundled_captures() / ROW_A, other], tmp_path / "out", MeasureOptions(methods=(Method.M1,))
+        [example_captures() / ROW_A, other], tmp_path / "out", MeasureOptions(methods=(Method.M1,))
     )
     assert sorted({str(row["capture"]) for row in result.rows}) == [ROW_A, f"{ROW_A}-2"]
     assert len(list((tmp_path / "out" / "overlays").iterdir())) == 2
@@ -139,7 +139,7 @@ def test_a_capture_without_fruit_is_a_picture_without_rows(tmp_path: Path) -> No
     boxes.write_text(json.dumps({"images": [{"id": 1, "file_name": ROW_A}], "annotations": [],
                                  "categories": [{"id": 1, "name": "cucumber"}]}))  # fmt: skip
     result = measure_inputs(
-        [bundled_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
+        [example_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
     )
     assert (result.captures, result.rows, result.failures) == (1, [], [])
     assert (tmp_path / "out" / "overlays" / f"{ROW_A}.png").exists()
@@ -159,7 +159,7 @@ def test_boxes_from_a_file_are_refined_by_sam_and_bad_ones_are_noted(tmp_path: P
     boxes = tmp_path / "boxes.json"
     boxes.write_text(json.dumps(content))
     result = measure_inputs(
-        [bundled_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
+        [example_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
     )
     assert len(result.rows) == 1
     row = result.rows[0]
@@ -183,7 +183,7 @@ def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: 
     boxes = tmp_path / "boxes.json"
     boxes.write_text(json.dumps(content))
     result = measure_inputs(
-        [bundled_captures()],
+        [example_captures()],
         tmp_path / "out",
         MeasureOptions(instances=str(boxes), segmenter="none"),
     )
@@ -203,14 +203,14 @@ def test_without_a_segmenter_boxes_are_measured_by_the_box(tmp_path: Path) -> No
     label = tmp_path / f"{ROW_A}.txt"
     label.write_text(f"0 {220 / 848} {232 / 480} {80 / 848} {295 / 480}\n")
     options = MeasureOptions(instances=str(tmp_path), segmenter="none")
-    result = measure_inputs([bundled_captures() / ROW_A], tmp_path / "out", options)
+    result = measure_inputs([example_captures() / ROW_A], tmp_path / "out", options)
     assert [row["method"] for row in result.rows] == ["M1"]
     assert result.rows[0]["reason"] == "no-mask-box-elongated"
 
 
 def test_the_dataset_is_asked_for_masks_that_it_lacks(tmp_path: Path) -> None:
     plain = tmp_path / "plain"
-    shutil.copytree(bundled_captures() / ROW_A, plain)
+    shutil.copytree(example_captures() / ROW_A, plain)
     shutil.rmtree(plain / "mask_visib")
     result = measure_inputs([plain], tmp_path / "out", MeasureOptions(instances="dataset"))
     assert result.rows == []
@@ -234,16 +234,16 @@ def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(CucumberVisionError, match=r"file/out: cannot be written .*--out"):
-        measure_inputs([bundled_captures()], file / "out", MeasureOptions())
+        measure_inputs([example_captures()], file / "out", MeasureOptions())
 
 
 def test_captures_are_counted_for_the_progress_bar(tmp_path: Path) -> None:
-    assert count_captures([bundled_captures(), tmp_path / "missing"], ReadOptions()) == 4
+    assert count_captures([example_captures(), tmp_path / "missing"], ReadOptions()) == 4
 
 
 def test_sams_masks_lie_on_the_fruit(tmp_path: Path) -> None:
     finder = make_finder(MeasureOptions(instances="dataset", segmenter="mobile-sam"))
-    for ref in open_source(bundled_captures()):
+    for ref in open_source(example_captures()):
         capture = ref.load()
         for drawn, true in zip(finder.find(capture).instances, capture.masks, strict=True):
             assert drawn.mask is not None
@@ -252,7 +252,7 @@ def test_sams_masks_lie_on_the_fruit(tmp_path: Path) -> None:
 
 
 def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> None:
-    good = next(iter(open_source(bundled_captures() / ROW_A)))
+    good = next(iter(open_source(example_captures() / ROW_A)))
 
     def too_large() -> Capture:
         return replace(good.load(), depth_m=np.zeros((1 << 24, 1 << 24), np.float32))
@@ -285,7 +285,7 @@ def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> N
 def test_a_picture_that_cannot_be_written_costs_no_row(tmp_path: Path) -> None:
     (tmp_path / "overlays" / f"{ROW_A}.png").mkdir(parents=True)
     options = MeasureOptions(methods=(Method.M1,))
-    result = measure_inputs([bundled_captures() / ROW_A], tmp_path, options)
+    result = measure_inputs([example_captures() / ROW_A], tmp_path, options)
     assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 1)
     assert [f.error for f in result.failures] == ["FileError"]
     assert "Is a directory" in result.failures[0].message
@@ -300,7 +300,7 @@ def test_a_batch_whose_lengths_are_all_impossible_says_what_would_explain_it(
 ) -> None:
     # Depth in tenths of a millimetre, read as millimetres; the fruit lie at 4.2 m then.
     folder = tmp_path / "in"
-    capture = next(iter(open_source(bundled_captures() / ROW_A).refs())).load()
+    capture = next(iter(open_source(example_captures() / ROW_A).refs())).load()
     small = replace(capture, depth_m=capture.depth_m * np.float32(unit_m / 0.001), masks=())
     far = np.where(small.depth_m < 5.5, small.depth_m * np.float32(0.85), 0).astype(np.float32)
     write_native(replace(small, depth_m=far if note else small.depth_m), folder)

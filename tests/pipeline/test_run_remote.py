@@ -12,7 +12,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.capture.urls import as_path, with_retries
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
@@ -45,7 +45,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     store = s3fs.S3FileSystem()
     store.mkdir("house")
     for name in NAMES:
-        store.put(str(bundled_captures() / name), f"house/captures/{name}", recursive=True)
+        store.put(str(example_captures() / name), f"house/captures/{name}", recursive=True)
     yield "s3://house"
     s3fs.S3FileSystem.clear_instance_cache()
     server.stop()
@@ -56,7 +56,7 @@ def cells(result: RunResult) -> list[dict[str, object]]:
 
 
 def test_s3_in_and_out_give_the_rows_of_folders_and_go_on(bucket: str, tmp_path: Path) -> None:
-    here = measure_inputs([bundled_captures() / n for n in NAMES], tmp_path / "out", OPTIONS)
+    here = measure_inputs([example_captures() / n for n in NAMES], tmp_path / "out", OPTIONS)
     places = [f"{bucket}/captures"]
     batch = BatchOptions(parquet=True)
     far = measure_inputs(places, f"{bucket}/out", OPTIONS, batch=batch)
@@ -79,7 +79,7 @@ def test_s3_in_and_out_give_the_rows_of_folders_and_go_on(bucket: str, tmp_path:
 
 def test_a_bucket_that_is_not_there_is_said_at_once(bucket: str, tmp_path: Path) -> None:
     with pytest.raises(CucumberVisionError, match="s3://nowhere/out: cannot be written"):
-        measure_inputs([bundled_captures()], "s3://nowhere/out", OPTIONS)
+        measure_inputs([example_captures()], "s3://nowhere/out", OPTIONS)
     result = measure_inputs([f"{bucket}/nothing"], tmp_path / "out", OPTIONS)
     assert [failure.error for failure in result.failures] == ["CaptureError"]
     assert result.failures[0].message.startswith(f"{bucket}/nothing: does not exist")
@@ -108,7 +108,7 @@ def test_a_store_that_is_gone_for_a_while_is_asked_again(
 
 
 def test_captures_are_read_over_http(tmp_path: Path) -> None:
-    handler = partial(QuietHandler, directory=str(bundled_captures()))
+    handler = partial(QuietHandler, directory=str(example_captures()))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()

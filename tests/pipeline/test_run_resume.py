@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import ReadOptions, bundled_captures
+from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.fields import FIELDS
@@ -32,7 +32,7 @@ TABLES = ("measurements.csv", "failures.csv")
 
 @pytest.fixture
 def house(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(bundled_captures(), tmp_path / "house"))
+    return Path(shutil.copytree(example_captures(), tmp_path / "house"))
 
 
 class Watched:
@@ -232,7 +232,7 @@ def as_nobody() -> Iterator[None]:
 
 def test_a_folder_that_may_not_be_looked_into_is_a_failure() -> None:
     with tempfile.TemporaryDirectory() as folder:  # pytest's own are closed to others
-        house = Path(shutil.copytree(bundled_captures(), Path(folder) / "house"))
+        house = Path(shutil.copytree(example_captures(), Path(folder) / "house"))
         closed = house / "closed"
         closed.mkdir()
         Path(folder).chmod(0o755)
@@ -258,7 +258,7 @@ def pressed(*arguments, **more):
 module.measure_fruit = pressed
 from cucumbervision.cli.app import main; main()
 """
-    arguments = ["measure", str(bundled_captures()), "--out", str(tmp_path), "--methods", "m1"]
+    arguments = ["measure", str(example_captures()), "--out", str(tmp_path), "--methods", "m1"]
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments],
         capture_output=True,

@@ -195,7 +195,7 @@ def poses(folder: Path) -> None:
 def run(folder: Path) -> None:
     """Measure a bundled capture with three methods, for its CSV and JSON."""
     from cucumbervision.accuracy.measured import read_measured
-    from cucumbervision.capture.source import bundled_captures
+    from cucumbervision.capture.source import example_captures
     from cucumbervision.measurement.result import Method
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.run import measure_inputs
@@ -203,7 +203,7 @@ def run(folder: Path) -> None:
     out = folder / "measured"
     methods = (Method.M1, Method.M2, Method.M3)
     options = MeasureOptions(instances="dataset", methods=methods, segmenter="none")
-    measure_inputs([bundled_captures() / "simulated-row-b"], out, options)
+    measure_inputs([example_captures() / "simulated-row-b"], out, options)
     for ending in ("csv", "json"):
         copied(out / f"measurements.{ending}", folder)
     shutil.rmtree(out)

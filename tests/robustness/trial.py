@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -99,7 +99,7 @@ def captures(folder: Path, count: int = 3) -> Path:
     from cucumbervision.capture.readers import open_source
     from cucumbervision.capture.readers.native import write_native
 
-    one = next(iter(open_source(bundled_captures() / "simulated-row-b"))).load()
+    one = next(iter(open_source(example_captures() / "simulated-row-b"))).load()
     for k in range(count):
         depth_m = one.depth_m + (one.depth_m > 0) * 0.001 * k
         stop = replace(one.stop, position_m=0.8 + 0.4 * k, step=2 + k)

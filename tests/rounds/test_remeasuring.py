@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
 from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.pipeline.options import MeasureOptions
@@ -28,7 +28,7 @@ OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M3, Method.M6))
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A capture of three fruit."""
-    return Path(shutil.copytree(bundled_captures() / "simulated-row-a", tmp_path / "row-a"))
+    return Path(shutil.copytree(example_captures() / "simulated-row-a", tmp_path / "row-a"))
 
 
 def change_camera(folder: Path, factor: float) -> None:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 
-BENCH = bundled_captures() / "simulated-bench"
+BENCH = example_captures() / "simulated-bench"
 QUICK = ("--instances", "dataset", "--methods", "m1")
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 
 _ADDRESS = re.compile(r'sin6?_addr=inet_(?:addr\("|pton\(AF_INET6, ")([^"]+)"')
 
@@ -24,7 +24,7 @@ def test_measuring_with_the_networks_connects_to_nobody(tmp_path: Path) -> None:
     if subprocess.run([*watched, "true"], check=False, capture_output=True).returncode:
         pytest.skip("this system lets no process be watched")
     code = "from cucumbervision.cli.app import main; main()"
-    source = bundled_captures() / "simulated-row-b"
+    source = example_captures() / "simulated-row-b"
     words = ["measure", str(source), "--out", str(tmp_path / "out"), "--instances", "models"]
     done = subprocess.run(
         [*watched, sys.executable, "-c", code, *words, "--methods", "M1"],

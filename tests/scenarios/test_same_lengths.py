@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.measuring import SharedMeasurer
 from cucumbervision.dashboard.settings import Settings
 from cucumbervision.measurement.selector import measure_fruit
@@ -40,7 +40,7 @@ def said(record: DetectionRecord) -> dict[str, Any]:
 @pytest.mark.parametrize("with_masks", [True, False])
 def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) -> None:
     folder = tmp_path / "bench"
-    shutil.copytree(bundled_captures() / "simulated-bench", folder)
+    shutil.copytree(example_captures() / "simulated-bench", folder)
     if not with_masks:  # the package's own networks find the fruit
         shutil.rmtree(folder / "mask_visib")
     rows = measure_inputs([folder], tmp_path / "out", MeasureOptions()).rows

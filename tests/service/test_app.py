@@ -19,7 +19,7 @@ from starlette.testclient import TestClient
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
@@ -34,7 +34,7 @@ ADMITTED = {"Authorization": f"Bearer {TOKEN}"}
 
 @pytest.fixture(scope="module")
 def bench() -> Capture:
-    return next(iter(open_source(bundled_captures() / "simulated-bench"))).load()
+    return next(iter(open_source(example_captures() / "simulated-bench"))).load()
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 pytest.importorskip("fastapi")
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import AccessError, CaptureError
 from cucumbervision.pipeline.measurer import Measurer
@@ -50,7 +50,7 @@ def service() -> Iterator[str]:
 
 
 def test_captures_go_and_rows_come(service: str) -> None:
-    capture = next(iter(open_source(bundled_captures() / "simulated-bench"))).load()
+    capture = next(iter(open_source(example_captures() / "simulated-bench"))).load()
     client = Client(service, TOKEN)
     told = client.measure(capture)
     (measured,) = told["captures"]
@@ -62,7 +62,7 @@ def test_captures_go_and_rows_come(service: str) -> None:
 
 def test_a_folder_goes_as_the_captures_that_it_holds(service: str, tmp_path: Path) -> None:
     client = Client(service, TOKEN)
-    folder = bundled_captures() / "simulated-bench"
+    folder = example_captures() / "simulated-bench"
     (of_folder,) = client.measure(folder)["captures"]
     (of_capture,) = client.measure(next(iter(open_source(folder))).load())["captures"]
     assert of_folder["fruit"] == of_capture["fruit"] != []
@@ -89,7 +89,7 @@ def test_a_wrong_token_is_said(service: str) -> None:
     # The networks are there before the first request.
     assert health["status"] == "ok"
     assert "cucumber-seg" in health["models"]
-    picture = bundled_captures() / "simulated-bench" / "color_000000.jpg"
+    picture = example_captures() / "simulated-bench" / "color_000000.jpg"
     with pytest.raises(ServiceError, match="the token is missing or wrong") as refused:
         Client(service, "another-token-0123").detect(picture)
     assert refused.value.status == 401

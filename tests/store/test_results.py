@@ -8,7 +8,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.measurement.result import Flag, Method
 from cucumbervision.measurement.selector import measure_fruit
@@ -27,7 +27,7 @@ OPTIONS = MeasureOptions(instances="dataset")
 @pytest.fixture(scope="module")
 def measured() -> CaptureResult:
     """A bundled capture, measured."""
-    refs = {ref.name: ref for ref in open_source(bundled_captures())}
+    refs = {ref.name: ref for ref in open_source(example_captures())}
     capture = refs["simulated-row-a"].load()
     capture = replace(capture, stop=Stop("3", "left", 1.2, 4), timestamp_s=1234.5)
     return Measurer(OPTIONS).measure(capture)

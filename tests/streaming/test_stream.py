@@ -16,7 +16,7 @@ from cucumbervision.capture.camera import FolderCamera
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CameraError
 from cucumbervision.measurement.result import Choice
 from cucumbervision.pipeline.fields import FIELDS
@@ -34,7 +34,7 @@ from cucumbervision.streaming.stream import (
 @pytest.fixture(scope="module")
 def walk() -> list[Capture]:
     """A bundled capture of three fruit that moves 12 px a frame, 15 frames a second."""
-    one = next(iter(open_source(bundled_captures() / "simulated-row-a"))).load()
+    one = next(iter(open_source(example_captures() / "simulated-row-a"))).load()
     return [
         replace(
             one,
@@ -124,7 +124,7 @@ def test_frames_without_a_time_are_not_forgotten_because_networks_loaded(
 
 def test_captures_of_different_stops_share_no_fruit() -> None:
     # Three scenes of a row, a stop each, that give no time: fruit lie at like places in them.
-    given = by_masks().follow(open_stream(bundled_captures()))
+    given = by_masks().follow(open_stream(example_captures()))
     numbers = [
         [one.track for one in frame.fruit] for frame in given if not isinstance(frame, Failure)
     ]
@@ -133,7 +133,7 @@ def test_captures_of_different_stops_share_no_fruit() -> None:
 
 def test_pictures_of_different_scenes_share_no_fruit_without_stops_either() -> None:
     stream, numbers = by_masks(), []
-    for ref in open_source(bundled_captures()):
+    for ref in open_source(example_captures()):
         frame = stream.take(replace(ref.load(), stop=Stop()))
         assert all(one.seen == 1 and one.frames <= 1 for one in frame.fruit)
         numbers += [one.track for one in frame.fruit]

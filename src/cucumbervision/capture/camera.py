@@ -118,8 +118,8 @@ class FolderCamera:
 
     Examples
     --------
-    >>> from cucumbervision.capture.source import bundled_captures
-    >>> with FolderCamera(bundled_captures(), old=True) as camera:
+    >>> from cucumbervision.capture.source import example_captures
+    >>> with FolderCamera(example_captures(), old=True) as camera:
     ...     camera.capture_burst().name
     'simulated-bench'
     """

@@ -102,6 +102,9 @@ class Capture:
     source: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<Capture {self.name}: {self.width}x{self.height}>"
+
     def __post_init__(self) -> None:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
             raise CaptureError(

@@ -196,12 +196,12 @@ def unique_name(name: str, taken: set[str]) -> str:
     return candidate
 
 
-def bundled_captures() -> Path:
+def example_captures() -> Path:
     """Return the folder of the captures that come with the package.
 
     Examples
     --------
-    >>> sorted(p.name for p in bundled_captures().iterdir())
+    >>> sorted(p.name for p in example_captures().iterdir())
     ['simulated-bench', 'simulated-row-a', 'simulated-row-b']
     """
     return Path(__file__).with_name("bundled_captures")

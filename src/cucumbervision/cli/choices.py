@@ -68,7 +68,10 @@ Pose = Annotated[
     Path | None,
     typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
 ]
-Methods = Annotated[str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6.")]
+Methods = Annotated[
+    str,
+    typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given."),
+]
 SelectorChoice = Annotated[Selector, typer.Option(help="How one method is chosen.")]
 DepthPicture = Annotated[
     Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")

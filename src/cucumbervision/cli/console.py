@@ -24,7 +24,9 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from cucumbervision.measurement.result import LOWER_BOUND
+from cucumbervision.agronomy.grades import GradingTraits, grade
+from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.measurement.result import LOWER_BOUND, LengthDefinition, flag_remarks
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.pipeline.detect import detect_inputs
 from cucumbervision.pipeline.inputs import count_captures
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.accuracy import table
+    from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.pipeline.detect import DetectOptions, DetectResult
     from cucumbervision.pipeline.measurer import Failure
     from cucumbervision.pipeline.options import MeasureOptions
@@ -42,7 +45,7 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 40
 _WIDTH = 120
-_SIMULATED = "simulated captures are among them: drawn, not taken"
+_SIMULATED = "some of these captures are simulated"
 
 
 def screen(width: int = _WIDTH) -> Console:
@@ -100,6 +103,8 @@ def measure_and_show(
     *,
     quiet: bool,
     as_json: bool,
+    profile: str = "long-cucumber",
+    by_method: bool = False,
 ) -> int:
     """Measure, show progress and results, and return the exit code.
 
@@ -117,11 +122,11 @@ def measure_and_show(
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
     elif not quiet:
         console = screen()
-        console.print(_results_table(result))
+        console.print(_results_table(result, load_profile(profile), by_method=by_method))
         console.print(f"{_closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
     show_failures(result.failures, result.out)
     if result.interrupted:
-        errors.print("interrupted: the same command goes on where it stopped", soft_wrap=True)
+        errors.print("interrupted; rerun the command to resume", soft_wrap=True)
     return result.exit_code
 
 
@@ -166,41 +171,39 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def _results_table(result: RunResult) -> Table:
-    """Lay out the rows as a table; the methods that ran get a column each."""
-    rows = list(islice(result.each_row(), _MOST_ROWS))
+def _results_table(result: RunResult, profile: CropProfile, *, by_method: bool) -> Table:
+    """Lay out the rows for 80 columns; with `by_method` M1 to M6 get a column each."""
+    rows: list[Mapping[str, Any]] = list(islice(result.each_row(), _MOST_ROWS))
     ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in rows)]
+    shown = ran if by_method else []
     table = Table(title="Measured fruit, lengths in cm", title_justify="left")
-    for head in ("capture", "fruit"):
-        table.add_column(head, overflow="fold")
-    table.add_column("length", justify="right", style="bold")
-    table.add_column("90 % interval", justify="right")
-    for head in ("by", "kind"):
-        table.add_column(head)
-    for method in ran:
+    table.add_column("capture", overflow="fold")
+    table.add_column("fruit", justify="right")
+    table.add_column("length", justify="right", style="bold", no_wrap=True)
+    table.add_column("90 % interval", justify="right", no_wrap=True)
+    for method in shown:
         table.add_column(method.upper(), justify="right")
-    table.add_column("remarks", overflow="fold")
+    table.add_column("class, remarks", overflow="fold")
     for row in rows:
-        table.add_row(*_cells(row, ran))
+        name, number = row["capture"], str(row["fruit"])
+        lengths = [_number(row[f"{method}_cm"]) for method in shown]
+        remarks = _remarks(row, profile)
+        table.add_row(name, number, _length(row), _interval(row), *lengths, remarks)
     if result.summary.fruit > _MOST_ROWS:
         table.caption = f"and {result.summary.fruit - _MOST_ROWS} more in measurements.csv"
     return table
 
 
-def _cells(row: Mapping[str, Any], ran: Sequence[str]) -> list[str]:
-    remarks = [row["flags"], row["fallback"]]
+def _remarks(row: Mapping[str, Any], profile: CropProfile) -> str:
+    """Return a fruit's class and its flags in words, or why it was not measured."""
     if row["length_cm"] is None:
-        remarks.insert(0, f"not measured: {row['reason']}")
-    return [
-        row["capture"],
-        str(row["fruit"]),
-        _length(row),
-        _interval(row),
-        row["method"] or "",
-        row["length_kind"] or "",
-        *(_number(row[f"{method}_cm"]) for method in ran),
-        "; ".join(part for part in remarks if part),
-    ]
+        return f"not measured: {row['reason']}"
+    found = grade(GradingTraits.from_row(row), profile)
+    whole = LOWER_BOUND.isdisjoint(row["flags"].split())
+    parts = [str(found.name) if found.name and whole else "", flag_remarks(row["flags"])]
+    if row["length_kind"] not in set(LengthDefinition):
+        parts.append(f"{row['length_kind']} by {row['method']}")
+    return "; ".join(filter(None, parts))
 
 
 def _length(row: Mapping[str, Any]) -> str:

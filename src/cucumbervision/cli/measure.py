@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from cucumbervision.capture.urls import as_path
-from cucumbervision.cli.choices import AsJson, Quiet, takes_measure_options
+from cucumbervision.cli.choices import AsJson, Crop, Methods, Quiet, takes_measure_options
 
 if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
@@ -61,10 +62,12 @@ Out = Annotated[
 ]
 
 
-@takes_measure_options()
+@takes_measure_options("methods", "profile")
 def measure(
     inputs: Inputs,
     out: Out,
+    methods: Methods = "",
+    profile: Crop = "long-cucumber",
     guard: Guard = False,
     workers: Workers = 0,
     engine: EngineName = "local",
@@ -81,16 +84,29 @@ def measure(
     Rerun the command to resume: only captures that are missing or affected by other options or
     networks are measured.
     """
+    from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.capture.readers import open_source
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.intake.recordings import open_guarded
     from cucumbervision.pipeline.engines import choose_engine
+    from cucumbervision.pipeline.options import parse_methods
     from cucumbervision.pipeline.run import BatchOptions
 
     opener = open_guarded if guard else open_source
     where = choose_engine(engine, workers, address)
     batch = BatchOptions(fresh, parquet, opener=opener, engine=where)
-    code = measure_and_show(inputs, out, options, batch, quiet=quiet, as_json=as_json)
+    accepted_m = load_profile(profile).accepted_m
+    options = replace(options, methods=parse_methods(methods or "all"), accepted_m=accepted_m)
+    code = measure_and_show(
+        inputs,
+        out,
+        options,
+        batch,
+        quiet=quiet,
+        as_json=as_json,
+        profile=profile,
+        by_method=bool(methods),
+    )
     raise typer.Exit(code)
 
 
@@ -105,7 +121,7 @@ def demo(
 
     Masks by MobileSAM, lengths by M1 to M6.
     """
-    from cucumbervision.capture.source import bundled_captures
+    from cucumbervision.capture.source import example_captures
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.perception.registry import load_registry
     from cucumbervision.pipeline.finders import demo_options
@@ -115,5 +131,5 @@ def demo(
     if not (quiet or as_json):
         typer.echo(line)
     batch = BatchOptions()
-    code = measure_and_show([bundled_captures()], out, options, batch, quiet=quiet, as_json=as_json)
+    code = measure_and_show([example_captures()], out, options, batch, quiet=quiet, as_json=as_json)
     raise typer.Exit(code)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
@@ -81,7 +81,7 @@ class SharedMeasurer:
 
     def warm_up(self, options: MeasureOptions) -> None:
         """Load the networks, and let each compute once: the first time takes much longer."""
-        first = next(iter(open_source(bundled_captures()))).load()
+        first = next(iter(open_source(example_captures()))).load()
         # Without the masks that come with it, which would be taken in the networks' place.
         self.with_options(options).measure(replace(first, masks=()))
 

@@ -18,7 +18,7 @@ from cucumbervision.agronomy.profiles import CropProfile, load_profile
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, Replay
 from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
@@ -107,7 +107,7 @@ def camera() -> CameraFeed:
 
 @st.cache_resource(show_spinner=False)
 def _replay(burst: int) -> Feed:
-    chosen = Path(os.environ.get(REPLAY_VARIABLE) or bundled_captures())
+    chosen = Path(os.environ.get(REPLAY_VARIABLE) or example_captures())
     if chosen.suffix.lower() in RECORDING_SUFFIXES:
         # As a camera would send it, so that a walk can be tried.
         playing = CameraConfig(playback=chosen, warm_up=0, fps=PREVIEW_FPS)
@@ -373,7 +373,7 @@ def prepare() -> Job | None:
 
 
 def _demonstrate(job: Job) -> None:
-    source = open_source(bundled_captures(), ReadOptions(burst=settings().burst))
+    source = open_source(example_captures(), ReadOptions(burst=settings().burst))
     job.total, key = source.total or 0, DEMONSTRATION
     for ref in source:
         job.step(measurer().take_stop(store(), key, ref.load(), settings().options).note)

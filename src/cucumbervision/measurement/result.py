@@ -329,6 +329,12 @@ class FruitMeasurement:
     distance_m: float | None = None
     fill: float | None = None
 
+    def __repr__(self) -> str:
+        said = f"not measured: {self.reason}"
+        if self.length is not None:
+            said = f"{100 * self.length.value_m:.1f} cm {self.length.kind} by {self.method}"
+        return f"<FruitMeasurement: {said}>"
+
     @property
     def method(self) -> Method | None:
         """The method whose length stands."""

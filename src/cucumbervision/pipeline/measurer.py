@@ -162,6 +162,9 @@ class CaptureResult:
     error: CucumberVisionError | None = None
     stages: tuple[Stage, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
+
     @property
     def seen(self) -> tuple[SeenFruit, ...]:
         """The fruit, numbered from 1."""
@@ -192,10 +195,10 @@ class Measurer:
 
     Examples
     --------
-    >>> from cucumbervision.capture.source import bundled_captures
+    >>> from cucumbervision.capture.source import example_captures
     >>> from cucumbervision.capture.readers import open_source
     >>> measurer = Measurer(MeasureOptions(instances="dataset"))
-    >>> result = measurer.measure(next(iter(open_source(bundled_captures()))).load())
+    >>> result = measurer.measure(next(iter(open_source(example_captures()))).load())
     >>> length = result.fruit[0].length
     >>> f"{100 * length.low_m:.0f} to {100 * length.high_m:.0f} cm, {length.kind}"
     '16 to 17 cm, centreline'

@@ -60,8 +60,8 @@ def open_stream(
 
     Examples
     --------
-    >>> from cucumbervision.capture.source import bundled_captures
-    >>> [one.item.name for one in open_stream(bundled_captures())]
+    >>> from cucumbervision.capture.source import example_captures
+    >>> [one.item.name for one in open_stream(example_captures())]
     ['simulated-bench', 'simulated-row-a', 'simulated-row-b']
     """
     if str(source) == _CAMERA:

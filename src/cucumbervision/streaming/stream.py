@@ -177,9 +177,9 @@ class FruitStream:
     Examples
     --------
     >>> from cucumbervision.capture.readers import open_source
-    >>> from cucumbervision.capture.source import bundled_captures
+    >>> from cucumbervision.capture.source import example_captures
     >>> stream = FruitStream(Measurer(MeasureOptions(instances="dataset")))
-    >>> capture = next(iter(open_source(bundled_captures()))).load()
+    >>> capture = next(iter(open_source(example_captures()))).load()
     >>> frames = [stream.take(capture, at_s=at) for at in (0.0, 0.1, 0.2)]
     >>> [[one.track for one in frame.fruit] for frame in frames]
     [[1, 2, 3], [1, 2, 3], [1, 2, 3]]

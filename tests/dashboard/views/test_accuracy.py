@@ -8,7 +8,7 @@ import pytest
 from cucumbervision.accuracy.own_truth import evaluate_lengths
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.site_calibration import calibrate_lengths
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.views.accuracy import (
     hand_file,
     hand_lengths,
@@ -26,7 +26,7 @@ def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path
     fruit = store.detections(WALK)
     true = {}
     for view in fruit:
-        said = json.loads((bundled_captures() / view.capture / "truth.json").read_text())
+        said = json.loads((example_captures() / view.capture / "truth.json").read_text())
         thread_m = said[view.record.number - 1]["thread_m"]
         true[view.key] = (thread_m - 0.0005, thread_m + 0.0005)
     path = hand_file(str(house), WALK)

@@ -24,7 +24,7 @@ import onnx
 from cucumbervision.capture.files import read_color, write_png
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask
@@ -411,7 +411,7 @@ def test_what_is_judged_is_what_ships() -> None:
     """The networks of the package, on the bundled captures: the same fruit, equally sure."""
     ours = NetworkLoader(full_precision=True).detectors()
     judged = open_networks(*chosen_networks(None, None), None)
-    for ref in open_source(bundled_captures()):
+    for ref in open_source(example_captures()):
         capture = ref.load()
         color, (height, width) = capture.color, capture.color.shape[:2]
         frame = Frame(capture.name, capture.name, width, height)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import bundled_captures
+from cucumbervision.capture.source import example_captures
 from cucumbervision_lab.synthesis.demo import SCENES, place, write_demo
 
 
 def test_the_bundled_captures_are_what_the_scenes_draw(tmp_path: Path) -> None:
     for folder in write_demo(tmp_path, SCENES[:1]):
-        bundled = bundled_captures() / folder.name
+        bundled = example_captures() / folder.name
         assert sorted(p.name for p in folder.rglob("*")) == sorted(
             p.name for p in bundled.rglob("*")
         )
@@ -35,7 +35,7 @@ def test_the_bundled_captures_are_what_the_scenes_draw(tmp_path: Path) -> None:
 def test_truth_is_the_bodies_own(scene: object) -> None:
     assert scene in SCENES
     found = next(s for s in SCENES if s is scene)
-    truth = json.loads((bundled_captures() / found.name / "truth.json").read_text())
+    truth = json.loads((example_captures() / found.name / "truth.json").read_text())
     for pose, lengths in zip(found.fruit, truth, strict=True):
         assert lengths["centreline_m"] == pytest.approx(pose.length_m, abs=1e-4)
         assert lengths["chord_m"] <= lengths["centreline_m"] + 1e-9 <= lengths["thread_m"] + 2e-9
@@ -43,7 +43,7 @@ def test_truth_is_the_bodies_own(scene: object) -> None:
 
 
 def test_they_read_as_simulated_bursts_with_masks() -> None:
-    captures = [ref.load() for ref in open_source(bundled_captures())]
+    captures = [ref.load() for ref in open_source(example_captures())]
     assert [len(c.masks) for c in captures] == [3, 3, 2]
     for capture in captures:
         assert capture.simulated

@@ -1,0 +1,132 @@
+"""Measure captures in one call, from Python: results by capture, as rows, or as a data frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.urls import as_path
+from cucumbervision.errors import MissingExtraError
+from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.inputs import read_captures
+from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import pandas as pd
+
+    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.pipeline.fields import Cell
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Measured captures.
+
+    Parameters
+    ----------
+    captures : tuple of CaptureResult
+        One for each capture that could be read, in order.
+    failures : tuple of Failure
+        What could not be read or measured.
+    """
+
+    captures: tuple[CaptureResult, ...]
+    failures: tuple[Failure, ...] = ()
+
+    @property
+    def fruit(self) -> tuple[FruitMeasurement, ...]:
+        """The fruit of all captures."""
+        return tuple(fruit for one in self.captures for fruit in one.fruit)
+
+    def rows(self) -> list[dict[str, Cell]]:
+        """Return one row per fruit, with the columns of `measurements.csv`."""
+        return [row for one in self.captures for row in one.rows()]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the rows as a data frame.
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ModuleNotFoundError:
+            raise MissingExtraError("pandas", "dashboard") from None
+        return pd.DataFrame(self.rows(), columns=[one.name for one in FIELDS])
+
+    def __iter__(self) -> Iterator[CaptureResult]:
+        return iter(self.captures)
+
+    def __len__(self) -> int:
+        return len(self.captures)
+
+    def __repr__(self) -> str:
+        found, failed = len(self.fruit), len(self.failures)
+        return f"<Results: {found} fruit in {len(self)} captures, {failed} failures>"
+
+
+def measure(
+    captures: Capture | Path | str | Iterable[Capture | Path | str],
+    options: MeasureOptions | None = None,
+    **choices: Any,
+) -> Results:
+    """Measure captures.
+
+    To measure again and again, keep a `Measurer`: its networks are loaded once.
+
+    Parameters
+    ----------
+    captures : Capture, Path or str, or several of them
+        Captures in memory; folders, files and URLs that `open_source` reads.
+    options : MeasureOptions, optional
+        How to measure.
+    **choices
+        Fields of `MeasureOptions`, in place of `options`.
+
+    Returns
+    -------
+    Results
+        A capture that cannot be read or measured is among its failures; the others are measured.
+
+    Raises
+    ------
+    CucumberVisionError
+        If a network or the calibration cannot be loaded, or an option is unknown.
+
+    Examples
+    --------
+    >>> from cucumbervision import example_captures, measure
+    >>> results = measure(example_captures(), instances="dataset")
+    >>> results
+    <Results: 8 fruit in 3 captures, 0 failures>
+    >>> [f"{fruit.length.value_m:.2f} m" for fruit in results.fruit[:3]]
+    ['0.16 m', '0.12 m', '0.25 m']
+    """
+    if options is not None and choices:
+        raise TypeError("give options or their fields, not both")
+    measurer = Measurer(options or MeasureOptions(**choices))
+    measurer.load()
+    given = [captures] if isinstance(captures, Capture | Path | str) else captures
+    results, failures = list[CaptureResult](), list[Failure]()
+    for one in given:
+        if isinstance(one, Capture):
+            found: Iterable[Capture | Failure] = (one,)
+        else:
+            found = read_captures([as_path(one)], measurer.options.reading)
+        for capture in found:
+            if isinstance(capture, Failure):
+                failures.append(capture)
+                continue
+            result = measurer.attempt(capture)
+            failures += result.failures
+            if result.error is None:
+                results.append(result)
+    return Results(tuple(results), tuple(failures))

@@ -267,7 +267,7 @@ from cucumbervision.cli.app import main; main()
         env=os.environ | {"COLUMNS": "120"},
     )
     assert done.returncode == 130
-    assert "the same command goes on where it stopped" in done.stderr
+    assert "rerun the command to resume" in done.stderr
     report = json.loads((tmp_path / "measurements.json").read_text())
     assert [capture["name"] for capture in report["captures"]] == [NAMES[0]]
 

@@ -122,7 +122,9 @@ def measure_and_show(
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
     elif not quiet:
         console = screen()
-        console.print(_results_table(result, load_profile(profile), by_method=by_method))
+        console.print(
+            _results_table(result, options.length, load_profile(profile), by_method=by_method)
+        )
         console.print(f"{_closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
     show_failures(result.failures, result.out)
     if result.interrupted:
@@ -171,12 +173,14 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def _results_table(result: RunResult, profile: CropProfile, *, by_method: bool) -> Table:
+def _results_table(
+    result: RunResult, length: LengthDefinition, profile: CropProfile, *, by_method: bool
+) -> Table:
     """Lay out the rows for 80 columns; with `by_method` M1 to M6 get a column each."""
     rows: list[Mapping[str, Any]] = list(islice(result.each_row(), _MOST_ROWS))
     ran = [f"m{k}" for k in range(1, 7) if any(r[f"m{k}_cm"] is not None for r in rows)]
     shown = ran if by_method else []
-    table = Table(title="Measured fruit, lengths in cm", title_justify="left")
+    table = Table(title=f"Measured fruit, {length} in cm", title_justify="left")
     table.add_column("capture", overflow="fold")
     table.add_column("fruit", justify="right")
     table.add_column("length", justify="right", style="bold", no_wrap=True)

@@ -281,7 +281,7 @@ _FRUIT = (
         "capture||text|capture of the best view|view.capture",
         "stop_key||text|its stop|view.stop_key",
         "taken_utc||text|when it was seen|view.taken_s",
-        "simulated||yes/no|whether the capture was drawn, not taken|view.simulated",
+        "simulated||yes/no|whether the capture is simulated|view.simulated",
         "picture||text|picture of the fruit, beside the tables",
     ),
     *_WITH,

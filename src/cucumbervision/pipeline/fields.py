@@ -253,7 +253,7 @@ FIELDS = (
         "simulated",
         "",
         "yes/no",
-        "whether the capture was drawn, not taken",
+        "whether the capture is simulated",
         "capture.simulated",
     ),
     _text("source", "capture.source", "where the capture was read from"),

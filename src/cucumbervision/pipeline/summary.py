@@ -115,7 +115,7 @@ class Summary:
             ("Inputs that could not be read", failures),
         ]
         if self.simulated:
-            lines.append(("Note", "simulated captures are among them: drawn, not taken"))
+            lines.append(("Note", "some of these captures are simulated"))
         lines += self._statistics()
         for what, counts in (("method", self.methods), ("source of the mask", self.masks)):
             named = sorted((name or "none", count) for name, count in counts.items())

@@ -60,7 +60,7 @@ def page(one: RoundView) -> None:
     home = DEMONSTRATION if drawn else one.key
     if drawn and not is_demonstration(one.key):
         notice.info(
-            "These pictures are drawn, not taken. What you capture of them goes into the round "
+            "These pictures are simulated. What you capture of them goes into the round "
             "'Demonstration', never into yours.",
             icon=":material/draw:",
         )

@@ -198,7 +198,7 @@ def as_errors_of(source: object) -> Iterator[None]:
 
 
 @contextmanager
-def naming_os_errors(
+def wrap_os_errors(
     fault: str,
     source: object,
     remedy: str = "choose another --out",
@@ -219,7 +219,7 @@ def naming_os_errors(
 
     Examples
     --------
-    >>> with naming_os_errors("cannot be read", "a.csv", "check the path"):
+    >>> with wrap_os_errors("cannot be read", "a.csv", "check the path"):
     ...     raise PermissionError(13, "Permission denied")
     Traceback (most recent call last):
     ...
@@ -239,7 +239,7 @@ def naming_os_errors(
 
 
 @contextmanager
-def refusing(
+def wrap_reader_errors(
     source: object,
     kind: type[CucumberVisionError] = CucumberVisionError,
     remedy: str = "correct or export it again",
@@ -259,7 +259,7 @@ def refusing(
 
     Examples
     --------
-    >>> with refusing("run.json", TruthError):
+    >>> with wrap_reader_errors("run.json", TruthError):
     ...     {"captures": 3}["fruit"]
     Traceback (most recent call last):
     ...

@@ -23,7 +23,7 @@ from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
-from cucumbervision.exports.tables import COLUMNS, RoundTables, Table
+from cucumbervision.exports.tables import COLUMNS, ExportTable, RoundTables
 from cucumbervision.exports.workbook import SHEETS, reading_table
 from cucumbervision.exports.writers import render_sheet, write_exports
 from cucumbervision.pipeline.fields import Cell, Column, defused
@@ -200,9 +200,9 @@ def test_a_round_that_is_not_there_is_named(store: Store) -> None:
 def test_a_cell_of_another_type_is_refused() -> None:
     column = Column("length_cm", "cm", "number", "length")
     with pytest.raises(ValueError, match=r"t\.length_cm holds 3, which is not number"):
-        Table("t", (column,), ((3,),))
+        ExportTable("t", (column,), ((3,),))
     with pytest.raises(ValueError, match="has 2 cells"):
-        Table("t", (column,), ((3.0, 4.0),))
+        ExportTable("t", (column,), ((3.0, 4.0),))
 
 
 def _read(text: str, column: Column) -> Cell:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import UploadError
-from cucumbervision.intake.file_checks import Kind, check_picture, file_kind, picture_size
+from cucumbervision.intake.file_checks import FileKind, check_picture, file_kind, picture_size
 
-KINDS = {".png": Kind.PNG, ".jpg": Kind.JPEG, ".tif": Kind.TIFF}
+KINDS = {".png": FileKind.PNG, ".jpg": FileKind.JPEG, ".tif": FileKind.TIFF}
 
 
 @pytest.mark.parametrize("suffix", KINDS)
@@ -26,14 +26,14 @@ def test_the_size_is_the_one_that_opencv_writes(suffix: str, height: int, width:
 def test_depth_of_any_type_has_a_size() -> None:
     for dtype in (np.uint16, np.float32, np.float64):
         data = cv2.imencode(".tif", np.zeros((30, 50), dtype))[1].tobytes()
-        assert picture_size(io.BytesIO(data), Kind.TIFF) == (50, 30)
+        assert picture_size(io.BytesIO(data), FileKind.TIFF) == (50, 30)
 
 
 def test_a_big_endian_tiff() -> None:
     entries = [(256, 3, struct.pack(">HH", 50, 0)), (257, 4, struct.pack(">I", 30))]
     body = b"".join(struct.pack(">HHI", tag, kind, 1) + data for tag, kind, data in entries)
     data = b"MM\0*" + struct.pack(">IH", 8, len(entries)) + body
-    assert picture_size(io.BytesIO(data), Kind.TIFF) == (50, 30)
+    assert picture_size(io.BytesIO(data), FileKind.TIFF) == (50, 30)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_a_tiff_whose_decoder_would_take_much_memory_is_damaged(
     body = b"".join(struct.pack("<HHII", *(k, 4, 1, v)) for k, v in sorted(entries.items()))
     (tmp_path / "a").write_bytes(b"II*\0" + struct.pack("<IH", 8, len(entries)) + body + bytes(4))
     with pytest.raises(UploadError, match=r"^a\.tif: is damaged"):
-        check_picture(tmp_path / "a", Kind.TIFF, 10_000, source="a.tif")
+        check_picture(tmp_path / "a", FileKind.TIFF, 10_000, source="a.tif")
 
 
 def test_a_huge_picture_is_refused_by_its_head_alone(tmp_path: Path) -> None:
@@ -56,11 +56,11 @@ def test_a_huge_picture_is_refused_by_its_head_alone(tmp_path: Path) -> None:
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     (tmp_path / "a").write_bytes(data)
     with pytest.raises(UploadError, match="60000x60000 pixels, more than 40 million"):
-        check_picture(tmp_path / "a", Kind.PNG, 40_000_000, source="a.png")
+        check_picture(tmp_path / "a", FileKind.PNG, 40_000_000, source="a.png")
 
 
 @pytest.mark.parametrize("kind", KINDS.values())
-def test_a_head_that_ends_is_damaged(tmp_path: Path, kind: Kind) -> None:
+def test_a_head_that_ends_is_damaged(tmp_path: Path, kind: FileKind) -> None:
     data = cv2.imencode(kind.value, np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     (tmp_path / "a").write_bytes(data[:9])
     with pytest.raises(UploadError, match=r"^a\.x: is damaged"):

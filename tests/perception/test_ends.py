@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.ends import STRIP_PX, EndTeller, straighten
+from cucumbervision.perception.ends import STRIP_PX, EndTeller, orient
 from cucumbervision.perception.instances import Instance, each_once, with_keypoints
 from cucumbervision.perception.masks import box_of_mask
 
@@ -36,7 +36,7 @@ def bar(angle_deg: float, length_px: float = 120.0) -> tuple[Picture, NDArray[np
 @pytest.mark.parametrize("length", [40.0, 120.0, 180.0])
 def test_a_fruit_is_laid_level_whatever_its_angle_and_size(angle: float, length: float) -> None:
     picture, points = bar(angle, length)
-    strip = straighten(picture, points)
+    strip = orient(picture, points)
     assert strip is not None
     assert strip.shape == (*STRIP_PX, 3)
     middle = strip[STRIP_PX[0] // 2].astype(int)
@@ -45,18 +45,18 @@ def test_a_fruit_is_laid_level_whatever_its_angle_and_size(angle: float, length:
     assert (middle[104:152, 0] > 180).all()
     assert np.abs(middle[:24] - 90).max() < 30
     assert np.abs(middle[-24:] - 90).max() < 30
-    turned = straighten(picture, points[::-1])
+    turned = orient(picture, points[::-1])
     assert turned is not None
     assert np.abs(turned[::-1, ::-1].astype(int) - strip).mean() < 3
 
 
 def test_what_is_no_line_is_left_out() -> None:
     picture, points = bar(0)
-    assert straighten(picture, np.repeat(points[:1], 5, axis=0)) is None
-    assert straighten(picture, np.full((5, 2), np.nan)) is None
+    assert orient(picture, np.repeat(points[:1], 5, axis=0)) is None
+    assert orient(picture, np.full((5, 2), np.nan)) is None
     # One point twice is no fault, and points beyond the picture show grey.
-    assert straighten(picture, points[[0, 0, 1, 2, 4]]) is not None
-    beyond = straighten(picture, points + 500)
+    assert orient(picture, points[[0, 0, 1, 2, 4]]) is not None
+    beyond = orient(picture, points + 500)
     assert beyond is not None
 
 

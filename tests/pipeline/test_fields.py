@@ -10,7 +10,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.pipeline.fields import FIELDS, Cell, SeenFruit, defused, field, fruit_row
+from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, defused, field, fruit_row
 
 NAMED_BY_THE_ISSUE = (
     "capture, frame, fruit, score, method, reason, fallback, length_cm, length_kind, "
@@ -45,7 +45,7 @@ def test_columns_start_with_the_named_ones_and_are_unique() -> None:
 
 
 def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) -> None:
-    row = fruit_row(SeenFruit(capture, 2, measure_fruit(capture, instance)))
+    row = fruit_row(NumberedFruit(capture, 2, measure_fruit(capture, instance)))
     assert list(row) == [c.name for c in FIELDS]
     assert (row["capture"], row["frame"], row["fruit"], row["score"]) == ("plate", 17, 2, 0.91)
     assert row["method"] == "M6"
@@ -63,7 +63,7 @@ def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) ->
 
 def test_a_fruit_that_nothing_measured_has_a_row_too(capture: Capture) -> None:
     nothing = measure_fruit(capture, Instance(np.array([9.5, 9.5, 209.5, 49.5])))
-    row = fruit_row(SeenFruit(capture, 1, nothing))
+    row = fruit_row(NumberedFruit(capture, 1, nothing))
     assert row["method"] is None
     assert row["length_cm"] is None
     assert row["reason"] == "no-depth"
@@ -76,7 +76,7 @@ def test_a_tube_gives_the_length_that_was_asked(
     capture: Capture, instance: Instance, definition: LengthDefinition
 ) -> None:
     fruit = measure_fruit(capture, instance, definition=definition)
-    row = fruit_row(SeenFruit(capture, 1, fruit))
+    row = fruit_row(NumberedFruit(capture, 1, fruit))
     assert fruit.traits is not None
     by_hand = 100 * getattr(fruit.traits.lengths, f"{definition}_m")
     assert row["length_cm"] == row[f"{definition}_cm"] == pytest.approx(by_hand, abs=5e-4)
@@ -89,7 +89,7 @@ def test_cells_are_the_result_in_the_columns_units(capture: Capture, instance: I
     assert traits is not None
     assert length is not None
     assert length.low_m is not None
-    seen = SeenFruit(capture, 1, fruit)
+    seen = NumberedFruit(capture, 1, fruit)
     by_hand: dict[str, Cell] = {
         "interval_low_cm": round(100 * length.low_m, 3),
         "interval_basis": "simulated",
@@ -118,7 +118,7 @@ def test_the_store_names_fields_by_their_si_units() -> None:
 def test_the_method_named_is_the_one_that_measured(capture: Capture, instance: Instance) -> None:
     few = np.zeros_like(instance.mask)
     few[360, 440:480] = True
-    row = fruit_row(SeenFruit(capture, 1, measure_fruit(capture, replace(instance, mask=few))))
+    row = fruit_row(NumberedFruit(capture, 1, measure_fruit(capture, replace(instance, mask=few))))
     assert row["method"] == "M2"
     assert row["reason"] == "mask-points-lt-100"
     assert row["fallback"] == "M3:too-few-points"

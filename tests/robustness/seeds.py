@@ -448,11 +448,13 @@ def yolo_set(folder: Path) -> None:
 
 def records(folder: Path) -> None:
     """Write a benchmark's records."""
-    from cucumbervision_lab.report.records import Masks, Record, append_record
+    from cucumbervision_lab.report.records import LengthRecord, Masks, append_record
 
     for k in range(3):
         known = (0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0)
-        one = Record(f"c{k}", "paper", Masks.EXACT, "f1", *known, lengths_m={"M1": 0.2, "M6": None})
+        one = LengthRecord(
+            f"c{k}", "paper", Masks.EXACT, "f1", *known, lengths_m={"M1": 0.2, "M6": None}
+        )
         append_record(folder / "records.jsonl", one)
 
 

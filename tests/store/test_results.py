@@ -14,7 +14,7 @@ from cucumbervision.measurement.result import Flag, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.store.records import RoundRecord, record_json
@@ -128,7 +128,7 @@ def test_a_fruit_that_nothing_measured_is_kept_too(measured: CaptureResult) -> N
     nothing = measure_fruit(measured.capture, Instance(np.array([0.5, 0.5, 9.5, 9.5])))
     dark = replace(measured.capture, depth_m=np.zeros_like(measured.capture.depth_m))
     nothing = measure_fruit(dark, nothing.instance)
-    record = fruit_record(SeenFruit(dark, 1, nothing))
+    record = fruit_record(NumberedFruit(dark, 1, nothing))
     assert (record.length_m, record.method, record.view_score) == (None, None, 0.0)
     assert (record.reason, record.mask, record.centre_x_m) == ("no-depth", None, None)
     assert record_json(record)["methods"][0]["reason"] == "no-depth"

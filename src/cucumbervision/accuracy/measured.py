@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.accuracy.truth import parse_number, read_table
 from cucumbervision.capture.files import read_json
-from cucumbervision.errors import CucumberVisionError, refusing
+from cucumbervision.errors import CucumberVisionError, wrap_reader_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -99,7 +99,7 @@ def read_measured(path: Path) -> Measured:
         path = found[0]
     beside = path.with_suffix(".json")
     report = _read_report(beside) if beside.exists() else {}
-    with refusing(path, remedy=_REMEDY):
+    with wrap_reader_errors(path, remedy=_REMEDY):
         if path.suffix.lower() == ".json":
             if not report:
                 raise CucumberVisionError("is missing", source=path, remedy=_REMEDY)

@@ -18,7 +18,7 @@ from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors
 from cucumbervision.accuracy.table import Table
 from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.capture.files import json_value
-from cucumbervision.errors import CucumberVisionError, TruthError, naming_os_errors
+from cucumbervision.errors import CucumberVisionError, TruthError, wrap_os_errors
 from cucumbervision.measurement.result import LengthDefinition, Method, calibration_key
 
 if TYPE_CHECKING:
@@ -289,7 +289,7 @@ def write_own_truth(found: OwnTruth, out: Path, measured: Measured, truth: Truth
         "floor": found.floor and asdict(found.floor),
         "scores": [json_value(asdict(one)) for one in found.scores],
     }
-    with naming_os_errors("cannot be written", out):
+    with wrap_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
         for name, rows in (("lengths", lengths), ("scores", scores)):
             with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.files import read_text
-from cucumbervision.errors import CucumberVisionError, TruthError, refusing
+from cucumbervision.errors import CucumberVisionError, TruthError, wrap_reader_errors
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -33,14 +33,14 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """A table: names of columns, in lower case, and the lines that are not blank."""
 
     columns: tuple[str, ...]
     lines: tuple[Line, ...]
 
 
-def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionError) -> Table:
+def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionError) -> CsvTable:
     r"""Read a CSV as any spreadsheet writes it.
 
     UTF-8 with or without byte order mark, UTF-16 with one, otherwise Windows-1252; separated by
@@ -77,13 +77,13 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     if not text.strip():
         raise error("the file is empty", source=path, remedy="write a head and a line a length")
     separator = max(_SEPARATORS, key=first.count)
-    with refusing(path, error, "write one line a length, and close every quote"):
+    with wrap_reader_errors(path, error, "write one line a length, and close every quote"):
         return _table_of(text, skipped, separator, path, error)
 
 
 def _table_of(
     text: str, skipped: int, separator: str, path: Path, error: type[CucumberVisionError]
-) -> Table:
+) -> CsvTable:
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     head = tuple(name.strip().lower() for name in next(reader))
     double = {name for name in head if name and head.count(name) > 1}
@@ -107,7 +107,7 @@ def _table_of(
             )
         padded = [*cells, *[""] * len(head)]
         lines.append(Line(number, {n: _cell(c) for n, c in zip(head, padded, strict=False)}))
-    return Table(head, tuple(lines))
+    return CsvTable(head, tuple(lines))
 
 
 def parse_number(text: str) -> float | None:
@@ -276,7 +276,7 @@ def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
     )
 
 
-def _require_lines(table: Table, path: Path) -> None:
+def _require_lines(table: CsvTable, path: Path) -> None:
     if not table.lines:
         raise TruthError("has a head but no lines", source=path, remedy="write a line a length")
 

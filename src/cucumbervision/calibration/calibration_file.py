@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from cucumbervision.calibration.corrections import Form
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.files import parse_model, read_json
-from cucumbervision.errors import CalibrationError, naming_os_errors
+from cucumbervision.errors import CalibrationError, wrap_os_errors
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -227,6 +227,6 @@ def write_site_calibration(path: Path, site: SiteCalibration) -> None:
     CalibrationError
         If it cannot be written.
     """
-    with naming_os_errors("cannot be written", path, kind=CalibrationError):
+    with wrap_os_errors("cannot be written", path, kind=CalibrationError):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(site.as_text(), encoding="utf-8")

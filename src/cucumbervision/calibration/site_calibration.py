@@ -30,7 +30,7 @@ from cucumbervision.calibration.corrections import (
 from cucumbervision.calibration.grid import LEAST_CROSSINGS, fit_grid
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model
-from cucumbervision.errors import CalibrationError, refusing
+from cucumbervision.errors import CalibrationError, wrap_reader_errors
 from cucumbervision.measurement.result import LengthDefinition
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ def _run(measured: Measured) -> _Run:
             source=measured.path,
             remedy="give the folder of the run, with its measurements.json",
         )
-    with refusing(measured.path, CalibrationError, "measure again"):
+    with wrap_reader_errors(measured.path, CalibrationError, "measure again"):
         return _run_of(measured)
 
 

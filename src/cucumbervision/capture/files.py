@@ -21,8 +21,8 @@ from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
     DepthError,
-    naming_os_errors,
-    refusing,
+    wrap_os_errors,
+    wrap_reader_errors,
 )
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def read_bytes(
         return held[str(path)]
     data = None
     with (
-        naming_os_errors("cannot be read", path, "check the path", error),
+        wrap_os_errors("cannot be read", path, "check the path", error),
         suppress(FileNotFoundError),
     ):
         data = with_retries(path, path.read_bytes)
@@ -333,7 +333,7 @@ def write_jpeg(path: Path, color_rgb: NDArray[np.uint8], quality: int = 95) -> N
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file, or say in one line why not."""
-    with naming_os_errors("cannot be written", path, "choose another folder", CaptureError):
+    with wrap_os_errors("cannot be written", path, "choose another folder", CaptureError):
         path.write_bytes(data)
 
 
@@ -388,7 +388,7 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
     >>> read_text(path)
     'gürkchen\nzucchini\n'
     """
-    with naming_os_errors("cannot be read", path, "check the path", error):
+    with wrap_os_errors("cannot be read", path, "check the path", error):
         data = path.read_bytes()
     marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     for code in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
@@ -438,7 +438,7 @@ def parse_model(
     from pydantic import ValidationError
 
     try:
-        with refusing(source, error):
+        with wrap_reader_errors(source, error):
             return cast("ModelT", _adapter(cast("Any", model)).validate_python(data))
     except error as refused:
         invalid = refused.__cause__

@@ -17,7 +17,7 @@ from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask, mask_iou
-from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
@@ -243,7 +243,7 @@ class SharedMeasurer:
     def _record(
         self, capture: Capture, stop: StopRecord, fruit: FruitMeasurement, number: int
     ) -> DetectionRecord:
-        record = fruit_record(SeenFruit(capture, number, fruit))
+        record = fruit_record(NumberedFruit(capture, number, fruit))
         return placed_fruit(record, stored_pose(stop.pose, stop.side))
 
     def _sam(self) -> Segmenter:

@@ -40,7 +40,7 @@ CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense 
 
 
 @dataclass(frozen=True)
-class Outcome:
+class UploadOutcome:
     """What became of a file, or of a capture in it.
 
     Parameters
@@ -80,7 +80,7 @@ def measure_uploads(
     place: NextPlace,
     job: Job,
     camera: str = "",
-) -> list[Outcome]:
+) -> list[UploadOutcome]:
     """Check uploads and save their captures as stops of a round; a bad one costs only itself.
 
     Parameters
@@ -98,18 +98,18 @@ def measure_uploads(
 
     Returns
     -------
-    list of Outcome
+    list of UploadOutcome
         Refused files first, then as the files were sorted into captures.
     """
-    job.total, outcomes = len(files), list[Outcome]()
+    job.total, outcomes = len(files), list[UploadOutcome]()
     with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
         accepted = accept_uploads(
             files, Path(folder), burst=options.reading.burst, report=lambda *_: job.step()
         )
-        outcomes += [Outcome(one.name, False, one.error.message) for one in accepted.refused]
+        outcomes += [UploadOutcome(one.name, False, one.error.message) for one in accepted.refused]
         for source in accepted.sources:
             for read in _captures(source, options.reading, camera):
-                if isinstance(read, Outcome):
+                if isinstance(read, UploadOutcome):
                     outcomes.append(read)
                     continue
                 read, place = _placed(read, place)
@@ -119,13 +119,13 @@ def measure_uploads(
 
 def _captures(
     source: AcceptedSource, reading: ReadOptions, camera: str
-) -> Iterator[Capture | Outcome]:
+) -> Iterator[Capture | UploadOutcome]:
     """Yield a source's captures, and why a part of it is none, by the sender's names."""
     try:
         refs: Iterator[CaptureRef] = iter(_with_camera(source, camera).open(reading))
     except CucumberVisionError as error:
         for name in source.files or (source.title,):
-            yield Outcome(name, False, f"{error.message}; {error.remedy}")
+            yield UploadOutcome(name, False, f"{error.message}; {error.remedy}")
         return
     while True:
         try:
@@ -134,7 +134,7 @@ def _captures(
                 return
             yield ref.load()
         except CucumberVisionError as error:
-            yield Outcome(str(error.source or source.title), False, error.message)
+            yield UploadOutcome(str(error.source or source.title), False, error.message)
 
 
 def _with_camera(source: AcceptedSource, camera: str) -> AcceptedSource:
@@ -169,7 +169,7 @@ def _saved(
     store: Store,
     round_key: str,
     options: MeasureOptions,
-) -> Outcome:
+) -> UploadOutcome:
     """Measure and save a capture; the same one sent again is there already."""
     name = capture.source or capture.name
     try:
@@ -180,19 +180,19 @@ def _saved(
         key = key_of(home, capture.name, capture_sha256(capture))
         deleted = store.stop_is_deleted(key)
         if deleted:
-            return Outcome(name, False, "was deleted: undo that to have it back")
+            return UploadOutcome(name, False, "was deleted: undo that to have it back")
         if deleted is not None:
             fruit = measured_otherwise(store, key, capture, measurer.with_options(options))
             again = "was there already, and is measured again: its intrinsics or options changed"
             words = "is in the round already" if fruit is None else again
-            return Outcome(name, fruit is not None, words)
+            return UploadOutcome(name, fruit is not None, words)
         capture = replace(capture, stop=stop)
         refuse_taken(store, home, *spot_and_camera(capture, 0, Place()))
         taken = measurer.take_stop(store, home, capture, options, key=key)
     except CucumberVisionError as error:
-        return Outcome(name, False, error.message)
+        return UploadOutcome(name, False, error.message)
     many = len(taken.result.fruit)
     at = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
     drawn = "; drawn, so in the round 'Demonstration'" if home != round_key else ""
     words = taken.note or f"{many} fruit"
-    return Outcome(name, True, f"{words} ({at}{drawn})")
+    return UploadOutcome(name, True, f"{words} ({at}{drawn})")

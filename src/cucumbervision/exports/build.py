@@ -17,7 +17,7 @@ from cucumbervision.agronomy.picking import pick_list, plan_work, work_of
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
-from cucumbervision.exports.tables import Charts, RoundTables, Table, utc
+from cucumbervision.exports.tables import Charts, ExportTable, RoundTables, utc
 from cucumbervision.measurement.result import Method
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.from_store import read_round
@@ -116,7 +116,7 @@ def round_tables(
     return RoundTables(
         view.record.name or view.key,
         _about(view, provenance),
-        {name: Table.of(name, own) for name, own in lines.items()},
+        {name: ExportTable.of(name, own) for name, own in lines.items()},
         _charts(table, forecast),
         dict(kept.values()),
         note,

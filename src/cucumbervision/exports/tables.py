@@ -54,7 +54,7 @@ def utc(seconds: float) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class ExportTable:
     """One table.
 
     Parameters
@@ -74,7 +74,7 @@ class Table:
     Examples
     --------
     >>> column = Column("stops", "", "whole", "number of stops")
-    >>> Table("summary", (column,), (("3",),))
+    >>> ExportTable("summary", (column,), (("3",),))
     Traceback (most recent call last):
     ...
     ValueError: summary.stops holds '3', which is not whole
@@ -100,7 +100,7 @@ class Table:
         return [dict(zip(names, row, strict=True)) for row in self.rows]
 
     @classmethod
-    def of(cls, name: str, lines: Iterable[Any]) -> Table:
+    def of(cls, name: str, lines: Iterable[Any]) -> ExportTable:
         """Fill one of the tables of `COLUMNS`."""
         columns = COLUMNS[name]
         return cls(name, columns, tuple(tuple(c.of(line) for c in columns) for line in lines))
@@ -136,7 +136,7 @@ class RoundTables:
     provenance : mapping
         Software, source, when it was written, the round's key, and the hashes of configuration,
         models, calibration and profile, as JSON values.
-    tables : mapping of str to Table
+    tables : mapping of str to ExportTable
         'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
         'provenance', in this order.
     charts : Charts
@@ -149,12 +149,12 @@ class RoundTables:
 
     title: str
     provenance: Mapping[str, Any]
-    tables: Mapping[str, Table]
+    tables: Mapping[str, ExportTable]
     charts: Charts
     pictures: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     note: str = ""
 
-    def __getitem__(self, name: str) -> Table:
+    def __getitem__(self, name: str) -> ExportTable:
         """Return a table by its name."""
         return self.tables[name]
 

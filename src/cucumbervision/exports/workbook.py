@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.exports.tables import Table
+from cucumbervision.exports.tables import ExportTable
 from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import Column
 from cucumbervision.pipeline.tables import (
@@ -85,7 +85,7 @@ _READ = (
 _IS_READ = frozenset({"row", "along_m", "number", "length_cm", "grade"})
 
 
-def reading_table(tables: RoundTables) -> Table:
+def reading_table(tables: RoundTables) -> ExportTable:
     """Return the fruit with ten columns to read before the others of `fruit.csv`."""
     table = tables["fruit"]
     others = [column for column in table.columns if column.name not in _IS_READ]
@@ -100,7 +100,7 @@ def reading_table(tables: RoundTables) -> Table:
         )
         for one in table.records()
     ]
-    return Table("fruit", (*_READ, *others), tuple(rows))
+    return ExportTable("fruit", (*_READ, *others), tuple(rows))
 
 
 def fruit_remarks(fruit: dict[str, Cell]) -> str:
@@ -163,7 +163,7 @@ class _Writer:
         for line, (what, value, says) in enumerate(notes, 3 + len(facts.columns)):
             sheet.write_row(line, 0, (what, cell_value(value), "", cell_value(says)))
 
-    def table(self, sheet: Any, table: Table, frozen: int) -> None:
+    def table(self, sheet: Any, table: ExportTable, frozen: int) -> None:
         """Write a table with its head, formats, filter and links."""
         for at, column in enumerate(table.columns):
             sheet.write_string(0, at, column.title, self.head)
@@ -246,7 +246,7 @@ class _Writer:
             summary.insert_chart(below, 3, chart)
 
 
-def _printed(table: Table) -> int:
+def _printed(table: ExportTable) -> int:
     """Return how many of a table's columns are for people on paper."""
     if table.columns[: len(_READ)] == _READ:
         return len(_READ)

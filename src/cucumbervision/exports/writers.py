@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
-from cucumbervision.exports.tables import Table
+from cucumbervision.exports.tables import ExportTable
 from cucumbervision.exports.workbook import fruit_remarks, write_round_workbook
 from cucumbervision.pipeline.tables import (
     CsvSink,
@@ -105,7 +105,7 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
     return [path]
 
 
-def _columns(table: Table) -> list[dict[str, str]]:
+def _columns(table: ExportTable) -> list[dict[str, str]]:
     return [{"name": c.name, "unit": c.unit, "type": c.type, "says": c.says} for c in table.columns]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import IO, TYPE_CHECKING, BinaryIO
 
-from cucumbervision.errors import UploadError, naming_os_errors
+from cucumbervision.errors import UploadError, wrap_os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -273,7 +273,7 @@ def write_chunk(stream: BinaryIO, chunk: bytes, source: str) -> None:
     UploadError
         If the disk takes no more.
     """
-    with naming_os_errors("cannot be kept", source, "make room on the disk", UploadError):
+    with wrap_os_errors("cannot be kept", source, "make room on the disk", UploadError):
         stream.write(chunk)
 
 

@@ -41,7 +41,7 @@ _ITEM_BYTES = 8
 _ARRAYS = 16
 
 
-class Kind(StrEnum):
+class FileKind(StrEnum):
     """A file's kind; the value is the ending that it is kept under."""
 
     PNG = ".png"
@@ -58,20 +58,20 @@ class Kind(StrEnum):
     RAW = ".raw"
 
 
-COLORS = frozenset({Kind.PNG, Kind.JPEG, Kind.TIFF})
-DEPTHS = frozenset({Kind.PNG, Kind.TIFF, Kind.NPY, Kind.NPZ})
-PICTURES = COLORS | {Kind.WEBP}
+COLORS = frozenset({FileKind.PNG, FileKind.JPEG, FileKind.TIFF})
+DEPTHS = frozenset({FileKind.PNG, FileKind.TIFF, FileKind.NPY, FileKind.NPZ})
+PICTURES = COLORS | {FileKind.WEBP}
 
 _MAGIC = (
-    (b"\x89PNG\r\n\x1a\n", Kind.PNG),
-    (b"\xff\xd8\xff", Kind.JPEG),
-    (b"II*\x00", Kind.TIFF),
-    (b"MM\x00*", Kind.TIFF),
-    (b"\x93NUMPY", Kind.NPY),
-    (b"PK\x03\x04", Kind.ZIP),
-    (b"PK\x05\x06", Kind.ZIP),
-    (b"#ROSBAG V2.0\n", Kind.BAG),
-    (b"SQLite format 3\x00", Kind.DB3),
+    (b"\x89PNG\r\n\x1a\n", FileKind.PNG),
+    (b"\xff\xd8\xff", FileKind.JPEG),
+    (b"II*\x00", FileKind.TIFF),
+    (b"MM\x00*", FileKind.TIFF),
+    (b"\x93NUMPY", FileKind.NPY),
+    (b"PK\x03\x04", FileKind.ZIP),
+    (b"PK\x05\x06", FileKind.ZIP),
+    (b"#ROSBAG V2.0\n", FileKind.BAG),
+    (b"SQLite format 3\x00", FileKind.DB3),
 )
 
 
@@ -87,7 +87,7 @@ class Item:
         The same, fit to be shown.
     path : Path
         Where it lies, under a name of our own.
-    kind : Kind
+    kind : FileKind
         What it is.
     pixels : int
         Of a picture: width times height.
@@ -100,13 +100,13 @@ class Item:
     name: PurePosixPath
     title: str
     path: Path
-    kind: Kind
+    kind: FileKind
     pixels: int = 0
     arrays: frozenset[str] = frozenset()
     document: Any = None
 
 
-def file_kind(head: bytes, name: str = "") -> Kind | None:
+def file_kind(head: bytes, name: str = "") -> FileKind | None:
     """Return a file's kind by its first `HEAD_BYTES` bytes; None for what is not accepted.
 
     The name decides only where bytes cannot: an `.npz` is a zip, a text is JSON or a table, and
@@ -122,24 +122,24 @@ def file_kind(head: bytes, name: str = "") -> Kind | None:
     Examples
     --------
     >>> file_kind(b"PK" + bytes((3, 4)) + b"rest of it", "depth.png")
-    <Kind.ZIP: '.zip'>
+    <FileKind.ZIP: '.zip'>
     >>> file_kind(b"MZ" + bytes(100), "depth.png") is None
     True
     """
     lower = name.lower()
     for magic, kind in _MAGIC:
         if head.startswith(magic):
-            return Kind.NPZ if kind is Kind.ZIP and lower.endswith(".npz") else kind
+            return FileKind.NPZ if kind is FileKind.ZIP and lower.endswith(".npz") else kind
     if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
-        return Kind.WEBP
+        return FileKind.WEBP
     if lower.endswith("_depth.raw"):
-        return Kind.RAW
+        return FileKind.RAW
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text or not _TEXT_CONTROLS.isdisjoint(text):
         return None
     if text[:1] in (b"{", b"["):
-        return Kind.JSON
-    return Kind.CSV if lower.endswith(".csv") else None
+        return FileKind.JSON
+    return FileKind.CSV if lower.endswith(".csv") else None
 
 
 def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> Item:
@@ -162,21 +162,21 @@ def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> I
             remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
             "them",
         )
-    if kind is Kind.WEBP:
+    if kind is FileKind.WEBP:
         raise UploadError(
             "WebP pictures are not measured", source=title, remedy="save it as PNG or JPEG"
         )
     if kind in PICTURES:
         width, height = check_picture(path, kind, limits.pixels, source=title)
         return Item(name, title, path, kind, pixels=width * height)
-    if kind is Kind.NPY:
+    if kind is FileKind.NPY:
         with path.open("rb") as stream:
             _check_array(stream, size, limits, title)
-    elif kind is Kind.NPZ:
+    elif kind is FileKind.NPZ:
         return Item(name, title, path, kind, arrays=_check_npz(path, limits, source=title))
-    elif kind in {Kind.JSON, Kind.CSV}:
+    elif kind in {FileKind.JSON, FileKind.CSV}:
         return Item(name, title, path, kind, document=_text(path, kind, size, limits, title))
-    elif kind is Kind.RAW and size > 2 * limits.pixels:
+    elif kind is FileKind.RAW and size > 2 * limits.pixels:
         raise UploadError(
             f"has more than {limits.pixels / 1e6:g} million pixels",
             source=title,
@@ -185,14 +185,14 @@ def check_item(name: PurePosixPath, title: str, path: Path, limits: Limits) -> I
     return Item(name, title, path, kind)
 
 
-def check_picture(path: Path, kind: Kind, most_pixels: int, *, source: str) -> tuple[int, int]:
+def check_picture(path: Path, kind: FileKind, most_pixels: int, *, source: str) -> tuple[int, int]:
     """Return a picture's width and height from its head, without decoding it.
 
     Parameters
     ----------
     path : Path
         The file.
-    kind : Kind
+    kind : FileKind
         One of `COLORS`.
     most_pixels : int
         Width times height at most.
@@ -220,7 +220,7 @@ def check_picture(path: Path, kind: Kind, most_pixels: int, *, source: str) -> t
     return width, height
 
 
-def picture_size(stream: BinaryIO, kind: Kind) -> tuple[int, int]:
+def picture_size(stream: BinaryIO, kind: FileKind) -> tuple[int, int]:
     r"""Return width and height from the head of a PNG, JPEG or TIFF.
 
     Raises
@@ -237,10 +237,10 @@ def picture_size(stream: BinaryIO, kind: Kind) -> tuple[int, int]:
     --------
     >>> import io
     >>> head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 640, 480) + bytes((8, 2))
-    >>> picture_size(io.BytesIO(head), Kind.PNG)
+    >>> picture_size(io.BytesIO(head), FileKind.PNG)
     (640, 480)
     """
-    width, height = {Kind.PNG: _png, Kind.JPEG: _jpeg, Kind.TIFF: _tiff}[kind](stream)
+    width, height = {FileKind.PNG: _png, FileKind.JPEG: _jpeg, FileKind.TIFF: _tiff}[kind](stream)
     if not (0 < width <= _SIDE and 0 < height <= _SIDE):
         raise ValueError(f"a picture of {width}x{height}")
     return width, height
@@ -360,7 +360,7 @@ def _damaged_array(
     return DepthError(message, source=source, remedy=remedy)
 
 
-def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
+def _text(path: Path, kind: FileKind, size: int, limits: Limits, title: str) -> Any:
     if size > limits.text_bytes:
         raise UploadError(
             f"has more than {limits.text_bytes / 1e6:g} MB of text",
@@ -369,12 +369,12 @@ def _text(path: Path, kind: Kind, size: int, limits: Limits, title: str) -> Any:
         )
     fault, remedy = (
         ("is not JSON", "correct or export it again")
-        if kind is Kind.JSON
+        if kind is FileKind.JSON
         else ("is not text in UTF-8", "save the table as UTF-8")
     )
     try:
         text = path.read_bytes().decode("utf-8-sig")
-        return json.loads(text, parse_constant=_refuse) if kind is Kind.JSON else None
+        return json.loads(text, parse_constant=_refuse) if kind is FileKind.JSON else None
     except (ValueError, RecursionError):
         raise UploadError(fault, source=title, remedy=remedy) from None
 

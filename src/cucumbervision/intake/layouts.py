@@ -12,7 +12,7 @@ from cucumbervision.capture.readers.bop import SCENE_CAMERAS
 from cucumbervision.capture.readers.native import FORMAT, MANIFEST, MASKS, Manifest
 from cucumbervision.capture.readers.pair import is_8_bit_png, pair_up
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError
-from cucumbervision.intake.file_checks import COLORS, DEPTHS, PICTURES, Item, Kind
+from cucumbervision.intake.file_checks import COLORS, DEPTHS, PICTURES, FileKind, Item
 from cucumbervision.intake.recordings import play_in_process
 from cucumbervision.intake.staging import Layout, is_intrinsics, shown_name
 
@@ -47,7 +47,7 @@ def arrange_uploads(staging: Staging, burst: int) -> None:
 
 def _recordings(staging: Staging, burst: int) -> None:
     """Play each recording in a limited process."""
-    for item in [i for i in staging.left.values() if i.kind in {Kind.BAG, Kind.DB3}]:
+    for item in [i for i in staging.left.values() if i.kind in {FileKind.BAG, FileKind.DB3}]:
         staging.take(item.name)
         recording = item.path.with_name(f"{item.path.name}{item.kind.value}")
         item.path.rename(recording)  # the player goes by the ending
@@ -162,7 +162,7 @@ def _check_scene(staging: Staging, item: Item, parts: dict[str, list[Item]]) -> 
 
 def _snapshots(staging: Staging) -> None:
     """Make a source of RealSense Viewer's exports."""
-    raws = [n for n, i in staging.left.items() if i.kind is Kind.RAW and n.name.endswith(_RAW)]
+    raws = [n for n, i in staging.left.items() if i.kind is FileKind.RAW and n.name.endswith(_RAW)]
     if not raws:
         return
     layout = Layout(staging, "viewer")
@@ -221,7 +221,7 @@ def _rest(staging: Staging) -> None:
     """Refuse pictures without a partner; texts and what a zip has besides are not needed."""
     used = {title for source in staging.out.sources for title in source.files}
     for item in list(staging.left.values()):
-        is_picture = item.kind in PICTURES | {Kind.NPY, Kind.NPZ}
+        is_picture = item.kind in PICTURES | {FileKind.NPY, FileKind.NPZ}
         if item.title in used:
             staging.take(item.name)
         elif is_intrinsics(item.document) or (staging.is_archive and not is_picture):
@@ -285,7 +285,7 @@ def _ignore_beside(staging: Staging, folder: PurePosixPath) -> None:
         name
         for name, item in list(staging.left.items())
         if (name.parent == folder or (name.parent.parent == folder and name.parent.name in _EXTRA))
-        and item.kind in COLORS | {Kind.JSON, Kind.CSV}
+        and item.kind in COLORS | {FileKind.JSON, FileKind.CSV}
         and name.parent not in others
         and name not in heads
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import Budget, clean_name, unpack, write_chunk
-from cucumbervision.intake.file_checks import HEAD_BYTES, Kind, check_item, file_kind
+from cucumbervision.intake.file_checks import HEAD_BYTES, FileKind, check_item, file_kind
 from cucumbervision.intake.layouts import arrange_uploads
 from cucumbervision.intake.limits import Limits
 from cucumbervision.intake.staging import AcceptedUploads, Staging
@@ -113,7 +113,7 @@ class _Intake:
         title, own = clean_name(name), self.stage / f"{number:04d}"
         try:
             self._copy(content, own, title)
-            if _kind(own, name) is Kind.ZIP:
+            if _kind(own, name) is FileKind.ZIP:
                 self._unpack(own, title, depth=0)
             else:
                 self.loose.append(check_item(self._loose_name(name), title, own, self.limits))
@@ -170,7 +170,7 @@ class _Intake:
             shown = f"{title}: {clean_name(member.name.name)}"
             try:
                 kind = _kind(member.path, member.name.name)
-                if kind is Kind.ZIP:
+                if kind is FileKind.ZIP:
                     if depth >= self.limits.zip_depth:
                         raise UploadError(
                             "is a zip too deep in others", source=shown, remedy="unpack it first"
@@ -194,6 +194,6 @@ class _Intake:
         return unique
 
 
-def _kind(path: Path, name: str) -> Kind | None:
+def _kind(path: Path, name: str) -> FileKind | None:
     with path.open("rb") as stream:
         return file_kind(stream.read(HEAD_BYTES), name)

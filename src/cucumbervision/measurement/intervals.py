@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 from scipy.special import ndtri
 
 from cucumbervision.capture.files import read_json
-from cucumbervision.errors import ModelError, refusing
+from cucumbervision.errors import ModelError, wrap_reader_errors
 from cucumbervision.measurement.result import (
     LOWER_BOUND,
     Flag,
@@ -293,7 +293,7 @@ def read_interval_models(path: Path) -> IntervalModels:
         If the file is none.
     """
     content = read_json(path, ModelError, "install the package anew")
-    with refusing(path, ModelError, "install the package anew"):
+    with wrap_reader_errors(path, ModelError, "install the package anew"):
         models = TypeAdapter(list[IntervalModel]).validate_python(content["models"])
         by_method = {model.method: model for model in models}
         return IntervalModels(float(content["level"]), by_method, int(content["fruit"]))

@@ -92,7 +92,7 @@ class Choice(StrEnum):
     NO_DEPTH = "no-depth"
     NOTHING = "not-measured"
     IMPLAUSIBLE = "implausible-length"
-    WAITING = "waits-its-turn"
+    WAITING = "not-selected"
     SEVERAL_VIEWS = "several-views"
 
 

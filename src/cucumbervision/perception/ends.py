@@ -35,7 +35,7 @@ _HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
 _GREY = 114  # what stands for nothing in a network's input too
 
 
-def straighten(
+def orient(
     color_rgb: NDArray[np.uint8], points_px: NDArray[np.float64]
 ) -> NDArray[np.uint8] | None:
     """Cut a fruit out along its keypoints and lay it level.
@@ -58,7 +58,7 @@ def straighten(
     >>> picture = np.zeros((60, 120, 3), np.uint8)
     >>> picture[20:40, 70:100] = (255, 0, 0)  # a red stem end, to the right
     >>> line = np.column_stack([np.linspace(20, 100, 5), np.full(5, 30.0)])
-    >>> level, turned = straighten(picture, line), straighten(picture, line[::-1])
+    >>> level, turned = orient(picture, line), orient(picture, line[::-1])
     >>> bool((level[32, 120:155, 0] > 200).all()), bool((turned[32, 37:72, 0] > 200).all())
     (True, True)
     """
@@ -163,7 +163,7 @@ class EndTeller:
             In the same order; `end_confidence` says how probable it is that the ends are right.
         """
         strips = [
-            None if one.keypoints is None else straighten(color_rgb, one.keypoints[:, :2])
+            None if one.keypoints is None else orient(color_rgb, one.keypoints[:, :2])
             for one in instances
         ]
         seen = [strip for strip in strips if strip is not None]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import read_json
-from cucumbervision.errors import ModelError, refusing
+from cucumbervision.errors import ModelError, wrap_reader_errors
 from cucumbervision.perception.registry import (
     IN_USE,
     Model,
@@ -129,7 +129,7 @@ def _read_judgement(given: Path) -> Mapping[str, Any]:
     path = (given if given.is_dir() else given.parent) / JUDGEMENT
     if not path.is_file():
         return {}
-    with refusing(path, ModelError, "judge it again"):
+    with wrap_reader_errors(path, ModelError, "judge it again"):
         values = read_json(path, ModelError, "judge it again")
         return {name: values[name] for name in ("file", "new", "old", "better", "why")}
 

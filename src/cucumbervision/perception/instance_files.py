@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.files import read_json, read_text
-from cucumbervision.errors import InstancesError, refusing
+from cucumbervision.errors import InstancesError, wrap_reader_errors
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import mask_of_segmentation, polygon_points
 from cucumbervision.perception.masks import box_of_mask
@@ -28,7 +28,7 @@ _SLACK = 1e-6  # numbers written with few digits may lie this far outside 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class LabelledInstance:
     """One instance as a file writes it, before it meets its picture.
 
     Parameters
@@ -62,7 +62,7 @@ class Record:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class LabelledImage:
     """What a file says of one picture.
 
     Parameters
@@ -73,17 +73,17 @@ class Picture:
         COCO's image id.
     size_px : tuple of int, optional
         Width and height, where the file gives them.
-    records : list of Record or InstancesError
+    records : list of LabelledInstance or InstancesError
         Its instances, and what could not be read.
     """
 
     name: str
     number: int | None
     size_px: tuple[int, int] | None
-    records: list[Record | InstancesError]
+    records: list[LabelledInstance | InstancesError]
 
 
-def read_coco(path: Path) -> list[Picture]:
+def read_coco(path: Path) -> list[LabelledImage]:
     """Read COCO annotations (a dict of images and annotations) or results (a list).
 
     Raises
@@ -92,11 +92,11 @@ def read_coco(path: Path) -> list[Picture]:
         If the file is no JSON, or neither of the two.
     """
     data = read_json(path, InstancesError)
-    with refusing(path, InstancesError, "give COCO JSON"):
+    with wrap_reader_errors(path, InstancesError, "give COCO JSON"):
         return _coco_pictures(data, path)
 
 
-def _coco_pictures(data: Any, path: Path) -> list[Picture]:
+def _coco_pictures(data: Any, path: Path) -> list[LabelledImage]:
     annotated = isinstance(data, dict)
     items = data.get("annotations") if annotated else data
     if not isinstance(items, list):
@@ -107,7 +107,7 @@ def _coco_pictures(data: Any, path: Path) -> list[Picture]:
             raise InstancesError("has an image without id", source=path, remedy="give COCO JSON")
         size = (image["width"], image["height"]) if {"width", "height"} <= set(image) else None
         name, number = str(image.get("file_name", "")), image["id"]
-        pictures[str(number)] = Picture(name, _number(number), size, [])
+        pictures[str(number)] = LabelledImage(name, _number(number), size, [])
     categories = data.get("categories", []) if annotated else []
     names = {c["id"]: str(c["name"]) for c in categories if {"id", "name"} <= set(c)}
     for i, item in enumerate(items):
@@ -115,9 +115,9 @@ def _coco_pictures(data: Any, path: Path) -> list[Picture]:
         key = _coco_key(item, path, where)
         if key not in pictures:
             name = str(item.get("file_name", ""))
-            pictures[key] = Picture(name, _number(item.get("image_id")), None, [])
+            pictures[key] = LabelledImage(name, _number(item.get("image_id")), None, [])
         try:
-            record: Record | InstancesError = _coco_record(item, where, names, annotated)
+            record: LabelledInstance | InstancesError = _coco_record(item, where, names, annotated)
         except (TypeError, ValueError, KeyError, OverflowError) as error:
             record = InstancesError(f"{where}: {error}", source=path, remedy="correct it")
         pictures[key].records.append(record)
@@ -136,7 +136,7 @@ def _number(value: Any) -> int | None:
 
 def _coco_record(
     item: Mapping[str, Any], where: str, names: Mapping[Any, str], annotated: bool
-) -> Record:
+) -> LabelledInstance:
     if item.get("iscrowd"):
         raise ValueError("a crowd region is no single fruit")
     box = None
@@ -151,7 +151,7 @@ def _coco_record(
     if item.get("keypoints"):
         keypoints = _keypoints(_finite(item["keypoints"]), 2.0 if annotated else 1.0)
     category = item.get("category_id", 0)
-    return Record(
+    return LabelledInstance(
         where=where,
         class_name=names.get(category, str(category)),
         confidence=float(_finite([item.get("score", 1.0)])[0]),
@@ -168,7 +168,7 @@ def _read_yolo_classes(folder: Path) -> list[str]:
     return read_text(path, InstancesError).split("\n") if path.is_file() else []
 
 
-def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
+def parse_yolo_line(line: str, where: str, names: list[str]) -> LabelledInstance:
     """Read one line of a YOLO label file.
 
     Parameters
@@ -183,7 +183,7 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
 
     Returns
     -------
-    Record
+    LabelledInstance
 
     Raises
     ------
@@ -220,7 +220,9 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> Record:
     else:
         polygons = (polygon_points(rest),)
     class_name = names[number].strip() if number < len(names) else str(number)
-    return Record(where, class_name, confidence, box, polygons, None, keypoints, normalised=True)
+    return LabelledInstance(
+        where, class_name, confidence, box, polygons, None, keypoints, normalised=True
+    )
 
 
 def _finite(values: Any) -> NDArray[np.float64]:
@@ -269,12 +271,12 @@ class InstanceFile:
     ----------
     source : str
         The file or folder.
-    pictures : tuple of Picture
+    pictures : tuple of LabelledImage
         What it says of each picture.
     """
 
     source: str
-    pictures: tuple[Picture, ...]
+    pictures: tuple[LabelledImage, ...]
 
     def for_capture(
         self, names: Sequence[str], width: int, height: int, *, frame: int | None = None
@@ -352,7 +354,7 @@ class InstanceFile:
             p.name or f"image id {p.number}" for p in self.pictures if id(p) not in used
         ]
 
-    def _find(self, names: Sequence[str], frame: int | None) -> Picture | None:
+    def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
         for short in (_whole, _file_name, _stem):
             # A capture's name may hold dots and have no ending.
             wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
@@ -405,7 +407,7 @@ def read_instances(path: Path | str) -> InstanceFile:
     return InstanceFile(str(path), tuple(pictures))
 
 
-def _read_yolo_folder(folder: Path) -> list[Picture]:
+def _read_yolo_folder(folder: Path) -> list[LabelledImage]:
     for place in (folder, folder / "labels"):
         files = sorted(f for f in place.glob("*.txt") if f.name != "classes.txt")
         if files:
@@ -414,9 +416,9 @@ def _read_yolo_folder(folder: Path) -> list[Picture]:
     raise InstancesError("holds no label files", source=folder, remedy="give YOLO txt files")
 
 
-def _read_yolo_file(path: Path, names: list[str]) -> Picture:
+def _read_yolo_file(path: Path, names: list[str]) -> LabelledImage:
     lines = read_text(path, InstancesError).split("\n")
-    records: list[Record | InstancesError] = []
+    records: list[LabelledInstance | InstancesError] = []
     for i, line in enumerate(lines, 1):
         if not line.strip():
             continue
@@ -424,10 +426,10 @@ def _read_yolo_file(path: Path, names: list[str]) -> Picture:
             records.append(parse_yolo_line(line, f"{path.name}, line {i}", names))
         except (ValueError, OverflowError) as error:
             records.append(InstancesError(f"line {i}: {error}", source=path, remedy="correct it"))
-    return Picture(path.name, None, None, records)
+    return LabelledImage(path.name, None, None, records)
 
 
-def _instance(record: Record, width: int, height: int) -> tuple[Instance, bool]:
+def _instance(record: LabelledInstance, width: int, height: int) -> tuple[Instance, bool]:
     scale = np.array([width, height] if record.normalised else [1, 1], np.float64)
     mask = _mask(record, scale, width, height)
     if record.box is not None:
@@ -455,7 +457,7 @@ def _instance(record: Record, width: int, height: int) -> tuple[Instance, bool]:
 
 
 def _mask(
-    record: Record, scale: NDArray[np.float64], width: int, height: int
+    record: LabelledInstance, scale: NDArray[np.float64], width: int, height: int
 ) -> NDArray[np.bool_] | None:
     shape = record.rle or [(points * scale).ravel() for points in record.polygons]
     return mask_of_segmentation(shape, height, width) if shape else None

@@ -346,11 +346,11 @@ def _depth_says(
 ) -> bool | None:
     """Return what depth says of the gap; None where there are too few readings."""
     middle = float(facing.edges[:, 1:].mean())
-    foretold = [_foretold(facing, ridge, depth_m, middle) for ridge in ridges]
-    if foretold[0] is None or foretold[1] is None:
+    predicted = [_predicted_depth(facing, ridge, depth_m, middle) for ridge in ridges]
+    if predicted[0] is None or predicted[1] is None:
         return None
-    far_m = (foretold[0] + foretold[1]) / 2
-    if abs(foretold[0] - foretold[1]) > _DEPTH_STEP * far_m:
+    far_m = (predicted[0] + predicted[1]) / 2
+    if abs(predicted[0] - predicted[1]) > _DEPTH_STEP * far_m:
         return False
     pixels = _inside(facing.gap_pixels(), depth_m.shape)
     readings = depth_m[pixels[:, 1], pixels[:, 0]]
@@ -363,7 +363,7 @@ def _depth_says(
     return float((readings < (1 - _NEARER) * far_m).mean()) >= _NEARER_SHARE
 
 
-def _foretold(
+def _predicted_depth(
     facing: _Facing, ridge: NDArray[np.float64], depth_m: NDArray[np.float32], at: float
 ) -> float | None:
     """Return the depth that one part's ridge foretells for the middle of the gap, metres."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cucumbervision.capture.files import parse_model, read_json
-from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, refusing
+from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
 
 
 @dataclass(frozen=True)
@@ -384,7 +384,7 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
     'Apache-2.0'
     """
     path = path or _HERE / "models.toml"
-    with refusing(path, ModelError, "install again"):
+    with wrap_reader_errors(path, ModelError, "install again"):
         entries = tomllib.loads(path.read_text(encoding="utf-8"))["models"]
         models = tuple(_model(entry, path, "install again") for entry in entries)
     user = user or models_folder()
@@ -432,7 +432,7 @@ def _read_in_use(path: Path) -> tuple[tuple[Model, ...], dict[str, tuple[str, ..
     """Return the user's own networks, and which are in use."""
     if not path.is_file():
         return (), {}
-    with refusing(path, ModelError, _USE_AGAIN):
+    with wrap_reader_errors(path, ModelError, _USE_AGAIN):
         values = read_json(path, ModelError, _USE_AGAIN)
         models = tuple(_model(entry, path, _USE_AGAIN) for entry in values["models"])
         in_use = {str(task): tuple(names) for task, names in values["in_use"].items()}
@@ -443,7 +443,7 @@ def _read_in_use(path: Path) -> tuple[tuple[Model, ...], dict[str, tuple[str, ..
 
 def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:
     manifest = read_json(path, ModelError, remedy)
-    with refusing(path, ModelError, remedy):
+    with wrap_reader_errors(path, ModelError, remedy):
         files, source = manifest["files"], manifest["source_sha256"]
         if not isinstance(files, dict) or not isinstance(source, str):
             raise ValueError("its entries have the wrong types")

@@ -23,7 +23,7 @@ from cucumbervision.capture.files import (
     write_jpeg,
 )
 from cucumbervision.capture.source import safe_name, unique_name
-from cucumbervision.errors import CaptureError, CucumberVisionError, naming_os_errors
+from cucumbervision.errors import CaptureError, CucumberVisionError, wrap_os_errors
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.keypoint_axis import place_keypoints
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Picture:
+class InputPicture:
     """A file to look at.
 
     Parameters
@@ -62,7 +62,7 @@ class PictureList:
 
     Parameters
     ----------
-    pictures : tuple of Picture
+    pictures : tuple of InputPicture
         Each file once, in the inputs' order, sorted within a folder.
     skipped : int
         Files in folders that are no pictures by their ending.
@@ -70,7 +70,7 @@ class PictureList:
         Inputs that name nothing.
     """
 
-    pictures: tuple[Picture, ...]
+    pictures: tuple[InputPicture, ...]
     skipped: int
     failures: tuple[Failure, ...]
 
@@ -101,7 +101,7 @@ def find_pictures(inputs: Sequence[str | Path], leave_out: Path | None = None) -
     apart = leave_out.resolve() if leave_out is not None else None
     seen: set[Path] = set()
     names: set[str] = set()
-    pictures: list[Picture] = []
+    pictures: list[InputPicture] = []
     failures: list[Failure] = []
     skipped = 0
     for given in inputs:
@@ -115,7 +115,7 @@ def find_pictures(inputs: Sequence[str | Path], leave_out: Path | None = None) -
             if not named and path.suffix.lower() not in PHOTO_SUFFIXES:
                 skipped += 1
                 continue
-            pictures.append(Picture(path, _own_name((name, path.as_posix()), whole, names)))
+            pictures.append(InputPicture(path, _own_name((name, path.as_posix()), whole, names)))
     return PictureList(tuple(pictures), skipped, tuple(failures))
 
 
@@ -327,7 +327,7 @@ class _Run:
         self._entries: list[dict[str, Any]] = []
         self._taken: set[str] = set()
         out = result.out
-        with naming_os_errors("cannot be written", out):
+        with wrap_os_errors("cannot be written", out):
             (out / "overlays" if options.overlays else out).mkdir(parents=True, exist_ok=True)
             self.failures = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
 
@@ -336,7 +336,7 @@ class _Run:
         with suppress(OSError):  # a full disk: the failures are still shown at the end
             self.failures.write(vars(failure))
 
-    def look_at(self, picture: Picture) -> None:
+    def look_at(self, picture: InputPicture) -> None:
         start = time.perf_counter()
         color = read_photo(picture.path)
         found, segmenter = self._detectors.find(color), self._options.segmenter

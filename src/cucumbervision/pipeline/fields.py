@@ -82,7 +82,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Field(Column):
-    """A column, and where its value is: in a `SeenFruit` for the table of fruit.
+    """A column, and where its value is: in a `NumberedFruit` for the table of fruit.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Field(Column):
 
 
 @dataclass(frozen=True, eq=False)
-class SeenFruit:
+class NumberedFruit:
     """One fruit of one capture: what a row is made of.
 
     Parameters
@@ -285,12 +285,12 @@ def field(name: str) -> Field:
     return _BY_NAME[name]
 
 
-def fruit_row(seen: SeenFruit) -> dict[str, Cell]:
+def fruit_row(seen: NumberedFruit) -> dict[str, Cell]:
     """Return a fruit's row: a cell for every name of `FIELDS`, in the tables' units."""
     return {one.name: one.of(seen) for one in FIELDS}
 
 
-def si_values(seen: SeenFruit) -> dict[str, Cell]:
+def si_values(seen: NumberedFruit) -> dict[str, Cell]:
     """Return what is known of a fruit in SI units, by `Column.si_name`."""
     return {one.si_name: one.stored(seen) for one in FIELDS}
 

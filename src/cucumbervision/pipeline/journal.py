@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from cucumbervision.capture.urls import with_retries
-from cucumbervision.errors import naming_os_errors
+from cucumbervision.errors import wrap_os_errors
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Failure
 from cucumbervision.pipeline.output import sync_folder
@@ -53,7 +53,7 @@ def place_of(at: str, name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Record:
+class JournalRecord:
     """What is known of one measured capture.
 
     Parameters
@@ -99,7 +99,7 @@ class Record:
         return b"%08x %b\n" % (zlib.crc32(body), body)
 
     @classmethod
-    def from_line(cls, line: bytes) -> Record:
+    def from_line(cls, line: bytes) -> JournalRecord:
         """Return the record of a line that `_is_whole` has let pass."""
         values = json.loads(line[_START:])
         values["failures"] = tuple(Failure(**failure) for failure in values["failures"])
@@ -133,12 +133,12 @@ class Journal:
         self._folder = out.path / JOURNAL
         self._index: dict[bytes, tuple[int, int, int]] = {}
         self._held: OrderedDict[int, bytes] = OrderedDict()
-        self._waiting: list[Record] = []
+        self._waiting: list[JournalRecord] = []
         self._since = time.monotonic()
         self._file: BinaryIO | None = None
         self._torn = False
         self.damaged = 0
-        with naming_os_errors("cannot be read", self._folder, "check who may read it"):
+        with wrap_os_errors("cannot be read", self._folder, "check who may read it"):
             there = self._folder.glob("*.jsonl") if self._folder.exists() else ()
             self._segments = sorted(there, key=lambda path: path.name)
             for number in range(len(self._segments)):
@@ -163,7 +163,7 @@ class Journal:
                 at += len(line)
 
     def _begin(self) -> None:
-        with naming_os_errors("cannot be written", self._out.path):
+        with wrap_os_errors("cannot be written", self._out.path):
             if self._out.is_remote:  # tells at once whether it can be written
                 self._out.write(f"{JOURNAL}/{self._run}-.jsonl", _HEAD)
                 return
@@ -176,7 +176,7 @@ class Journal:
             sync_folder(self._folder)
         self._segments.append(path)
 
-    def find(self, place: str) -> Record | None:
+    def find(self, place: str) -> JournalRecord | None:
         """Return the record of a place, if there is one."""
         if self._waiting:
             self.flush()
@@ -185,10 +185,10 @@ class Journal:
             return None
         number, at, length = where
         if self._out.is_remote:
-            return Record.from_line(self._segment(number)[at : at + length])
+            return JournalRecord.from_line(self._segment(number)[at : at + length])
         with self._segments[number].open("rb") as file:
             file.seek(at)
-            return Record.from_line(file.read(length))
+            return JournalRecord.from_line(file.read(length))
 
     def _segment(self, number: int) -> bytes:
         """Return a segment on a network's store, whole: most often the next record is in it."""
@@ -200,14 +200,14 @@ class Journal:
         self._held.move_to_end(number)
         return self._held[number]
 
-    def records(self, places: Iterable[str]) -> Iterator[Record]:
+    def records(self, places: Iterable[str]) -> Iterator[JournalRecord]:
         """Yield the records of places that have one, in that order."""
         for place in places:
             record = self.find(place)
             if record is not None:
                 yield record
 
-    def append(self, record: Record) -> None:
+    def append(self, record: JournalRecord) -> None:
         """Add a record: on this machine it is on disk when this returns.
 
         On a store on the network it waits for others, for half a minute at most: a run that is

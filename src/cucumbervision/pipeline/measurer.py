@@ -24,7 +24,7 @@ from cucumbervision.measurement.result import (
     calibration_key,
 )
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.fields import SeenFruit, fruit_row
+from cucumbervision.pipeline.fields import NumberedFruit, fruit_row
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.stages import StageHashes
@@ -166,9 +166,9 @@ class CaptureResult:
         return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
 
     @property
-    def seen(self) -> tuple[SeenFruit, ...]:
+    def seen(self) -> tuple[NumberedFruit, ...]:
         """The fruit, numbered from 1."""
-        return tuple(SeenFruit(self.capture, n, one) for n, one in enumerate(self.fruit, 1))
+        return tuple(NumberedFruit(self.capture, n, one) for n, one in enumerate(self.fruit, 1))
 
     def rows(self) -> list[dict[str, Cell]]:
         """Return the rows of the table of fruit."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.urls import is_remote, with_retries
-from cucumbervision.errors import CucumberVisionError, naming_os_errors
+from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -115,7 +115,7 @@ class OutputFolder:
         while aside.exists():
             number += 1
             aside = self.path / _ASIDE / f"{stamp}-{number}"
-        with naming_os_errors("cannot be put aside", self.path):
+        with wrap_os_errors("cannot be put aside", self.path):
             if not self.is_remote:
                 aside.mkdir(parents=True, exist_ok=True)
             for name in there:
@@ -148,7 +148,7 @@ class OutputFolder:
         if self.is_remote:
             yield
             return
-        with naming_os_errors("cannot be written", self.path):
+        with wrap_os_errors("cannot be written", self.path):
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
             file = (self.path / name).open("a")
         with file:

@@ -15,7 +15,7 @@ from cucumbervision.errors import InstancesError
 from cucumbervision.perception.instance_files import read_instances
 from cucumbervision.pipeline.engines import in_process
 from cucumbervision.pipeline.inputs import distinct, each_once, list_captures
-from cucumbervision.pipeline.journal import JOURNAL, Journal, Record
+from cucumbervision.pipeline.journal import JOURNAL, Journal, JournalRecord
 from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
 from cucumbervision.pipeline.options import INSTANCE_SOURCES
 from cucumbervision.pipeline.output import OutputFolder
@@ -94,7 +94,7 @@ class RunResult:
     notes: list[str]
     interrupted: bool
     out: Path
-    records: Callable[[], Iterator[Record]]
+    records: Callable[[], Iterator[JournalRecord]]
 
     @property
     def captures(self) -> int:
@@ -288,7 +288,7 @@ class _Run:
         if unused and self.seen:
             self.notes.append(f"{path}: no capture is called {_some(unused)}")
 
-    def _records(self) -> Iterator[Record]:
+    def _records(self) -> Iterator[JournalRecord]:
         return self.journal.records(place.hex() for place in self.order)
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.measurement.result import Measurement
     from cucumbervision.pipeline.fields import Cell, Column
-    from cucumbervision.pipeline.journal import Record
+    from cucumbervision.pipeline.journal import JournalRecord
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.output import OutputFolder
@@ -306,7 +306,7 @@ def arrow_schema(columns: Iterable[Column], provenance: Mapping[str, Any]) -> An
     return pa.schema(fields, metadata=about)
 
 
-def rows_of(records: Iterable[Record]) -> Iterator[dict[str, Cell]]:
+def rows_of(records: Iterable[JournalRecord]) -> Iterator[dict[str, Cell]]:
     """Yield the rows of all fruit, in order."""
     for record in records:
         yield from record.rows
@@ -314,7 +314,7 @@ def rows_of(records: Iterable[Record]) -> Iterator[dict[str, Cell]]:
 
 def write_reports(
     out: OutputFolder,
-    records: Callable[[], Iterator[Record]],
+    records: Callable[[], Iterator[JournalRecord]],
     summary: Summary,
     failures: Sequence[Failure],
     provenance: Mapping[str, Any],
@@ -371,7 +371,7 @@ def _write_csv(
 def _write_json(
     out: OutputFolder,
     provenance: Mapping[str, Any],
-    records: Iterable[Record],
+    records: Iterable[JournalRecord],
     failures: Iterable[Failure],
 ) -> None:
     with (
@@ -399,7 +399,7 @@ def excel_limit(fruit: int, most: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]
 
 
 def _json_pieces(
-    provenance: Mapping[str, Any], records: Iterable[Record], failures: Iterable[Failure]
+    provenance: Mapping[str, Any], records: Iterable[JournalRecord], failures: Iterable[Failure]
 ) -> Iterator[str]:
     """Yield the text of `measurements.json`, a capture at a time, one value a line."""
     yield json.dumps(dict(provenance), indent=1, ensure_ascii=False).removesuffix("\n}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from cucumbervision.capture.files import each_file_read_once, json_value, read_bytes
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.pipeline.journal import Record, place_of
+from cucumbervision.pipeline.journal import JournalRecord, place_of
 from cucumbervision.pipeline.measurer import (
     Boundary,
     CaptureResult,
@@ -86,7 +86,7 @@ class Outcome:
         What the user named, and the capture in it; its name is empty where the input failed.
     place : str
         Its key in the journal; empty likewise.
-    record : Record, optional
+    record : JournalRecord, optional
         What was measured; None where nothing was.
     before : bool
         Whether it was measured by an earlier run, and its record is there.
@@ -97,7 +97,7 @@ class Outcome:
     input: str
     name: str = ""
     place: str = ""
-    record: Record | None = None
+    record: JournalRecord | None = None
     before: bool = False
     failures: tuple[Failure, ...] = ()
 
@@ -242,7 +242,7 @@ class Worker:
                 digest = self._measurer.hashes.of(result.stages)
                 models = self._measurer.models_of(result.stages)
                 stages = tuple(map(str, result.stages))
-                record = Record(done.place, content, stages, digest, said, (), models, None)
+                record = JournalRecord(done.place, content, stages, digest, said, (), models, None)
         if record is not None:
             with Boundary(failures, capture.source, capture.name):
                 self._draw(result)

@@ -19,7 +19,7 @@ from cucumbervision.calibration.calibration_file import SiteCalibration
 from cucumbervision.errors import InstancesError, StoredImageError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.views import FruitView, measure_views
-from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
 from cucumbervision.rounds.from_store import joint_groups, read_round
 from cucumbervision.rounds.poses import MIDDLE_SD_M, stored_pose
@@ -206,7 +206,7 @@ def _joint_record(
     fruit, first = found.fruit, stored[found.first]
     if site is not None:
         fruit = calibrated_fruit(fruit, site, definition)
-    record = fruit_record(SeenFruit(first.capture, first.record.number, fruit))
+    record = fruit_record(NumberedFruit(first.capture, first.record.number, fruit))
     poses = {
         stored[k].view.key: tuple(pose.round(9).ravel().tolist()) for k, pose in found.poses.items()
     }

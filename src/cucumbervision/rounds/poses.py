@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cucumbervision.errors import RoundError, refusing
+from cucumbervision.errors import RoundError, wrap_reader_errors
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +89,7 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
     """
     from cucumbervision.capture.files import parse_model, read_json, read_text
 
-    with refusing(path, RoundError, "give CSV or JSON"):
+    with wrap_reader_errors(path, RoundError, "give CSV or JSON"):
         if path.stat().st_size > _LARGEST:
             raise RoundError("larger than 64 MiB", source=path, remedy="give one line a capture")
         if path.suffix.lower() == ".json":

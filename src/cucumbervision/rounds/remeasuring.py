@@ -12,7 +12,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
-from cucumbervision.pipeline.fields import SeenFruit
+from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
 from cucumbervision.store.results import (
@@ -139,7 +139,7 @@ def measure_stop_again(
             fruit = measurer.measure_instance(
                 result.capture, instance_of(by_hand[one], result.capture.depth_m.shape)
             )
-            record = fruit_record(SeenFruit(result.capture, numbers[one], fruit))
+            record = fruit_record(NumberedFruit(result.capture, numbers[one], fruit))
             corrected[one] = placed_fruit(record, stored_pose(stop.pose, stop.side))
         found.append(result)
     store.measure_again(_stop_of(stop, found, measurer, store), same, corrected)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import safe_name
-from cucumbervision.errors import CaptureError, CucumberVisionError, refusing
+from cucumbervision.errors import CaptureError, CucumberVisionError, wrap_reader_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -180,7 +180,7 @@ def packed(capture: Capture) -> tuple[str, bytes]:
 
 
 def _file(path: Path) -> tuple[str, bytes]:
-    with refusing(path, CaptureError, "check the path"):
+    with wrap_reader_errors(path, CaptureError, "check the path"):
         return path.name, path.read_bytes()
 
 

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from sqlalchemy import select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from cucumbervision.errors import StoreError, refusing
+from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.store.engine import named
 from cucumbervision.store.records import DetectionRecord, ImageRef, Point
 from cucumbervision.store.schema import (
@@ -108,7 +108,7 @@ def decoding(connection: Connection) -> AbstractContextManager[None]:
         For any error but a named one.
     """
     remedy = "copy the database away, and check it with `round check`"
-    return refusing(named(connection.engine.url), StoreError, remedy)
+    return wrap_reader_errors(named(connection.engine.url), StoreError, remedy)
 
 
 def cells_of(connection: Connection, query: Any) -> list[tuple[Any, ...]]:

@@ -14,7 +14,7 @@ from cucumbervision.store.queries import links_of, round_id_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
     ADDED,
-    STANDS,
+    IS_ACTIVE,
     Action,
     DetectionLine,
     Link,
@@ -209,7 +209,7 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
     found: dict[str, DetectionId] = {}
     for at in range(0, len(wanted), _AT_ONCE):
         query = select(DetectionLine.key, DetectionLine.id, DetectionLine.round_id).where(
-            DetectionLine.key.in_(wanted[at : at + _AT_ONCE]), STANDS
+            DetectionLine.key.in_(wanted[at : at + _AT_ONCE]), IS_ACTIVE
         )
         found.update({row.key: DetectionId(*row) for row in connection.execute(query)})
     missing = next((key for key in wanted if key not in found), None)

@@ -31,9 +31,9 @@ from cucumbervision.store.schema import (
     ADDED,
     DETECTION_CELLS,
     IMAGE_COLUMNS,
+    IS_ACTIVE,
     METHOD_CELLS,
     ROUND_CELLS,
-    STANDS,
     Action,
     CaptureLine,
     DetectionLine,
@@ -45,7 +45,7 @@ from cucumbervision.store.schema import (
     Row,
     Shift,
     StopLine,
-    stands,
+    is_active,
 )
 from cucumbervision.store.stop_reading import artifacts_of, corrected_of, read_stop
 from cucumbervision.store.views import (
@@ -57,9 +57,9 @@ from cucumbervision.store.views import (
     DetectionView,
     LinkKind,
     LinkRecord,
+    RepresentativeView,
     RoundView,
     ShiftRecord,
-    Standing,
     StopView,
     Verdict,
     group_detections,
@@ -75,7 +75,7 @@ _PLACE = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m")
 _IN_ORDER = (StopLine.taken_s, StopLine.id, CaptureLine.number, DetectionLine.number)
 # Once, since an alias reads all columns of its table when it is first used.
 _ONE, _OTHER = aliased(DetectionLine), aliased(DetectionLine)
-_BOTH_STAND = and_(stands(_ONE), stands(_OTHER))
+_BOTH_ACTIVE = and_(is_active(_ONE), is_active(_OTHER))
 _FIRST_CAPTURE = aliased(CaptureLine)
 
 
@@ -92,7 +92,7 @@ class Queries(Database):
             *columns_of(Round, ROUND_CELLS),
             select(func.count(StopLine.id)).where(of_round).scalar_subquery(),
             select(func.count(DetectionLine.id))
-            .where(DetectionLine.round_id == Round.id, STANDS)
+            .where(DetectionLine.round_id == Round.id, IS_ACTIVE)
             .scalar_subquery(),
             select(func.max(StopLine.taken_s)).where(of_round).scalar_subquery(),
         ).order_by(Round.started_s.desc(), Round.id.desc())
@@ -142,7 +142,7 @@ class Queries(Database):
         key = checked_key(key, "fruit")
         of_round = select(Round.key).join(DetectionLine, DetectionLine.round_id == Round.id)
         with self.reading() as connection:
-            found = of_round.where(DetectionLine.key == key, STANDS)
+            found = of_round.where(DetectionLine.key == key, IS_ACTIVE)
             round_key = connection.execute(found).scalar()
             if round_key is None:
                 raise StoreError(
@@ -189,13 +189,13 @@ class Queries(Database):
                 select(DetectionLine.round_id, Mark.value, func.count())
                 .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
                 .join(other, other.id == DetectionLine.round_id)
-                .where(other.house == house.scalar_subquery(), ~other.deleted, STANDS, *kept)
+                .where(other.house == house.scalar_subquery(), ~other.deleted, IS_ACTIVE, *kept)
                 .group_by(DetectionLine.round_id, Mark.value)
             )
             rows = cells_of(connection, counts)
             rounds = {row[0] for row in rows}
             finds = select(func.count(DetectionLine.id)).where(
-                DetectionLine.round_id.in_(rounds), STANDS
+                DetectionLine.round_id.in_(rounds), IS_ACTIVE
             )
             every = int(connection.execute(finds).scalar() or 0)
         return sum(row[2] for row in rows if row[1] == Verdict.REJECTED), every
@@ -223,7 +223,7 @@ class Queries(Database):
             query = (
                 select(DetectionLine.key, *columns_of(MethodLine, METHOD_CELLS))
                 .join(DetectionLine, DetectionLine.id == MethodLine.fruit_id)
-                .where(DetectionLine.round_id == round_id_of(connection, round_key), STANDS)
+                .where(DetectionLine.round_id == round_id_of(connection, round_key), IS_ACTIVE)
                 .order_by(MethodLine.fruit_id, MethodLine.number)
             )
             for row in cells_of(connection, query):
@@ -327,7 +327,7 @@ def links_of(
         .where(
             Link.ended_by_id.is_(None),
             or_(Link.first_round_id == round_id, Link.second_round_id == round_id),
-            _BOTH_STAND,
+            _BOTH_ACTIVE,
         )
         .order_by(Link.id)
     )
@@ -346,7 +346,7 @@ def _stop_query(round_id: int) -> Any:
     detections = (
         select(func.count(DetectionLine.id))
         .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
-        .where(CaptureLine.stop_id == StopLine.id, STANDS)
+        .where(CaptureLine.stop_id == StopLine.id, IS_ACTIVE)
     )
     return (
         select(
@@ -418,7 +418,7 @@ def _detection_query(round_id: int) -> Any:
         .join(StopLine, StopLine.id == CaptureLine.stop_id)
         .outerjoin(Row, Row.id == StopLine.row_id)
         .outerjoin(Image, Image.sha256 == CaptureLine.thumbnail_sha256)
-        .where(DetectionLine.round_id == round_id, STANDS)
+        .where(DetectionLine.round_id == round_id, IS_ACTIVE)
     )
 
 
@@ -427,7 +427,7 @@ def _detection_view(
     round_key: str,
     record: DetectionRecord,
     marks: Mapping[str, Any],
-    group: Standing,
+    group: RepresentativeView,
 ) -> DetectionView:
     given, given_sd, fitted, fitted_sd, mirrored = row[8:13]
     stop_m, stop_sd_m = (given, given_sd) if fitted is None else (fitted, fitted_sd)

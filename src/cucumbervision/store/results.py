@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
-    from cucumbervision.pipeline.fields import SeenFruit
+    from cucumbervision.pipeline.fields import NumberedFruit
     from cucumbervision.pipeline.measurer import CaptureResult, Measurer
     from cucumbervision.pipeline.stages import StageHashes
     from cucumbervision.store.images import ImageStore
@@ -163,7 +163,7 @@ def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
     }
 
 
-def fruit_record(seen: SeenFruit) -> DetectionRecord:
+def fruit_record(seen: NumberedFruit) -> DetectionRecord:
     """Return a record of one fruit.
 
     The fruit's offset along the row is how far right of the camera its middle lies; who knows that
@@ -306,7 +306,7 @@ def _length_sd(fruit: FruitMeasurement) -> float | None:
     return fit.thread_sd_m if thread else fit.centreline_sd_m
 
 
-def _centre(seen: SeenFruit) -> Point | None:
+def _centre(seen: NumberedFruit) -> Point | None:
     fruit = seen.fruit
     path = None if fruit.selected is None else fruit.selected.path_m
     if path is not None and len(path):

@@ -298,7 +298,7 @@ ADDED = "added"
 """The slot of a mark on a fruit that was added by hand."""
 
 
-def stands(fruit: Any = DetectionLine) -> Any:
+def is_active(fruit: Any = DetectionLine) -> Any:
     """Return whether a detection counts, for a query.
 
     All do but those that were added by hand and taken back, and those of deleted stops.
@@ -309,8 +309,8 @@ def stands(fruit: Any = DetectionLine) -> Any:
     return and_(fruit.id.not_in(taken_back), fruit.capture_id.not_in(gone))
 
 
-STANDS = stands()
-"""`stands` of the detections themselves."""
+IS_ACTIVE = is_active()
+"""`is_active` of the detections themselves."""
 
 _TYPES = {float: Double, int: Integer, str: Text, bool: Boolean}
 

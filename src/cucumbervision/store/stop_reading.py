@@ -29,8 +29,8 @@ from cucumbervision.store.schema import (
     CAPTURE_CELLS,
     DETECTION_CELLS,
     IMAGE_COLUMNS,
+    IS_ACTIVE,
     METHOD_CELLS,
-    STANDS,
     Artifact,
     CaptureLine,
     DetectionLine,
@@ -53,7 +53,7 @@ def corrected_of(connection: Connection, which: Any) -> dict[str, DetectionRecor
     query = (
         select(DetectionLine.key, Mark.details)
         .join(DetectionLine, DetectionLine.id == Mark.fruit_id)
-        .where(Mark.slot == "mask", Mark.ended_by_id.is_(None), STANDS, which)
+        .where(Mark.slot == "mask", Mark.ended_by_id.is_(None), IS_ACTIVE, which)
     )
     rows = cells_of(connection, query)
     with decoding(connection):
@@ -159,7 +159,7 @@ def _records_of(connection: Connection, stop_id: int) -> dict[int, list[Detectio
         )
         .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
         .join(MaskLine, MaskLine.fruit_id == DetectionLine.id)
-        .where(CaptureLine.stop_id == stop_id, STANDS)
+        .where(CaptureLine.stop_id == stop_id, IS_ACTIVE)
         .order_by(DetectionLine.id)
     )
     found: dict[int, list[DetectionRecord]] = {}

@@ -393,7 +393,7 @@ class Candidate(NamedTuple):
     view_score: float
 
 
-class Standing(NamedTuple):
+class RepresentativeView(NamedTuple):
     """A group: the view that stands, how many there are, when the fruit was first picked."""
 
     best: str
@@ -403,7 +403,7 @@ class Standing(NamedTuple):
 
 def standings(
     candidates: Mapping[str, Candidate], picked_s: Mapping[str, float], links: Iterable[LinkRecord]
-) -> dict[str, Standing]:
+) -> dict[str, RepresentativeView]:
     """Return for each detection its group, named by the view that stands, and when it was picked.
 
     A rejected view stands only where all are rejected, one without a length only where none has
@@ -423,14 +423,14 @@ def standings(
     --------
     >>> views = {"a": Candidate(True, True, True, 0.4), "b": Candidate(True, True, True, 0.7)}
     >>> standings(views, {"a": 9.0}, [LinkRecord(LinkKind.SAME, "a", "b")])["a"]
-    Standing(best='b', views=2, picked_s=9.0)
+    RepresentativeView(best='b', views=2, picked_s=9.0)
     """
     place = {key: -at for at, key in enumerate(candidates)}
-    found: dict[str, Standing] = {}
+    found: dict[str, RepresentativeView] = {}
     for key, group in group_detections(candidates, links).items():
         if key not in found:
             best = max(group, key=lambda one: (*candidates[one], place[one]))
             times = [picked_s[one] for one in group if one in picked_s]
-            standing = Standing(best, len(group), min(times, default=None))
+            standing = RepresentativeView(best, len(group), min(times, default=None))
             found.update(dict.fromkeys(group, standing))
     return found

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.errors import StoreError, naming_os_errors
+from cucumbervision.errors import StoreError, wrap_os_errors
 from cucumbervision.pipeline.output import sync_folder
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class WaitingCaptures:
         }
         remedy = "free some space on the disk, and check its rights"
         try:
-            with naming_os_errors("cannot be written", self.folder, remedy, StoreError):
+            with wrap_os_errors("cannot be written", self.folder, remedy, StoreError):
                 half.mkdir(parents=True)
                 write_native(capture, half)
                 (half / _WHERE).write_text(json.dumps(about), encoding="utf-8")

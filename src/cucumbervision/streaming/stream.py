@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.motion import moved_px
 from cucumbervision.measurement.result import LOWER_BOUND, Choice, Method
-from cucumbervision.pipeline.fields import FIELDS, Field, SeenFruit
+from cucumbervision.pipeline.fields import FIELDS, Field, NumberedFruit
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.streaming.track_length import TrackLength, same_place
@@ -61,13 +61,13 @@ def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedFruit(SeenFruit):
+class TrackedFruit(NumberedFruit):
     """One fruit of one frame, and what all its frames say of it.
 
     Parameters
     ----------
     capture, number, fruit
-        As in `SeenFruit`; a fruit that had to wait has no measurement in this frame.
+        As in `NumberedFruit`; a fruit that had to wait has no measurement in this frame.
     track : int
         Its number, the same in all frames.
     seen : int

@@ -18,7 +18,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_iou
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
-from cucumbervision_lab.report.records import Masks, Record
+from cucumbervision_lab.report.records import LengthRecord, Masks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -200,7 +200,7 @@ class CaseOptions:
     prompt: str = "box+point"
 
 
-def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[Record]:
+def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[LengthRecord]:
     """Simulate a case and measure its fruit with each kind of mask.
 
     Parameters
@@ -215,7 +215,7 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
 
     Returns
     -------
-    list of Record
+    list of LengthRecord
         One for each kind of mask; none where too little of the fruit shows.
     """
     taken = simulate(case, options.frames, paint=Masks.PERCEIVED in options.masks)
@@ -260,7 +260,7 @@ def found_at(box: NDArray[np.float64], found: Sequence[Instance]) -> Instance | 
 
 def _record(
     case: Case, taken: Simulated, kind: Masks, instance: Instance | None, baselines: bool
-) -> Record:
+) -> LengthRecord:
     truth, capture = taken.truth, taken.capture
     tools = available_baselines() if baselines else {}
     lengths: dict[str, float | None] = dict.fromkeys((*_READ, *tools))
@@ -278,7 +278,7 @@ def _record(
         lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
         for name, measure in tools.items():
             lengths[name] = measure(capture.depth_m, instance.mask, capture.intrinsics)
-    return Record(
+    return LengthRecord(
         case=case.name,
         suite=case.suite,
         masks=kind,

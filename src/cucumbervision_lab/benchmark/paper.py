@@ -57,7 +57,7 @@ NOTES = {
         "Every capture is simulated: bodies whose lengths are known exactly, seen by a model of a "
         "D435 whose noise, holes and edges were matched to real frames. Real fruit have ridges, "
         "stalks and withered blossoms that these lack. A fruit that a method does not measure "
-        "counts as 100 % error, so a method gains nothing by refusing.\n\n"
+        "counts as 100 % error, so a method gains nothing by wrap_reader_errors.\n\n"
         "'Exact' masks are the fruit's own pixels; 'disturbed' ones have their outline moved by a "
         "smooth field of 1.5 px RMS. For 'perceived' ones nothing is given: the detector finds the "
         "fruit, the pose network places its keypoints and MobileSAM draws it; a fruit that is not "

@@ -20,7 +20,7 @@ from cucumbervision_lab.report.length_tables import (
     factors_of,
     shown_methods,
 )
-from cucumbervision_lab.report.page import Picture, Section
+from cucumbervision_lab.report.page import Plot, Section
 from cucumbervision_lab.report.plots import as_png, method_style, new_figure
 from cucumbervision_lab.report.records import Masks
 
@@ -226,7 +226,7 @@ def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks, level: fl
     return Section(f"{_SUITE_WORDS[suite]}, {words}", intro, tuple(entries))
 
 
-def _stress_plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Table | Picture]:
+def _stress_plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Table | Plot]:
     scored = against(readings, truth)
     tilt, hidden = scored["tilt_deg"].abs(), 100 * scored["hidden_share"]
     by_tilt = error_by_value_plot(scored, truth, tilt, TILT_EDGES_DEG, "tilt of the fruit (°)")
@@ -235,13 +235,13 @@ def _stress_plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Table
     )
     caption = "Mean error by the fruit's tilt; each step up the scale is ten times the error."
     return [
-        Picture(caption, by_tilt),
-        Picture("Mean error by how much of the fruit is hidden; the same scale.", by_hidden),
+        Plot(caption, by_tilt),
+        Plot("Mean error by how much of the fruit is hidden; the same scale.", by_hidden),
     ]
 
 
-def _coverage_entries(readings: pd.DataFrame, level: float) -> list[Table | Picture]:
-    entries: list[Table | Picture] = []
+def _coverage_entries(readings: pd.DataFrame, level: float) -> list[Table | Plot]:
+    entries: list[Table | Plot] = []
     for truth in _COVERED:
         groups = coverage_by_group(readings, truth, level)
         if groups.empty:
@@ -252,7 +252,7 @@ def _coverage_entries(readings: pd.DataFrame, level: float) -> list[Table | Pict
         )
         title = f"How often the interval holds the true {truth}"
         entries.append(coverage_table(groups, level, title))
-        entries.append(Picture(caption, coverage_plot(groups, level)))
+        entries.append(Plot(caption, coverage_plot(groups, level)))
     return entries
 
 

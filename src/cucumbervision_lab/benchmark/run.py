@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.table import Table
     from cucumbervision_lab.benchmark.cases import Case
-    from cucumbervision_lab.report.records import Record
+    from cucumbervision_lab.report.records import LengthRecord
 
 TRUTH_OF = {
     **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),
@@ -137,7 +137,7 @@ def run_cases(
     records: Path,
     workers: int = 2,
     report: Callable[[int], None] | None = None,
-) -> list[Record]:
+) -> list[LengthRecord]:
     """Measure the cases that are not in the file yet, and give all of theirs.
 
     Parameters
@@ -156,7 +156,7 @@ def run_cases(
 
     Returns
     -------
-    list of Record
+    list of LengthRecord
         Of these cases, in the file's order.
 
     Raises
@@ -175,7 +175,7 @@ def run_cases(
     return [r for r in read_records([records]) if r.case in names] if records.exists() else []
 
 
-def _measure(options: CaseOptions, case: Case) -> list[Record]:
+def _measure(options: CaseOptions, case: Case) -> list[LengthRecord]:
     find = _finder(options.prompt).find if Masks.PERCEIVED in options.masks else None
     return measure_case(case, options, None if find is None else lambda c: find(c).instances)
 

@@ -138,7 +138,7 @@ def recipe(
     """
     from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.recipe import read_recipe
-    from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe
+    from cucumbervision_lab.training.run_recipe import PACKAGED, RecipeFolders, run_recipe
     from cucumbervision_lab.training.settings import TrainOptions
 
     read = read_recipe(recipe_file or PACKAGED)
@@ -153,7 +153,7 @@ def recipe(
     with TrainConsole() as console:
         found = run_recipe(
             read,
-            Kitchen(data, weights, out, test),
+            RecipeFolders(data, weights, out, test),
             tasks=(only,) if only else tuple(read.schedules),
             options=options,
             watcher=console,

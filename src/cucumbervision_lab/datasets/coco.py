@@ -14,7 +14,12 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model, read_json
-from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError, refusing
+from cucumbervision.errors import (
+    CaptureError,
+    CucumberVisionError,
+    DataSetError,
+    wrap_reader_errors,
+)
 from cucumbervision.perception.instances import KEYPOINT_NAMES
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.perception.masks import box_of_mask
@@ -69,12 +74,12 @@ def read_coco(path: Path) -> DataSet:
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
     for (file, split), data in zip(sources, files, strict=True):
-        with refusing(file, DataSetError, "give COCO JSON"):
+        with wrap_reader_errors(file, DataSetError, "give COCO JSON"):
             ids = _category_indices(data, names)
             found, bad = _read_pictures(data, ids, file, split, root)
         pictures.extend(found)
         refused.extend(bad)
-    with refusing(sources[0][0], DataSetError, "give COCO JSON"):
+    with wrap_reader_errors(sources[0][0], DataSetError, "give COCO JSON"):
         points = _keypoint_names(files[0])
     return DataSet(root, tuple(pictures), tuple(names), points, refused=tuple(refused))
 

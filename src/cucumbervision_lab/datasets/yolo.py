@@ -13,7 +13,7 @@ from cucumbervision.capture.files import read_bytes, read_json
 from cucumbervision.errors import (
     CucumberVisionError,
     DataSetError,
-    refusing,
+    wrap_reader_errors,
 )
 from cucumbervision.perception.instance_files import parse_yolo_line
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
@@ -121,7 +121,7 @@ def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
     yaml = path if path.is_file() else path / "data.yaml"
     folder = yaml.parent.resolve()
     data = load_data_yaml(yaml) if yaml.is_file() else {}
-    with refusing(yaml, DataSetError, "correct it"):
+    with wrap_reader_errors(yaml, DataSetError, "correct it"):
         return _found(path, folder, yaml, data, list(names) or _names(data.get("names"), yaml))
 
 
@@ -155,7 +155,7 @@ def load_data_yaml(path: Path) -> dict[str, Any]:
     DataSetError
         If it is no YAML or describes no data set.
     """
-    with refusing(path, DataSetError, "correct it"):
+    with wrap_reader_errors(path, DataSetError, "correct it"):
         text = read_bytes(path)
         try:
             # Lists of lists of lists, named and repeated, are small here and endless written out.

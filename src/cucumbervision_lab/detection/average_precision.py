@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
+    from cucumbervision_lab.detection.pictures import FoundFruit, Frame, TrueFruit
 
 OKS_SIGMA = 0.05
 """For all five keypoints; the default for five points, 0.2, would forgive almost anything."""
@@ -223,7 +223,7 @@ def _true_entry(one: TrueFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
     return entry
 
 
-def _seen_entry(one: SeenFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
+def _seen_entry(one: FoundFruit, judged: Judged, frame: Frame) -> dict[str, Any]:
     box = _xywh(one.box)
     entry: dict[str, Any] = {"bbox": box, "area": box[2] * box[3], "score": one.score}
     if judged is Judged.MASKS:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.picture_result import OverlapRow
     from cucumbervision_lab.detection.run import DetectionResult
-    from cucumbervision_lab.report.records import Record
+    from cucumbervision_lab.report.records import LengthRecord
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def summarise(result: DetectionResult) -> Summary:
     )
 
 
-def _length_scores(records: Sequence[Record]) -> list[LengthScore]:
+def _length_scores(records: Sequence[LengthRecord]) -> list[LengthScore]:
     if not records:
         return []
     readings = readings_frame(records)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-    from cucumbervision_lab.report.records import Record
+    from cucumbervision_lab.report.records import LengthRecord
 
     Report = Callable[[str, int, int], None]
 
@@ -71,7 +71,7 @@ def learn_intervals(
 
 def set_records(
     folder: Path, split: str, keep: Path, workers: int = 1, report: Report | None = None
-) -> list[Record]:
+) -> list[LengthRecord]:
     """Measure the fruit of a drawn set on true masks and as the shipped networks see them.
 
     Parameters
@@ -109,7 +109,7 @@ def set_records(
     return [record for record in done if _picture_of(record) in chosen]
 
 
-def _picture_of(record: Record) -> str:
+def _picture_of(record: LengthRecord) -> str:
     return record.case.partition("#")[0]
 
 
@@ -118,7 +118,7 @@ def _finder() -> Finder:
     return make_finder(MeasureOptions(instances="models"))
 
 
-def _measured(data: DataSet, picture: LabelledPicture) -> list[Record]:
+def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
     capture = capture_of(picture, data, read_color(data.path(picture)))
     if capture is None:
         return []

@@ -15,7 +15,7 @@ from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths, noted
 from cucumbervision_lab.report.length_tables import against
-from cucumbervision_lab.report.records import Masks, Record
+from cucumbervision_lab.report.records import LengthRecord, Masks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +44,7 @@ class LengthScore:
     truth : LengthDefinition
         Which true length.
     method : str
-        Its name in `Record.lengths_m`.
+        Its name in `LengthRecord.lengths_m`.
     missed : int
         Fruit that the detector did not find.
     metrics : Metrics
@@ -67,7 +67,7 @@ class LengthScore:
 
 def length_records(
     frame: Frame, capture: Capture, perceived: Mapping[int, Instance]
-) -> list[Record]:
+) -> list[LengthRecord]:
     """Measure a picture's fruit on their true masks and on perceived ones.
 
     Parameters
@@ -81,7 +81,7 @@ def length_records(
 
     Returns
     -------
-    list of Record
+    list of LengthRecord
         Two for each fruit that is to be found and whose lengths are known. A fruit that was
         missed has a perceived record without any length.
     """
@@ -107,7 +107,7 @@ def _true_instance(frame: Frame, number: int) -> Instance:
 
 def _record(
     frame: Frame, number: int, capture: Capture, instance: Instance | None, masks: Masks
-) -> Record:
+) -> LengthRecord:
     fruit = frame.true[number]
     lengths: dict[str, float | None] = dict.fromkeys(map(str, _READ))
     details: dict[str, Any] = {"scene": frame.scene, "missed": instance is None}
@@ -121,7 +121,7 @@ def _record(
         details["flags"] = list(measured.flags)
         details |= noted(measured)
         fill = measured.fill
-    return Record(
+    return LengthRecord(
         case=f"{frame.name}#{number}",
         suite="detection",
         masks=masks,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cucumbervision_lab.detection.pictures import Frame, SeenFruit
+    from cucumbervision_lab.detection.pictures import FoundFruit, Frame
 
 _MIN_IOU = 0.5
 
@@ -251,14 +251,14 @@ def match_frame(
 
 def matches_of(
     frame: Frame, confidence: float, stage: Stage
-) -> tuple[Matches, tuple[SeenFruit, ...], tuple[int, ...]]:
+) -> tuple[Matches, tuple[FoundFruit, ...], tuple[int, ...]]:
     """Match a frame's detections above a confidence with its fruit.
 
     Returns
     -------
     matches : Matches
         Its first numbers count the fruit that are to be found.
-    seen : tuple of SeenFruit
+    seen : tuple of FoundFruit
         The detections that its second numbers count.
     required : tuple of int
         The fruit that are to be found, as places in `frame.true`.
@@ -294,7 +294,7 @@ def fruit_rows(
     return rows
 
 
-def _overlaps(frame: Frame, number: int, by: SeenFruit) -> tuple[float, float, float]:
+def _overlaps(frame: Frame, number: int, by: FoundFruit) -> tuple[float, float, float]:
     fruit = frame.true[number]
     masks = frame.has_masks and fruit.code is not None
     of_masks = code_overlap(fruit.code, by.code) if masks else math.nan
@@ -336,11 +336,11 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> list[EndRow]:
 
     Examples
     --------
-    >>> from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
+    >>> from cucumbervision_lab.detection.pictures import Frame, FoundFruit, TrueFruit
     >>> true = np.array([[10.0, 10, 2], [35, 10, 2], [60, 10, 2], [85, 10, 2], [110, 10, 1]])
     >>> seen = true[::-1] + (0, 1.0, 0)
     >>> box = np.array([10.0, 5, 110, 15])
-    >>> one = SeenFruit(box, 0.9, None, seen)
+    >>> one = FoundFruit(box, 0.9, None, seen)
     >>> frame = Frame("a", "a", 200, 50, (TrueFruit(box, keypoints=true),), kept=(one,))
     >>> row, = end_rows([frame], 0.3)
     >>> row.length_px, round(row.blossom_percent, 3), row.swapped, row.stem_seen

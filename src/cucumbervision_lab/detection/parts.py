@@ -91,10 +91,10 @@ def score_parts(frames: Sequence[Frame], confidence: float, stage: Stage) -> Par
 
     Examples
     --------
-    >>> from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit, code_mask
+    >>> from cucumbervision_lab.detection.pictures import Frame, FoundFruit, TrueFruit, code_mask
     >>> box, mask = np.array([0.0, 0, 50, 20]), np.zeros((20, 60), bool)
     >>> mask[:, :20] = mask[:, 30:50] = True
-    >>> seen = tuple(SeenFruit(box, 0.9, code_mask(part)) for part in parts_of(mask))
+    >>> seen = tuple(FoundFruit(box, 0.9, code_mask(part)) for part in parts_of(mask))
     >>> frame = Frame("a", "a", 60, 20, (TrueFruit(box, code_mask(mask)),), kept=seen)
     >>> one = score_parts([frame], 0.3, Stage.KEPT)
     >>> one.in_parts, one.whole, one.pieces, one.finds, one.over_two

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.files import read_json
-from cucumbervision.errors import DataSetError, refusing
+from cucumbervision.errors import DataSetError, wrap_reader_errors
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instance_files import parse_yolo_line
 from cucumbervision.perception.mask_codes import fill_polygon
@@ -39,7 +39,7 @@ FIRST = "first audit"
 """The test photos that the networks of before were judged on, whatever they show."""
 
 
-class Kind(StrEnum):
+class AuditKind(StrEnum):
     """What a box of the audit holds."""
 
     CUCUMBER = "cucumber"
@@ -55,7 +55,7 @@ class AuditedBox:
     ----------
     box : tuple of float
         x1, y1, x2, y2 of the edges in pixels; (0, 0) is the centre of the top-left pixel.
-    kind : Kind
+    kind : AuditKind
         A whole cucumber or courgette (about 70 % of it visible at least) must be found, the
         courgette as a cucumber; a detection in an ignored region is neither right nor wrong.
     stem : str, optional
@@ -67,7 +67,7 @@ class AuditedBox:
     """
 
     box: tuple[float, float, float, float]
-    kind: Kind
+    kind: AuditKind
     stem: str | None = None
     ends: tuple[Point, Point] | None = None
 
@@ -117,7 +117,7 @@ class AuditedPhoto:
     @property
     def whole(self) -> tuple[AuditedBox, ...]:
         """The fruit that must be found."""
-        return tuple(box for box in self.boxes if box.kind is not Kind.IGNORE)
+        return tuple(box for box in self.boxes if box.kind is not AuditKind.IGNORE)
 
     @property
     def fully_labelled(self) -> bool:
@@ -127,7 +127,7 @@ class AuditedPhoto:
         as background.
         """
         most = _MOST * self.width * self.height
-        return all(b.kind is not Kind.IGNORE or b.area_px <= most for b in self.boxes)
+        return all(b.kind is not AuditKind.IGNORE or b.area_px <= most for b in self.boxes)
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def read_audit(paths: Sequence[Path]) -> Audit:
         If one of them cannot be read, or is no audit.
     """
     files = [read_json(path, DataSetError) for path in paths]
-    with refusing(" and ".join(map(str, paths)), DataSetError, "audit the photos again"):
+    with wrap_reader_errors(" and ".join(map(str, paths)), DataSetError, "audit the photos again"):
         return _audit(files)
 
 
@@ -266,7 +266,10 @@ def _photo(entry: Mapping[str, Any]) -> AuditedPhoto:
     """Read one photo; the file counts from the picture's corner, we from a pixel's centre."""
     boxes = (
         AuditedBox(
-            tuple(v - 0.5 for v in b["box"]), Kind(b["class"]), b.get("stem"), _ends(b.get("ends"))
+            tuple(v - 0.5 for v in b["box"]),
+            AuditKind(b["class"]),
+            b.get("stem"),
+            _ends(b.get("ends")),
         )
         for b in entry["boxes"]
     )
@@ -318,7 +321,7 @@ def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
     return Label(
         np.array(box.box, np.float64),
         cut_off=inside < _EDGE_PX,
-        ignore=box.kind is Kind.IGNORE,
+        ignore=box.kind is AuditKind.IGNORE,
         extras={"kind": str(box.kind), "stem": box.stem}
         | ({} if box.ends is None else {"ends_px": [list(point) for point in box.ends]}),
     )

@@ -246,10 +246,10 @@ def score_photos(
     Examples
     --------
     >>> import numpy as np
-    >>> from cucumbervision_lab.detection.pictures import Frame, SeenFruit, TrueFruit
+    >>> from cucumbervision_lab.detection.pictures import Frame, FoundFruit, TrueFruit
     >>> boxes = np.array([[0.0, 0, 50, 10], [0, 20, 50, 30], [0, 40, 50, 50]])
     >>> true = (TrueFruit(boxes[0]), TrueFruit(boxes[1], optional=True))
-    >>> seen = tuple(SeenFruit(box, 0.9) for box in boxes)
+    >>> seen = tuple(FoundFruit(box, 0.9) for box in boxes)
     >>> found = score_photos([Frame("a.jpg", "s1", 60, 60, true, kept=seen)], ["board"], 0.3)
     >>> found.scores[0][1].recall.value, found.scores[0][1].precision.value
     (1.0, 0.5)

@@ -13,7 +13,7 @@ from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
 from cucumbervision.pipeline.finders import dataset_instances
 from cucumbervision_lab.detection.outcomes import matches_of
-from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, seen_fruit
+from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, found_fruit_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -165,8 +165,8 @@ def detect_picture(
     if networks.segmenter is not None and any(one.keypoints is not None for one in frame.true):
         kept = _placed(kept, networks.segmenter, color)
 
-    def coded(found: Sequence[Instance]) -> tuple[SeenFruit, ...]:
-        return tuple(seen_fruit(one, depth_m) for one in found)
+    def coded(found: Sequence[Instance]) -> tuple[FoundFruit, ...]:
+        return tuple(found_fruit_of(one, depth_m) for one in found)
 
     frame = replace(
         frame,

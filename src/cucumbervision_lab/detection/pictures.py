@@ -100,7 +100,7 @@ class TrueFruit:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenFruit:
+class FoundFruit:
     """Detection of a network.
 
     Parameters
@@ -143,9 +143,9 @@ class Frame:
         Its size, pixels.
     true : tuple of TrueFruit
         What is there.
-    segmented, posed : tuple of SeenFruit
+    segmented, posed : tuple of FoundFruit
         What the two networks found, best first, whatever the confidence.
-    kept : tuple of SeenFruit
+    kept : tuple of FoundFruit
         What a user gets at the confidence that is judged: fruit found twice made one.
     has_masks : bool
         Whether the first network draws masks at all.
@@ -156,12 +156,12 @@ class Frame:
     width: int
     height: int
     true: tuple[TrueFruit, ...] = ()
-    segmented: tuple[SeenFruit, ...] = ()
-    posed: tuple[SeenFruit, ...] = ()
-    kept: tuple[SeenFruit, ...] = ()
+    segmented: tuple[FoundFruit, ...] = ()
+    posed: tuple[FoundFruit, ...] = ()
+    kept: tuple[FoundFruit, ...] = ()
     has_masks: bool = True
 
-    def seen(self, stage: Stage) -> tuple[SeenFruit, ...]:
+    def seen(self, stage: Stage) -> tuple[FoundFruit, ...]:
         """Return the detections of one stage."""
         return {
             Stage.SEGMENTED: self.segmented,
@@ -192,7 +192,7 @@ def code_overlap(a: Code | None, b: Code | None) -> float:
     return float(import_pycocotools().iou([a], [b], [0])[0, 0])
 
 
-def seen_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = None) -> SeenFruit:
+def found_fruit_of(instance: Instance, depth_m: NDArray[np.float32] | None = None) -> FoundFruit:
     """Return what is judged of a detection, its mask coded (a full one takes a megabyte).
 
     Parameters
@@ -205,7 +205,7 @@ def seen_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = None) -
     mask = instance.detector_mask
     code = None if mask is None else code_mask(mask)
     distance = math.nan if depth_m is None else _middle_depth(instance.box, depth_m)
-    return SeenFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
+    return FoundFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
 
 
 def _middle_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:

@@ -33,7 +33,7 @@ from cucumbervision_lab.detection.figures import (
 from cucumbervision_lab.detection.outcomes import HIDDEN_SHARE, EndRow, FoundRow, FruitRow
 from cucumbervision_lab.detection.picture_result import OverlapRow
 from cucumbervision_lab.detection.plots import KINDS, draw_sheet, worst_cases
-from cucumbervision_lab.report.page import HTML_NAME, Picture, Section, render_page
+from cucumbervision_lab.report.page import HTML_NAME, Plot, Section, render_page
 from cucumbervision_lab.report.records import readings_frame
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ def _page(result: DetectionResult, summary: Summary) -> str:
     sections = [Section("Main figures", (), tuple(rest)), _group_section(summary)]
     if summary.end_rows:
         caption = "How many ends are set off by at most so much; lines at 2 % and 6 %."
-        plot = Picture(caption, plots.end_error_plot(summary.end_rows))
+        plot = Plot(caption, plots.end_error_plot(summary.end_rows))
         sections.append(Section("Keypoints", (), (plot,)))
     sections += _overlap_sections(result)
     sections += _length_sections(summary)
@@ -259,7 +259,7 @@ def _intro(result: DetectionResult) -> str:
 def _group_section(summary: Summary) -> Section:
     factors = list(dict.fromkeys(one.factor for one in summary.groups))
     caption = "Recall (blue) and precision (orange) of what is reported; bars: 95 % by scene."
-    entries: list[Table | Picture] = [Picture(caption, plots.recall_plot(summary.groups))]
+    entries: list[Table | Plot] = [Plot(caption, plots.recall_plot(summary.groups))]
     entries += [group_table(summary, factor) for factor in factors]
     intro = (
         "Recall goes by the fruit's own properties, precision by the detection's: its box's size, "
@@ -275,7 +275,7 @@ def _overlap_sections(result: DetectionResult) -> list[Section]:
         rows = [r for r in result.overlaps if r.simulated is simulated]
         if rows:
             caption = f"{name} pictures: how many masks overlap by at least so much."
-            entries.append(Picture(caption, plots.overlap_plot(rows)))
+            entries.append(Plot(caption, plots.overlap_plot(rows)))
     return [Section("Masks, one by one", (), tuple(entries))] if entries else []
 
 
@@ -296,7 +296,7 @@ def _worst_sections(result: DetectionResult, summary: Summary) -> list[Section]:
         some = [case for case in cases if case.kind == kind]
         if some:
             caption = f"{words} Green: what is there; orange: what was found."
-            sheets.append(Picture(caption, draw_sheet(some, result)))
+            sheets.append(Plot(caption, draw_sheet(some, result)))
     return [Section("The worst cases", (), tuple(sheets))] if sheets else []
 
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
-    from cucumbervision_lab.report.records import Record
+    from cucumbervision_lab.report.records import LengthRecord
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class DetectionResult:
         Their truth and what was found, in the same order.
     overlaps : tuple of OverlapRow
         SAM's masks against true ones.
-    records : tuple of Record
+    records : tuple of LengthRecord
         Lengths on true and on perceived masks.
     photos : PhotoResult, optional
         On real photos, as figures.
@@ -123,7 +123,7 @@ class DetectionResult:
     held_out: HeldOut
     frames: tuple[Frame, ...]
     overlaps: tuple[OverlapRow, ...] = ()
-    records: tuple[Record, ...] = ()
+    records: tuple[LengthRecord, ...] = ()
     photos: PhotoResult | None = None
     models: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, list[float]] = field(default_factory=dict)
@@ -188,7 +188,7 @@ def evaluate_detection(
     measured = {picture.file for picture in spread(held_out.pictures, plan.sam_limit)}
     frames: list[Frame] = []
     overlaps: list[OverlapRow] = []
-    records: list[Record] = []
+    records: list[LengthRecord] = []
     seconds: dict[str, list[float]] = {}
     for picture in held_out.pictures:
         color = read_color(held_out.data.path(picture))

@@ -16,7 +16,7 @@ from cucumbervision_lab.report.length_tables import (
     group_table,
     truths_of,
 )
-from cucumbervision_lab.report.page import Picture, Section
+from cucumbervision_lab.report.page import Plot, Section
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,9 +86,9 @@ def main_truths(readings: pd.DataFrame) -> list[LengthDefinition]:
     return [truth for truth in known if truth is not LengthDefinition.CHORD] or known
 
 
-def accuracy_entries(readings: pd.DataFrame) -> list[Table | Picture]:
+def accuracy_entries(readings: pd.DataFrame) -> list[Table | Plot]:
     """Return each truth's table of accuracy and, with enough captures, of comparisons."""
-    entries: list[Table | Picture] = []
+    entries: list[Table | Plot] = []
     for truth in truths_of(readings):
         entries.append(accuracy_table(readings, truth))
         tested = (
@@ -99,44 +99,38 @@ def accuracy_entries(readings: pd.DataFrame) -> list[Table | Picture]:
     return entries
 
 
-def fruit_entries(
-    readings: pd.DataFrame, truths: Sequence[LengthDefinition]
-) -> list[Table | Picture]:
+def fruit_entries(readings: pd.DataFrame, truths: Sequence[LengthDefinition]) -> list[Table | Plot]:
     """Return tables fruit by fruit; none where there are too many."""
     if readings["case"].nunique() > _TRACKED_CAPTURES:
         return []
     return [fruit_table(readings, truth) for truth in truths]
 
 
-def plot_entries(
-    readings: pd.DataFrame, truths: Sequence[LengthDefinition]
-) -> list[Table | Picture]:
+def plot_entries(readings: pd.DataFrame, truths: Sequence[LengthDefinition]) -> list[Table | Plot]:
     """Return the plots that suit so many captures."""
     captures = readings["case"].nunique()
-    pictures: list[Table | Picture] = []
+    pictures: list[Table | Plot] = []
     for truth in truths:
         tracked = f"Capture by capture: the black steps are the true {truth}."
         if captures >= GROUPED_CAPTURES:
             caption = f"Measured against true {truth}; on the line, both are the same."
-            pictures.append(Picture(caption, plots.predicted_against_truth(readings, truth)))
+            pictures.append(Plot(caption, plots.predicted_against_truth(readings, truth)))
         if captures <= _TRACKED_CAPTURES:
-            pictures.append(Picture(tracked, plots.tracking(readings, truth)))
+            pictures.append(Plot(tracked, plots.tracking(readings, truth)))
         if captures >= GROUPED_CAPTURES:
             caption = (
                 f"Absolute errors against the {truth}: the box holds the middle half, the whiskers "
                 "90 of 100, the black bar is the median, each dot a capture."
             )
-            pictures.append(Picture(caption, plots.error_spread(readings, truth)))
+            pictures.append(Plot(caption, plots.error_spread(readings, truth)))
     return pictures
 
 
-def group_entries(
-    readings: pd.DataFrame, truths: Sequence[LengthDefinition]
-) -> list[Table | Picture]:
+def group_entries(readings: pd.DataFrame, truths: Sequence[LengthDefinition]) -> list[Table | Plot]:
     """Return a table a factor that tells the readings apart; none for few captures."""
     if readings["case"].nunique() < GROUPED_CAPTURES:
         return []
-    entries: list[Table | Picture] = []
+    entries: list[Table | Plot] = []
     for truth in truths:
         scored = against(readings, truth)
         entries += [

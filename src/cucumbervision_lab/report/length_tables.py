@@ -66,9 +66,9 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
 
     Examples
     --------
-    >>> from cucumbervision_lab.report.records import Masks, Record, readings_frame
+    >>> from cucumbervision_lab.report.records import Masks, LengthRecord, readings_frame
     >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22, "oracle": 0.2}
-    >>> one = Record("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
+    >>> one = LengthRecord("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
     ...     1.0, lengths_m=read)
     >>> frame = readings_frame([one])
     >>> against(frame, LengthDefinition.THREAD).method.tolist()

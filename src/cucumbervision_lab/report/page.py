@@ -23,7 +23,7 @@ JSON_NAME = "benchmark.json"
 
 
 @dataclass(frozen=True)
-class Picture:
+class Plot:
     """A plot with what it shows.
 
     Parameters
@@ -48,13 +48,13 @@ class Section:
         Its head.
     intro : tuple of str
         Paragraphs before the tables.
-    entries : tuple of Table or Picture
+    entries : tuple of Table or Plot
         In order.
     """
 
     title: str
     intro: tuple[str, ...] = ()
-    entries: tuple[Table | Picture, ...] = field(default=())
+    entries: tuple[Table | Plot, ...] = field(default=())
 
     def as_json(self) -> dict[str, Any]:
         """Return the title and the tables' numbers."""

@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model, read_text
-from cucumbervision.errors import CucumberVisionError, MissingExtraError, refusing
+from cucumbervision.errors import CucumberVisionError, MissingExtraError, wrap_reader_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,7 +31,7 @@ class Masks(StrEnum):
 
 
 @dataclass(frozen=True)
-class Record:
+class LengthRecord:
     """One fruit of one capture, measured by every method under the same conditions.
 
     Parameters
@@ -86,13 +86,13 @@ class Record:
     details: dict[str, Any] = field(default_factory=dict)
 
 
-def append_record(path: Path, record: Record) -> None:
+def append_record(path: Path, record: LengthRecord) -> None:
     """Append one record as a line of JSON, whole or not at all."""
     with path.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(asdict(record)) + "\n")
 
 
-def read_records(paths: Iterable[Path]) -> list[Record]:
+def read_records(paths: Iterable[Path]) -> list[LengthRecord]:
     """Read records back; a last line that a killed run left unfinished is passed over.
 
     Raises
@@ -104,7 +104,8 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
     --------
     >>> import tempfile, pathlib
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.jsonl"
-    >>> one = Record("a", "paper", Masks.EXACT, "f1", 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0)
+    >>> known = 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0
+    >>> one = LengthRecord("a", "paper", Masks.EXACT, "f1", *known)
     >>> append_record(path, one)
     >>> read_records([path]) == [one]
     True
@@ -117,9 +118,11 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
                 continue
             place, again = f"{path}, line {number}", "delete the line, or the file, and run again"
             try:
-                with refusing(place, remedy=again):
+                with wrap_reader_errors(place, remedy=again):
                     values = json.loads(line)
-                records.append(parse_model(Record, values, source=place, error=CucumberVisionError))
+                records.append(
+                    parse_model(LengthRecord, values, source=place, error=CucumberVisionError)
+                )
             except CucumberVisionError:
                 if number == len(lines):
                     continue
@@ -127,20 +130,20 @@ def read_records(paths: Iterable[Path]) -> list[Record]:
     return records
 
 
-def readings_frame(records: Iterable[Record]) -> pd.DataFrame:
+def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
     """Return records as a data frame of readings, one row a record and method.
 
     Parameters
     ----------
-    records : iterable of Record
+    records : iterable of LengthRecord
         At least one with a method that was run.
 
     Returns
     -------
     DataFrame
-        The columns of `Record` but `lengths_m` and `details`, unknown numbers as NaN; `method`
-        and `length_m` (metres, NaN where it refused); and a column for each name in any record's
-        `details`.
+        The columns of `LengthRecord` but `lengths_m` and `details`, unknown numbers as NaN;
+        `method` and `length_m` (metres, NaN where it refused); and a column for each name in
+        any record's `details`.
 
     Raises
     ------
@@ -150,8 +153,8 @@ def readings_frame(records: Iterable[Record]) -> pd.DataFrame:
     Examples
     --------
     >>> read = {"M1": 0.19, "M6": None}
-    >>> one = Record("a", "paper", Masks.EXACT, "f1", 0.2, None, None, 0.5, 0.0, None, 0.0, 1.0,
-    ...     lengths_m=read)
+    >>> known = 0.2, None, None, 0.5, 0.0, None, 0.0, 1.0
+    >>> one = LengthRecord("a", "paper", Masks.EXACT, "f1", *known, lengths_m=read)
     >>> readings_frame([one])[["case", "method", "length_m", "centreline_m", "thread_m"]]
       case method  length_m  centreline_m  thread_m
     0    a     M1      0.19           0.2       NaN
@@ -169,5 +172,5 @@ def readings_frame(records: Iterable[Record]) -> pd.DataFrame:
             shared | {"method": method, "length_m": length_m}
             for method, length_m in record.lengths_m.items()
         ]
-    with refusing("the records", remedy="run the benchmark again"):
+    with wrap_reader_errors("the records", remedy="run the benchmark again"):
         return pd.DataFrame(rows).astype(dict.fromkeys(_NUMBERS, float))

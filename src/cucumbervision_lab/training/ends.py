@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.perception.ends import STRIP_PX, SURE, straighten
+from cucumbervision.perception.ends import STRIP_PX, SURE, orient
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
@@ -148,7 +148,7 @@ def _copies(
             out = points[tip] - points[inner]
             out /= max(float(np.linalg.norm(out)), 1e-9)
             moved[tip] += out * rng.normal(0, _ALONG_SD * length)
-        strip = straighten(color, moved)
+        strip = orient(color, moved)
         if strip is not None:
             strips.append(strip)
     return strips

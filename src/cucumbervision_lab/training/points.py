@@ -126,7 +126,7 @@ def learn_to_assign(model: Any) -> None:
     """
     from ultralytics.utils.tal import PoseTaskAlignedAssigner, TaskAlignedAssigner
 
-    class Both(PoseTaskAlignedAssigner):  # type: ignore[misc]
+    class MeanOverlapAssigner(PoseTaskAlignedAssigner):  # type: ignore[misc]
         """Its overlap is the mean of two."""
 
         # Ultralytics lets a fruit's area choose the level: the points have no scale of their own.
@@ -145,7 +145,7 @@ def learn_to_assign(model: Any) -> None:
     for loss in losses_of(model):
         own = {name: getattr(loss.assigner, name) for name in names}
         # A tensor of its own: the loss may change its tolerance apart.
-        loss.assigner = Both(loss.keypoint_loss.sigmas.clone(), **own)
+        loss.assigner = MeanOverlapAssigner(loss.keypoint_loss.sigmas.clone(), **own)
 
 
 def learn_to_see(model: Any) -> None:

@@ -25,7 +25,7 @@ PACKAGED = Path(__file__).with_name("recipe.toml")
 
 
 @dataclass(frozen=True)
-class Kitchen:
+class RecipeFolders:
     """Where a recipe finds and puts things.
 
     Parameters
@@ -48,7 +48,7 @@ class Kitchen:
 
 def run_recipe(
     recipe: Recipe,
-    kitchen: Kitchen,
+    kitchen: RecipeFolders,
     *,
     tasks: tuple[str, ...] = ("seg", "pose"),
     options: TrainOptions | None = None,
@@ -62,7 +62,7 @@ def run_recipe(
     ----------
     recipe : Recipe
         Which pictures, and the plans.
-    kitchen : Kitchen
+    kitchen : RecipeFolders
         Where everything is.
     tasks : tuple of str
         Those of 'seg' and 'pose' to train, in this order.

@@ -23,7 +23,7 @@ from cucumbervision_lab.training.settings import (
     trainer_settings,
 )
 from cucumbervision_lab.training.tables import read_rows, write_rows
-from cucumbervision_lab.training.trainer import Course, make_trainer
+from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 
 _SOUND_BATCH = 4
 
@@ -213,7 +213,7 @@ def _run_part(
         TASKS[state.task],
         trainer_settings(state, model, out, options, device),
         link,
-        Course(
+        TrainerSettings(
             plan=state.plan,
             epochs=state.epochs,
             seed=state.seed,

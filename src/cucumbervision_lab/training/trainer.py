@@ -48,7 +48,7 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True)
-class Course:
+class TrainerSettings:
     """Where in a plan a trainer begins, and how it learns.
 
     Parameters
@@ -85,7 +85,7 @@ def make_trainer(
     task: str,
     overrides: dict[str, Any],
     watcher: Watcher,
-    course: Course,
+    course: TrainerSettings,
     *,
     threads: int,
     workers: int,
@@ -101,7 +101,7 @@ def make_trainer(
         Ultralytics' own settings.
     watcher : Watcher
         Is told of every batch and epoch.
-    course : Course
+    course : TrainerSettings
         Where in the plan it begins.
     threads, workers : int
         Threads of torch, and processes that load pictures.
@@ -158,7 +158,7 @@ class _Ours:
     ema: Any
     model: Any
     optimizer: Any
-    course: Course
+    course: TrainerSettings
     wdir: Path
     last: Path
     best: Path

@@ -15,10 +15,10 @@ from cucumbervision_lab.benchmark.experiments import (
     selectors,
     wrong_intrinsics,
 )
-from cucumbervision_lab.report.records import Masks, Record, readings_frame
+from cucumbervision_lab.report.records import LengthRecord, Masks, readings_frame
 
 
-def record(**changes: object) -> Record:
+def record(**changes: object) -> LengthRecord:
     values: dict[str, object] = {
         "case": "c", "suite": Suite.PAPER, "masks": Masks.EXACT, "fruit": "f",
         "centreline_m": 0.2, "thread_m": 0.22, "chord_m": 0.19, "distance_m": 0.5,
@@ -27,7 +27,7 @@ def record(**changes: object) -> Record:
                       "selector paper": 0.21},
         "details": {"mask_iou": 0.95, "mask_failure": ""},
     }  # fmt: skip
-    return Record(**(values | changes))  # type: ignore[arg-type]
+    return LengthRecord(**(values | changes))  # type: ignore[arg-type]
 
 
 def test_the_axis_errs_by_the_formula() -> None:

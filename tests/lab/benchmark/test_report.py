@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
     from tests.lab.report.conftest import MakeRecord
 
-    from cucumbervision_lab.report.records import Record
+    from cucumbervision_lab.report.records import LengthRecord
 
 __all__ = ["make_record"]  # the fixture
 
 
-def with_interval(records: list[Record], low_m: Any, high_m: Any) -> pd.DataFrame:
+def with_interval(records: list[LengthRecord], low_m: Any, high_m: Any) -> pd.DataFrame:
     return readings_frame(records).assign(low_m=low_m, high_m=high_m)
 
 

@@ -36,7 +36,7 @@ from cucumbervision_lab.benchmark.run import (
     with_intervals,
 )
 from cucumbervision_lab.report.length_tables import against, method_metrics
-from cucumbervision_lab.report.records import Masks, Record, readings_frame
+from cucumbervision_lab.report.records import LengthRecord, Masks, readings_frame
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def drawn(count: int, seed: int) -> pd.DataFrame:
         lengths["M1"] = 0.12 * float(np.exp(0.1 * rng.standard_normal()))
         lengths["M6 thread"], lengths["M6 chord"] = lengths["M6"] * 1.1, lengths["M6"] * 0.97
         records.append(
-            Record(
+            LengthRecord(
                 f"c{k}",
                 Suite.STRESS,
                 Masks.EXACT,

@@ -17,7 +17,7 @@ from cucumbervision_lab.detection.average_precision import (
     Judged,
     average_precision,
 )
-from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit, code_mask
+from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, TrueFruit, code_mask
 
 SIZE = (200, 300)  # height, width
 
@@ -43,12 +43,12 @@ def true(box: NDArray[np.float64], *, ignore: bool = False) -> TrueFruit:
     return TrueFruit(box, code_mask(rectangle(box)), line(box), ignore)
 
 
-def seen(box: NDArray[np.float64], score: float, shift: float = 0.0) -> SeenFruit:
-    return SeenFruit(box, score, code_mask(rectangle(box)), line(box, shift))
+def seen(box: NDArray[np.float64], score: float, shift: float = 0.0) -> FoundFruit:
+    return FoundFruit(box, score, code_mask(rectangle(box)), line(box, shift))
 
 
 def frame(
-    fruit: list[TrueFruit], found: list[SeenFruit], name: str = "a", scene: str = ""
+    fruit: list[TrueFruit], found: list[FoundFruit], name: str = "a", scene: str = ""
 ) -> Frame:
     best = tuple(sorted(found, key=lambda one: -one.score))
     return Frame(name, scene or name, SIZE[1], SIZE[0], tuple(fruit), best, best, best)
@@ -113,7 +113,7 @@ def test_fruit_without_mask_is_not_judged_by_masks() -> None:
 
 
 def test_detection_without_mask_is_a_false_mask() -> None:
-    pictures = [frame([true(A)], [SeenFruit(A, 0.9)])]
+    pictures = [frame([true(A)], [FoundFruit(A, 0.9)])]
     assert average_precision(pictures, Judged.MASKS).map50.value == 0.0
     assert average_precision(pictures, Judged.BOXES).map50.value == pytest.approx(1.0)
 
@@ -151,7 +151,7 @@ def test_same_as_pycocotools_own_sum() -> None:
         boxes = [edges(*rng.integers(0, (190, 170)).tolist()) for _ in range(rng.integers(1, 5))]
         moved = [b + np.tile(rng.normal(0, 4, 2), 2) for b in boxes if rng.random() < 0.8]
         stray = [edges(*rng.integers(0, (190, 170)).tolist()) for _ in range(rng.integers(0, 3))]
-        found = [SeenFruit(b, float(rng.random())) for b in (*moved, *stray)]
+        found = [FoundFruit(b, float(rng.random())) for b in (*moved, *stray)]
         pictures.append(frame([TrueFruit(b) for b in boxes], found, name=f"{k}"))
     ours = average_precision(pictures, Judged.BOXES)
     known, own = COCO(), COCO()

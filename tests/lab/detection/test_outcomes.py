@@ -22,12 +22,12 @@ from cucumbervision_lab.detection.outcomes import (
     overall,
 )
 from cucumbervision_lab.detection.pictures import (
+    FoundFruit,
     Frame,
-    SeenFruit,
     Stage,
     TrueFruit,
     code_mask,
-    seen_fruit,
+    found_fruit_of,
 )
 
 BOX = np.array([99.5, 99.5, 199.5, 119.5])
@@ -37,9 +37,9 @@ LINE = np.column_stack([np.linspace(100, 200, 5), np.full(5, 110.0), np.full(5, 
 
 def frame(
     true: list[TrueFruit],
-    found: list[SeenFruit],
+    found: list[FoundFruit],
     name: str = "a",
-    posed: tuple[SeenFruit, ...] = (),
+    posed: tuple[FoundFruit, ...] = (),
 ) -> Frame:
     return Frame(name, name, 640, 480, tuple(true), (), posed, tuple(found))
 
@@ -54,7 +54,7 @@ def test_what_becomes_of_a_fruit() -> None:
     true = TrueFruit(
         BOX, code_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
     )
-    seen = SeenFruit(BOX + np.array([20, 0, 20, 0]), 0.8, code_mask(mask(150, 200)))
+    seen = FoundFruit(BOX + np.array([20, 0, 20, 0]), 0.8, code_mask(mask(150, 200)))
     hit, miss = fruit_rows([frame([true, replace(true, box=AWAY)], [seen])], 0.3)
     # 80 of 120 pixels of the boxes' length are common, and half of the mask.
     assert (hit.found, hit.score) == (True, 0.8)
@@ -66,7 +66,7 @@ def test_what_becomes_of_a_fruit() -> None:
 
 
 def test_below_the_confidence_nothing_is_found() -> None:
-    pictures = [frame([TrueFruit(BOX)], [SeenFruit(BOX, 0.3)])]
+    pictures = [frame([TrueFruit(BOX)], [FoundFruit(BOX, 0.3)])]
     assert not fruit_rows(pictures, 0.3)[0].found
     assert found_rows(pictures, 0.3) == []
     assert fruit_rows(pictures, 0.29)[0].found
@@ -75,7 +75,7 @@ def test_below_the_confidence_nothing_is_found() -> None:
 def test_what_becomes_of_a_detection() -> None:
     at_edge = np.array([-0.5, 300, 80, 340])
     true = [TrueFruit(BOX), TrueFruit(AWAY, ignore=True)]
-    found = [SeenFruit(BOX, 0.9, distance_m=0.5), SeenFruit(AWAY, 0.8), SeenFruit(at_edge, 0.7)]
+    found = [FoundFruit(BOX, 0.9, distance_m=0.5), FoundFruit(AWAY, 0.8), FoundFruit(at_edge, 0.7)]
     rows = found_rows([frame(true, found)], 0.3)
     assert [row.outcome for row in rows] == ["hit", "neutral", "false"]
     assert [row.cut_off for row in rows] == [False, False, True]
@@ -84,7 +84,7 @@ def test_what_becomes_of_a_detection() -> None:
 
 
 def test_stages_are_judged_apart() -> None:
-    picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (SeenFruit(BOX, 0.9),), ())
+    picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (FoundFruit(BOX, 0.9),), ())
     assert fruit_rows([picture], 0.3, Stage.POSED)[0].found
     assert not fruit_rows([picture], 0.3, Stage.KEPT)[0].found
 
@@ -93,13 +93,13 @@ def test_distance_is_read_in_the_middle_of_the_box() -> None:
     depth = np.full((480, 640), 2.0, np.float32)
     depth[100:120, 133:167] = 0.7
     depth[110, 150] = 0.0
-    assert seen_fruit(Instance(BOX), depth).distance_m == pytest.approx(0.7)
-    assert math.isnan(seen_fruit(Instance(BOX)).distance_m)
-    assert math.isnan(seen_fruit(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
+    assert found_fruit_of(Instance(BOX), depth).distance_m == pytest.approx(0.7)
+    assert math.isnan(found_fruit_of(Instance(BOX)).distance_m)
+    assert math.isnan(found_fruit_of(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
 
 
-def posed(points: NDArray[np.float64]) -> list[SeenFruit]:
-    return [SeenFruit(BOX, 0.9, None, points)]
+def posed(points: NDArray[np.float64]) -> list[FoundFruit]:
+    return [FoundFruit(BOX, 0.9, None, points)]
 
 
 def test_ends_are_judged_in_percent_of_the_line() -> None:
@@ -145,10 +145,10 @@ def test_recall_and_precision_by_group() -> None:
     for k in range(10):
         near = TrueFruit(BOX, hidden_share=0.0, cut_off=False, distance_m=0.4)
         far = TrueFruit(AWAY, hidden_share=0.4, cut_off=True, distance_m=1.0)
-        found = [SeenFruit(BOX, 0.9, distance_m=0.4)]
+        found = [FoundFruit(BOX, 0.9, distance_m=0.4)]
         # Every second far fruit is found; in every fifth picture a far leaf is taken for one.
-        found += [SeenFruit(AWAY, 0.8, distance_m=1.0)] if k % 2 else []
-        stray = SeenFruit(BOX + np.array([300, 0, 300, 0]), 0.5, distance_m=1.0)
+        found += [FoundFruit(AWAY, 0.8, distance_m=1.0)] if k % 2 else []
+        stray = FoundFruit(BOX + np.array([300, 0, 300, 0]), 0.5, distance_m=1.0)
         pictures.append(frame([near, far], found + ([stray] if k % 5 == 0 else []), f"{k}"))
     fruit, found_too = fruit_rows(pictures, 0.3), found_rows(pictures, 0.3)
     whole = overall(fruit, found_too)

@@ -8,7 +8,7 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.detection.parts import PartScore, score_parts
-from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit, code_mask
+from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, TrueFruit, code_mask
 
 Mask = NDArray[np.bool_]
 
@@ -21,7 +21,7 @@ def bar(left: int, right: int, top: int = 20, bottom: int = 40) -> Mask:
 
 def scored(true: list[Mask], seen: list[Mask], score: float = 0.9) -> PartScore:
     fruit = tuple(TrueFruit(box_of_mask(one), code_mask(one)) for one in true)
-    found = tuple(SeenFruit(box_of_mask(one), score, code_mask(one)) for one in seen)
+    found = tuple(FoundFruit(box_of_mask(one), score, code_mask(one)) for one in seen)
     return score_parts([Frame("a", "a", 200, 60, fruit, kept=found)], 0.3, Stage.KEPT)
 
 

@@ -11,7 +11,7 @@ from cucumbervision_lab.detection.photo_audit import (
     Audit,
     AuditedBox,
     AuditedPhoto,
-    Kind,
+    AuditKind,
     audited,
     load_audit,
 )
@@ -53,7 +53,7 @@ def test_boxes_lie_in_their_pictures_and_only_whole_fruit_has_a_stem() -> None:
             x1, y1, x2, y2 = b.box
             assert -0.5 <= x1 < x2 <= p.width - 0.5, p.name
             assert -0.5 <= y1 < y2 <= p.height - 0.5, p.name
-            assert b.stem in (SIDES if b.kind is not Kind.IGNORE else {None}), p.name
+            assert b.stem in (SIDES if b.kind is not AuditKind.IGNORE else {None}), p.name
             for u, v in b.ends or ():
                 assert x1 <= u <= x2, p.name
                 assert y1 <= v <= y2, p.name
@@ -88,7 +88,7 @@ def test_every_test_named_apart_has_enough_in_it() -> None:
         "negatives",
     }
     required = {
-        name: sum(b.kind is Kind.CUCUMBER for p in some for b in p.boxes)
+        name: sum(b.kind is AuditKind.CUCUMBER for p in some for b in p.boxes)
         for name, some in photos.items()
     }
     assert required.pop("negatives") == 0
@@ -107,8 +107,8 @@ def test_about_a_fifth_of_the_second_audit_is_test_and_a_tenth_val() -> None:
 
 def test_a_photo_is_known_by_its_bytes_wherever_it_lies(tmp_path: Path) -> None:
     sha1 = write_picture(tmp_path / "deep" / "renamed.png", 90)
-    fruit = AuditedBox((9.5, 4.5, 29.5, 44.5), Kind.ZUCCHINI, "up")
-    crate = AuditedBox((29.5, -0.5, 63.5, 47.5), Kind.IGNORE)
+    fruit = AuditedBox((9.5, 4.5, 29.5, 44.5), AuditKind.ZUCCHINI, "up")
+    crate = AuditedBox((29.5, -0.5, 63.5, 47.5), AuditKind.IGNORE)
     data = audited(tmp_path, audit=audit_of(photo("a.png", sha1, "test", fruit, crate)))
 
     (picture,) = data.pictures
@@ -132,7 +132,7 @@ def test_a_photo_is_known_by_its_bytes_wherever_it_lies(tmp_path: Path) -> None:
 
 def test_ends_count_from_the_first_pixels_centre(tmp_path: Path) -> None:
     sha1 = write_picture(tmp_path / "a.png", 90)
-    box = AuditedBox((9.5, 4.5, 29.5, 44.5), Kind.CUCUMBER, "up", ((20.0, 44.0), (20.0, 5.0)))
+    box = AuditedBox((9.5, 4.5, 29.5, 44.5), AuditKind.CUCUMBER, "up", ((20.0, 44.0), (20.0, 5.0)))
     data = audited(tmp_path, audit=audit_of(photo("a.png", sha1, "train", box)))
     assert data.pictures[0].labels[0].extras["ends_px"] == [[20.0, 44.0], [20.0, 5.0]]
     board = next(p for p in load_audit().photos if p.setting == "trial")
@@ -147,8 +147,8 @@ def test_polygons_beside_the_photos_become_masks_where_they_fit(tmp_path: Path) 
     (tmp_path / "labels_seg" / "a.txt").write_text(
         "0 0.125 0.25 0.375 0.25 0.375 0.75\n0 0.5 0.5 0.6 0.5 0.6 0.6\n", encoding="utf-8"
     )
-    fits = AuditedBox((7.5, 11.5, 23.5, 35.5), Kind.CUCUMBER)
-    other = AuditedBox((40.5, 11.5, 63.5, 35.5), Kind.CUCUMBER)
+    fits = AuditedBox((7.5, 11.5, 23.5, 35.5), AuditKind.CUCUMBER)
+    other = AuditedBox((40.5, 11.5, 63.5, 35.5), AuditKind.CUCUMBER)
     audit = audit_of(photo("a.png", sha1, "train", fits, other))
     first, second = audited(tmp_path, audit=audit, outlines=True).pictures[0].labels
     assert first.mask is not None
@@ -169,16 +169,16 @@ def test_polygons_beside_the_photos_become_masks_where_they_fit(tmp_path: Path) 
     ],
 )
 def test_a_photos_test(collection: str, setting: str, boxed: bool, name: str) -> None:
-    boxes = (AuditedBox((0, 0, 9, 9), Kind.CUCUMBER),) if boxed else ()
+    boxes = (AuditedBox((0, 0, 9, 9), AuditKind.CUCUMBER),) if boxed else ()
     one = AuditedPhoto("a", "0", collection, "s", setting, "test", 64, 48, boxes)
     sets = dict.fromkeys(("old", "stall", "web"), "")
     assert Audit((one,), sets, sets, {"old": FIRST, "stall": "market"}).test_of(one) == name
 
 
 def test_half_of_the_picture_ignored_is_no_longer_fully_labelled() -> None:
-    half = AuditedBox((-0.5, -0.5, 31.5, 47.5), Kind.IGNORE)
-    more = AuditedBox((-0.5, -0.5, 32.5, 47.5), Kind.IGNORE)
-    fruit = AuditedBox((-0.5, -0.5, 63.5, 47.5), Kind.CUCUMBER)
+    half = AuditedBox((-0.5, -0.5, 31.5, 47.5), AuditKind.IGNORE)
+    more = AuditedBox((-0.5, -0.5, 32.5, 47.5), AuditKind.IGNORE)
+    fruit = AuditedBox((-0.5, -0.5, 63.5, 47.5), AuditKind.CUCUMBER)
     assert half.area_px == 32 * 48
     assert photo("a", "0", "test", half, fruit).fully_labelled
     assert not photo("a", "0", "test", more).fully_labelled

@@ -35,10 +35,10 @@ from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.average_precision import Judged
 from cucumbervision_lab.detection.figures import summarise
-from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, Kind
+from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, AuditKind
 from cucumbervision_lab.detection.photos import score_photos
 from cucumbervision_lab.detection.picture_result import detect_picture, open_networks, shipped
-from cucumbervision_lab.detection.pictures import Frame, SeenFruit, Stage, TrueFruit
+from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, TrueFruit
 from cucumbervision_lab.detection.plots import WorstCase, draw_sheet, worst_cases
 from cucumbervision_lab.detection.report import write_detection_report
 from cucumbervision_lab.detection.run import (
@@ -317,7 +317,7 @@ def test_photos_are_judged_by_a_command_of_their_own(
 ) -> None:
     """Networks that always see the fruit at its full size find nothing at half size."""
     x1, y1, x2, y2 = box_of_mask(scene.mask).tolist()
-    fruit = AuditedBox((x1, y1, x2, y2), Kind.CUCUMBER)
+    fruit = AuditedBox((x1, y1, x2, y2), AuditKind.CUCUMBER)
     photos = tuple(
         AuditedPhoto(f"{name}.png", sha1, "some", name, "plant", "test", 320, 192, boxes)
         for name, boxes in (("a", (fruit,)), ("b", ()))
@@ -349,7 +349,7 @@ def test_of_photos_only_figures_are_written(result: DetectionResult, tmp_path: P
     pytest.importorskip("matplotlib")
     pytest.importorskip("jinja2")
     boxes = np.array([[0.0, 0, 50, 10], [0, 40, 50, 50]])
-    seen = tuple(SeenFruit(box, 0.9) for box in boxes)
+    seen = tuple(FoundFruit(box, 0.9) for box in boxes)
     photo = Frame("web/leaf.jpg", "s1", 60, 60, (TrueFruit(boxes[0]),), kept=seen)
     judged = replace(result, photos=score_photos([photo], ["plant"], 0.3))
     summary = summarise(judged)

@@ -5,19 +5,19 @@ from typing import Any, Protocol
 
 import pytest
 
-from cucumbervision_lab.report.records import Masks, Record
+from cucumbervision_lab.report.records import LengthRecord, Masks
 
 
 class MakeRecord(Protocol):
-    def __call__(self, case: str = ..., /, **changes: Any) -> Record: ...
+    def __call__(self, case: str = ..., /, **changes: Any) -> LengthRecord: ...
 
 
 @pytest.fixture
 def make_record() -> MakeRecord:
     """Give a maker of records: 20 cm along the axis, 22 by thread, 19.5 straight."""
 
-    def make(case: str = "a", /, **changes: Any) -> Record:
-        one = Record(
+    def make(case: str = "a", /, **changes: Any) -> LengthRecord:
+        one = LengthRecord(
             case=case,
             suite="paper",
             masks=Masks.EXACT,

@@ -15,7 +15,7 @@ from cucumbervision_lab.report.length_tables import (
     group_table,
     method_metrics,
 )
-from cucumbervision_lab.report.records import Record, readings_frame
+from cucumbervision_lab.report.records import LengthRecord, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tests.lab.report.conftest import MakeRecord
 
 
-def methods_against(records: Sequence[Record], truth: LengthDefinition) -> list[str]:
+def methods_against(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[str]:
     return list(against(readings_frame(records), truth)["method"].cat.categories)
 
 
@@ -159,7 +159,7 @@ def test_validation_reads_as_in_the_paper(make_record: MakeRecord) -> None:
     assert cell(table, "MAPE (%)", "M5 (cm)") == pytest.approx(50.0)
 
 
-def group_tables(records: Sequence[Record], truth: LengthDefinition) -> list[Table]:
+def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[Table]:
     scored = against(readings_frame(records), truth)
     return [group_table(scored, factor, truth) for factor in factors_of(scored, scored["true_m"])]
 

@@ -11,7 +11,7 @@ import pytest
 from cucumbervision.about import source_offer
 from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.report.page import HTML_NAME, JSON_NAME, Picture, Section, write_report
+from cucumbervision_lab.report.page import HTML_NAME, JSON_NAME, Plot, Section, write_report
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "Benchmark",
         Table.of("At a glance", ["part"], [["all"]]),
         [
-            Section("First", ("Why.",), (BURST, Picture("A plot.", PNG))),
+            Section("First", ("Why.",), (BURST, Plot("A plot.", PNG))),
             Section("Second", (), (BURST,)),
         ],
         notes=[("", "One.\n\nTwo."), ("Beware", EVIL)],

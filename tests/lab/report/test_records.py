@@ -8,14 +8,14 @@ import pytest
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision_lab.report.records import (
+    LengthRecord,
     Masks,
-    Record,
     append_record,
     read_records,
     readings_frame,
 )
 
-ONE = Record(
+ONE = LengthRecord(
     "a", "stress", Masks.DISTURBED, "f1", 0.2, None, 0.19, 0.5, 12.0, 0.3, 0.1, 0.97,
     lengths_m={"M1": None, "M6": 0.2}, details={"flags": ["cut-by-frame"]},
 )  # fmt: skip

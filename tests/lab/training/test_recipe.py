@@ -15,7 +15,12 @@ from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.recipe import Recipe, Schedule, Source, read_recipe
-from cucumbervision_lab.training.run_recipe import PACKAGED, Kitchen, run_recipe, write_mixture
+from cucumbervision_lab.training.run_recipe import (
+    PACKAGED,
+    RecipeFolders,
+    run_recipe,
+    write_mixture,
+)
 from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources, with_axis_points
 from cucumbervision_lab.training.tables import read_rows
@@ -129,7 +134,7 @@ def test_one_command_trains_and_goes_on(
     monkeypatch.setattr(f"{home}.build_sources", lambda *_: built)
     ultralytics = import_ultralytics()
     ultralytics.YOLO("yolo26n-seg.yaml").save(tmp_path / "seg.pt")
-    kitchen = Kitchen(tmp_path, tmp_path, tmp_path / "out")
+    kitchen = RecipeFolders(tmp_path, tmp_path, tmp_path / "out")
     short = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, minutes=0.0001)
     first = run_recipe(RECIPE, kitchen, tasks=("seg",), options=short, say=lambda _: None)
     assert first == {"seg": tmp_path / "out/seg" / NETWORK}

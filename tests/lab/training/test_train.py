@@ -27,7 +27,7 @@ from cucumbervision_lab.training.plan import RunState, parse_plan
 from cucumbervision_lab.training.settings import TrainOptions, rate_at, trainer_settings
 from cucumbervision_lab.training.tables import read_rows
 from cucumbervision_lab.training.train import NETWORK, EpochReport, train
-from cucumbervision_lab.training.trainer import Course, make_trainer
+from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 
 pytestmark = pytest.mark.train
 
@@ -185,7 +185,7 @@ def test_pose_begins_with_the_layers_of_seg(seg_run: Path, pose_set: Path, tmp_p
     state = RunState("pose", str(data), init, parse_plan("64x8", 8))
     settings = trainer_settings(state, init, tmp_path, QUICK, "cpu")
     assert (settings["model"], settings["pretrained"]) == ("yolo26n-pose.yaml", init)
-    course = Course(state.plan)
+    course = TrainerSettings(state.plan)
     trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=False)
     trainer.setup_model()
     ours, theirs = backbone(trainer.model), backbone(load_checkpoint(init)[0].float())
@@ -204,7 +204,7 @@ def test_points_are_learnt_kindly_and_judged_strictly(pose_set: Path, tmp_path: 
     plan = parse_plan("64x8,96x8", 8)
     state = RunState("pose", str(data), "yolo26n-pose.yaml", plan)
     settings = trainer_settings(state, state.init, tmp_path, QUICK, "cpu")
-    course = Course(plan, by_place=True)
+    course = TrainerSettings(plan, by_place=True)
     trainer = make_trainer("pose", settings, Deaf(), course, threads=1, workers=0, bfloat16=True)
     seen = {}
 

@@ -8,7 +8,7 @@ from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics
-from cucumbervision.errors import CaptureError, IntrinsicsError, refusing
+from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
 from cucumbervision.geometry.camera import align_depth_to_color
 
 if TYPE_CHECKING:
@@ -146,7 +146,9 @@ def _aligned(
             source=source,
             remedy="give the depth camera's intrinsics at that size",
         )
-    with refusing(source, IntrinsicsError, "correct lens and 'depth_to_color' in the camera file"):
+    with wrap_reader_errors(
+        source, IntrinsicsError, "correct lens and 'depth_to_color' in the camera file"
+    ):
         return align_depth_to_color(
             depth_m,
             camera.matrix,

@@ -29,7 +29,7 @@ from cucumbervision.capture.readers.common import (
     require_same_size,
 )
 from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
-from cucumbervision.errors import CaptureError, as_errors_of, naming_os_errors
+from cucumbervision.errors import CaptureError, as_errors_of, wrap_os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -273,7 +273,7 @@ def write_native(
     }
     text = json.dumps(json_value(manifest), indent=2) + "\n"
     parse_model(Manifest, json.loads(text), source=folder)
-    with naming_os_errors("cannot be made", folder, "choose another folder", CaptureError):
+    with wrap_os_errors("cannot be made", folder, "choose another folder", CaptureError):
         (folder / MASKS if capture.masks else folder).mkdir(parents=True, exist_ok=True)
     for i, (color, depth_m) in enumerate(frames):
         write_png(folder / f"color_{i:06d}.png", color)

@@ -23,14 +23,14 @@ from cucumbervision.dashboard.round_tables import (
 )
 from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.around import around, least_sure_first
+from cucumbervision.rounds.fruit_context import around, least_sure_first
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cucumbervision.dashboard.round_tables import RoundLists
-    from cucumbervision.rounds.around import Around, OtherDay
+    from cucumbervision.rounds.fruit_context import FruitContext, OtherDay
     from cucumbervision.store.views import DetectionView, RoundView
 
 _ROWS_AT_ONCE = 4
@@ -127,7 +127,7 @@ def _fruit(one: RoundView, lists: RoundLists) -> None:
             _other_day(fruit, day, is_earlier=is_earlier)
 
 
-def _judge(one: RoundView, found: Around) -> None:
+def _judge(one: RoundView, found: FruitContext) -> None:
     store = resources.store()
     keys = [view.key for view in found.views]
     accept, reject, look, undo = st.columns(4)

@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted
-from cucumbervision.dashboard.uploading import CAMERAS, Outcome, measure_uploads
+from cucumbervision.dashboard.uploading import CAMERAS, UploadOutcome, measure_uploads
 from cucumbervision.rounds.walking import NextPlace, next_place, sides_of
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _place(one: RoundView) -> NextPlace:
     )
 
 
-def _outcomes(outcomes: list[Outcome]) -> None:
+def _outcomes(outcomes: list[UploadOutcome]) -> None:
     saved = sum(one.saved for one in outcomes)
     left = len(outcomes) - saved
     says = st.success if saved else st.warning
@@ -118,7 +118,7 @@ def _measure(round_key: str, files: list[tuple[str, bytes]], place: NextPlace, c
     store, measurer = resources.store(), resources.measurer()
     options = resources.settings().options
 
-    def work(job: Job) -> list[Outcome]:
+    def work(job: Job) -> list[UploadOutcome]:
         named = [(name, io.BytesIO(data)) for name, data in files]
         found = measure_uploads(named, measurer, store, round_key, options, place, job, camera)
         resources.merge(round_key)

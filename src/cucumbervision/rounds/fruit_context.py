@@ -41,7 +41,7 @@ class OtherDay:
 
 
 @dataclass(frozen=True)
-class Around:
+class FruitContext:
     """A fruit and what stands about it.
 
     Parameters
@@ -63,7 +63,7 @@ class Around:
     later: OtherDay | None = None
 
 
-def around(store: Store, round_key: str, key: str) -> Around | None:
+def around(store: Store, round_key: str, key: str) -> FruitContext | None:
     """Return a fruit with what stands about it; None where there is no such fruit any more.
 
     Parameters
@@ -85,7 +85,7 @@ def around(store: Store, round_key: str, key: str) -> Around | None:
     links = store.links(round_key, LinkKind.GROWTH)
     keys = {view.key for view in views}
     before, after = earlier_round(store, round_key), later_rounds(store, round_key)[:1]
-    return Around(
+    return FruitContext(
         fruit,
         tuple(views),
         nearest(fruit, others, _NEAR_M),

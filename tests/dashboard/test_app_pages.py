@@ -428,23 +428,6 @@ def test_the_absent_camera_is_told_and_the_replay_offered(
     assert app("capture", source="camera").session_state["source"] == "replay"
 
 
-def test_the_replay_is_recorded_beside_the_store(house: Path) -> None:
-    test = app("capture", round=WALK, source="replay")
-    test.button(key="record").click().run()
-    recording = resources.recorder().newest
-    assert recording is not None
-    until = time.monotonic() + 300
-    while not recording.taken and time.monotonic() < until:
-        time.sleep(0.05)
-    test.run().button(key="record_stop").click().run()
-    assert recording.thread is not None
-    recording.thread.join(300)
-    assert "recorded, one a second" in said(test)
-    written = [ref.load() for ref in open_source(recording.folder)]
-    assert len(written) == recording.taken
-    assert recording.folder.parent == house.with_suffix(".recordings")
-
-
 def test_a_round_is_begun(house: Path) -> None:
     test = app("capture", source="replay")
     test.text_input(key="new_name").set_value("Evening").run()

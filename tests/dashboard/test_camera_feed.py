@@ -8,13 +8,10 @@ import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
-from cucumbervision.capture.recorder import Walk
 from cucumbervision.capture.source import example_captures
-from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay, ReplayBurst
-from cucumbervision.dashboard.recording import Recorder
+from cucumbervision.dashboard.camera_feed import CameraFeed, Preview, Replay
 from cucumbervision.errors import CameraError, CaptureError
 
 
@@ -144,58 +141,3 @@ def test_new_settings_open_the_camera_again(
     feed.close()
     assert opened[0].settings != CameraSettings("high-accuracy", exposure_us=8000)
     assert opened[-1].settings == CameraSettings("high-accuracy", exposure_us=8000)
-
-
-def test_a_feed_is_recorded_until_it_is_ended(recording: Path, tmp_path: Path) -> None:
-    feed = CameraFeed(CameraConfig(playback=recording, warm_up=0), paced=True)
-    recorder = Recorder(tmp_path / "recordings")
-    begun = recorder.begin(feed, 3, Walk("4", "left"), every_s=0.05)
-    assert recorder.begin(feed, 3, Walk("5", "left")) is begun
-    until = time.monotonic() + 300
-    while begun.taken < 3 and time.monotonic() < until:
-        time.sleep(0.02)
-    recorder.end()
-    assert begun.thread is not None
-    begun.thread.join(60)
-    feed.close()
-    captures = [ref.load() for ref in open_source(begun.folder)]
-    assert len(captures) == begun.taken >= 3
-    assert {(one.stop.row, one.stop.side) for one in captures} == {("4", "left")}
-    # Fewer where the machine is too busy to hand over three frames within a burst's reach.
-    assert all(1 <= one.burst_size <= 3 for one in captures)
-    assert [one.name for one in captures][:2] == ["capture_0001", "capture_0002"]
-    assert begun.fault == ""
-
-
-class BrokenFeed(Replay):
-    """A feed that fails in a way nobody foresaw."""
-
-    def grab(self, burst: int, pressed_s: float) -> ReplayBurst:
-        raise ValueError(f"odd frame: {burst}, {pressed_s}")
-
-
-def test_whatever_ends_a_recording_is_told_and_another_can_begin(tmp_path: Path) -> None:
-    recorder, feed = Recorder(tmp_path / "recordings"), BrokenFeed(example_captures())
-    first = recorder.begin(feed, 1, Walk(), every_s=0.01)
-    until = time.monotonic() + 300
-    while not first.fault and time.monotonic() < until:
-        time.sleep(0.02)
-    recorder.end()
-    assert "odd frame" in first.fault
-    assert not first.running
-    assert recorder.begin(feed, 1, Walk(), every_s=0.01) is not first
-    recorder.end()
-    assert first.thread is not None
-    assert not first.thread.is_alive()
-
-
-def test_a_recording_of_nothing_says_why(tmp_path: Path) -> None:
-    (tmp_path / "one").mkdir()
-    (tmp_path / "one" / "capture.json").write_text("{")
-    begun = Recorder(tmp_path / "recordings").begin(Replay(tmp_path), 1, Walk(), every_s=0.01)
-    until = time.monotonic() + 300
-    while not begun.fault and time.monotonic() < until:
-        time.sleep(0.02)
-    begun.ending.set()
-    assert "capture.json" in begun.fault
-    assert begun.taken == 0

@@ -19,9 +19,7 @@ from cucumbervision.rounds.forecasting import (
 )
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.service import (
-    find_fruit,
     find_round,
-    find_stop,
     fruit_table,
     link_rounds,
     merge_round,
@@ -208,15 +206,10 @@ def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
     assert left == {pick.fruit.fruit_id for pick in picks[1:]}
 
 
-def test_rounds_and_fruit_are_found_by_name(store: Store, row: Walk) -> None:
+def test_rounds_are_found_by_name(store: Store, row: Walk) -> None:
     del row
     assert find_round(store).key == find_round(store, "morning").key == MORNING
     assert find_round(store, MORNING[:6]).key == MORNING
-    second = fruit_table(read_round(store, MORNING))[1].view
-    assert find_fruit(store, MORNING, "2").key == find_fruit(store, MORNING, second.key).key
-    for name in ("0", "9999", "zz"):
-        with pytest.raises(RoundError, match=f"no fruit called '{name}'"):
-            find_fruit(store, MORNING, name)
     with pytest.raises(RoundError, match="no round is called 'evening'"):
         find_round(store, "evening")
 
@@ -249,14 +242,9 @@ def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> No
     assert len(links) == sum(size * (size - 1) // 2 for size in sizes)
 
 
-def test_a_number_that_is_not_there_is_never_the_start_of_a_key(store: Store) -> None:
-    for step, key in ((1, "2aaaaaaa"), (3, "4bbbbbbb")):
-        key += "-0000-4000-8000-000000000000"
-        store.save_stop(StopRecord(key, MORNING, step=step, captures=(CaptureRecord(f"c{step}"),)))
-    assert find_stop(store, MORNING, "3").step == 3
-    assert find_stop(store, MORNING, "2aa").step == 1
-    for number in ("2", "4"):
-        with pytest.raises(RoundError, match=f"no stop is called '{number}'"):
-            find_stop(store, MORNING, number)
-    with pytest.raises(RoundError, match="no round is called"):
-        find_round(store, MORNING[0] if MORNING[0].isdecimal() else "7")
+def test_a_number_is_never_the_start_of_a_rounds_key(store: Store) -> None:
+    key = "2aaaaaaa-0000-4000-8000-000000000000"
+    store.save_round(RoundRecord(key, "Tuesday"))
+    assert find_round(store, "2aa").key == key
+    with pytest.raises(RoundError, match="no round is called '2'"):
+        find_round(store, "2")

@@ -24,7 +24,6 @@ from cucumbervision.cli import (
     models,
     record,
     round,
-    round_edits,
     serve,
     stream,
 )
@@ -51,9 +50,6 @@ app.command("serve")(serve.serve)
 app.command("dashboard")(dashboard.dashboard)
 app.command("calibrate")(calibrate.calibrate)
 app.command("export")(export.export)
-for _edit in (round_edits.stops, round_edits.delete_stop, round_edits.delete, round_edits.restore):
-    round.app.command()(_edit)
-round.app.command(epilog=EXIT_CODES)(round_edits.remeasure)
 _GROUPS = {
     "evaluate": evaluate.app,
     "models": models.app,

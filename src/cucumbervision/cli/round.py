@@ -1,4 +1,4 @@
-"""`cucumbervision round`: walk a house, merge what was seen, link days, list, pick."""
+"""`cucumbervision round`: begin, fill, merge, link, list and check rounds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cucumbervision.cli.choices import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.pipeline.options import MeasureOptions
@@ -34,9 +34,6 @@ app = typer.Typer(
     help="Rounds of a house: stops, fruit counted once, growth between days, picking.",
     no_args_is_help=True,
 )
-
-Fruit = Annotated[list[str], typer.Argument(help="Numbers or keys that `round show` prints.")]
-By = Annotated[str, typer.Option("--by", help="Who says so; goes into the log.")]
 
 
 @contextmanager
@@ -160,6 +157,38 @@ def _add(
     return exit_code(len(done) - len(failures), failures)
 
 
+@app.command(epilog=EXIT_CODES)
+@takes_measure_options("profile", "depth", "intrinsics", "depth_unit", "burst")
+def remeasure(
+    store: StoreName = "house.db",
+    round_: RoundName = "",
+    images: Images = None,
+    *,
+    options: MeasureOptions,
+) -> None:
+    """Measure a round again from the captures that the store keeps, and merge it.
+
+    Stops stay where they are. Fruit that are found again keep what was decided of them by hand.
+    """
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, show_failures
+    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision.rounds.remeasuring import measure_round_again
+
+    with opened_round(store, round_, images) as (opened, one):
+        with progress_bar(Console(stderr=True, highlight=False)) as bar:
+            task = bar.add_task("measuring", total=None)
+            done, failures = measure_round_again(
+                *(opened, one.key, with_limits(options, one)),
+                lambda k, of: bar.update(task, completed=k, total=of),
+            )
+        settle_round(opened, one.key)
+    screen().print(f"{done} stops measured again.")
+    show_failures(failures)
+    raise typer.Exit(exit_code(done, failures))
+
+
 @app.command("merge")
 def merge(
     store: StoreName = "house.db",
@@ -171,7 +200,7 @@ def merge(
 ) -> None:
     """Find which fruit were seen from several stops, and measure them by all views at once.
 
-    What was decided by hand stands, and what was measured before is not measured again.
+    Decisions made by hand are kept, and no fruit is measured twice.
     """
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.merge import MergeSettings
@@ -308,16 +337,13 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
 
 
 @app.command("list")
-def list_(
-    store: StoreName = "house.db",
-    deleted: Annotated[bool, typer.Option("--deleted", help="Those that were deleted.")] = False,
-) -> None:
+def list_(store: StoreName = "house.db") -> None:
     """List the rounds, the newest first."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.store.repository import open_store
 
     with open_store(store) as opened:
-        rounds = opened.rounds(deleted=deleted)
+        rounds = opened.rounds()
     left = ("key", "name", "house", "began", "profile")
     table = columns_table(None, left, "stops", "views")
     for one in rounds:
@@ -328,102 +354,11 @@ def list_(
     screen().print(table)
 
 
-def _by_hand(
-    where: str, fruit: Sequence[tuple[str, str]], action: Callable[[Store, list[str]], int]
-) -> None:
-    """Do something by hand to fruit that are named by their rounds and numbers or keys."""
-    from cucumbervision.cli.console import screen
-    from cucumbervision.rounds.service import find_fruit, find_round
-    from cucumbervision.store.repository import open_store
-
-    with open_store(where) as store:
-        keys = [find_fruit(store, find_round(store, name).key, one).key for name, one in fruit]
-        screen().print(f"logged as action {action(store, keys)}")
-
-
-@app.command("merge-by-hand")
-def merge_by_hand(
-    first: Annotated[str, typer.Argument(help="A fruit's number or key.")],
-    second: Annotated[str, typer.Argument(help="The other's.")],
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    by: By = "",
-) -> None:
-    """Record that two fruit of the table are one; every later merging keeps to it."""
-    pair = [(round_, first), (round_, second)]
-    _by_hand(store, pair, lambda opened, keys: opened.merge(*keys, by=by))
-
-
-@app.command()
-def unmerge(
-    fruit: Annotated[str, typer.Argument(help="A view's key, or a fruit's number for its best.")],
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    by: By = "",
-) -> None:
-    """Record that a view is another fruit than all that it is merged with."""
-    _by_hand(store, [(round_, fruit)], lambda opened, keys: opened.unmerge(*keys, by=by))
-
-
-@app.command("link-by-hand")
-def link_by_hand(
-    earlier: Annotated[str, typer.Argument(help="The earlier round: name or key.")],
-    then: Annotated[str, typer.Argument(help="The fruit's number or key in that round.")],
-    now: Annotated[str, typer.Argument(help="Its number or key in the later round.")],
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    by: By = "",
-    apart: Annotated[bool, typer.Option("--apart", help="They are two fruit.")] = False,
-) -> None:
-    """Record that a fruit is this one of an earlier round; every later linking keeps to it."""
-
-    def act(opened: Store, keys: list[str]) -> int:
-        return (opened.unlink_growth if apart else opened.link_growth)(*keys, by=by)
-
-    _by_hand(store, [(earlier, then), (round_, now)], act)
-
-
-@app.command()
-def pick(
-    fruit: Fruit,
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    by: By = "",
-    undo: Annotated[bool, typer.Option("--undo", help="They were not picked.")] = False,
-) -> None:
-    """Mark fruit as picked: they leave forecast and pick list."""
-
-    def act(opened: Store, keys: list[str]) -> int:
-        return (opened.unpick if undo else opened.pick)(keys, by=by)
-
-    _by_hand(store, [(round_, one) for one in fruit], act)
-
-
-@app.command()
-def undo(
-    action: Annotated[
-        int | None, typer.Argument(help="Its number; the round's newest without.")
-    ] = None,
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    by: By = "",
-) -> None:
-    """Take back what was done by hand, unless a later action stands on it."""
-    from cucumbervision.cli.console import screen
-    from cucumbervision.rounds import settling
-
-    with opened_round(store, round_) as (opened, one):
-        number, moved = settling.undo(opened, one.key, number=action, by=by)
-        screen().print(f"logged as action {number}")
-        if moved:
-            settle_round(opened, moved)
-
-
 @app.command()
 def check(
     store: StoreName = "house.db",
     contents: Annotated[
-        bool, typer.Option(help="Read every picture and hold it against its hash.")
+        bool, typer.Option(help="Read every picture and compare it with its hash.")
     ] = True,
     remove: Annotated[
         bool, typer.Option("--remove", help="Remove pictures that no stop names.")

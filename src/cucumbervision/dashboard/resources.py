@@ -23,7 +23,6 @@ from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, 
 from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
-from cucumbervision.dashboard.recording import Recorder
 from cucumbervision.dashboard.round_tables import RoundLists, list_round
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
@@ -125,12 +124,6 @@ def waiting() -> WaitingCaptures:
 def shutter() -> Shutter:
     """Return what takes the pictures of all viewers."""
     return Shutter(store(), waiting(), wake)
-
-
-@st.cache_resource(show_spinner=False)
-def recorder() -> Recorder:
-    """Return what records what the camera shows, beside the waiting captures."""
-    return Recorder(waiting_folder(where()).with_suffix(".recordings"))
 
 
 @st.cache_resource(show_spinner=False)
@@ -239,7 +232,7 @@ def undo(round_key: str | None = None, *, number: int | None = None) -> None:
     StoreError
         If there is nothing to take back, or a later action stands on it.
     """
-    _, moved = undo_in(store(), round_key, number=number)
+    moved = undo_in(store(), round_key, number=number)
     if moved:
         merge(moved)
 

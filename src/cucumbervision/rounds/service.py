@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from cucumbervision.rounds.from_store import StoredRow
     from cucumbervision.store.records import DetectionRecord, JointRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView, RoundView, StopView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 DAY_S = 86400.0
 
@@ -195,53 +195,26 @@ def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFi
     )
 
 
-def _is_number(name: str) -> bool:
-    return name.isdecimal() and len(name) < 6
-
-
-def _begins(key: str, start: str) -> bool:
-    # A short number that is not there must never mean a key that happens to begin with it.
-    return bool(start) and not _is_number(start) and key.startswith(start)
-
-
-def find_round(store: Store, name: str = "", *, deleted: bool = False) -> RoundView:
+def find_round(store: Store, name: str = "") -> RoundView:
     """Find a round by its key, the start of it, or its name; the newest without one.
-
-    `deleted` looks among those that were deleted instead.
 
     Raises
     ------
     RoundError
         If there is none, or several begin so.
     """
-    rounds = store.rounds(deleted=deleted)
+    rounds = store.rounds()
     wanted = name.strip().lower()
     named = [one for one in rounds if one.record.name == name or one.key == wanted]
-    found = named or [one for one in rounds if _begins(one.key, wanted)]
+    # A short number is never the start of a key: it may be a mistyped name.
+    is_start = not wanted.isdecimal() or len(wanted) > 5
+    found = named or [one for one in rounds if is_start and one.key.startswith(wanted)]
     if not wanted:
         found = rounds[:1]
     if len(found) == 1:
         return found[0]
-    what = "deleted round" if deleted else "round"
-    problem = f"several {what}s are" if found else f"no {what} is"
+    problem = "several rounds are" if found else "no round is"
     raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
-
-
-def find_stop(store: Store, round_key: str, name: str) -> StopView:
-    """Find a stop of a round by its number, its key, or the start of that.
-
-    Raises
-    ------
-    RoundError
-        If there is none, or several are called so.
-    """
-    wanted, stops = name.strip().lower(), store.stops(round_key)
-    found = [one for one in stops if str(one.step) == wanted]
-    found = found or [one for one in stops if _begins(one.key, wanted)]
-    if len(found) != 1:
-        problem = "several stops are" if found else "no stop is"
-        raise RoundError(f"{problem} called '{name}'", remedy="give its key from `round stops`")
-    return found[0]
 
 
 def merge_round(
@@ -453,25 +426,3 @@ def _combined(content: RoundContent) -> dict[str, tuple[float, float, int]]:
             keys = (row.fruit_keys[k] for k in own.tolist())
             found.update(dict.fromkeys(keys, (*length, count)))
     return found
-
-
-def find_fruit(store: Store, round_key: str, name: str) -> DetectionView:
-    """Find a fruit of a round by its key, the start of it, or its number in `fruit_table`.
-
-    Raises
-    ------
-    RoundError
-        If there is none, or several keys begin so.
-    """
-    wanted = name.strip().lower()
-    if _is_number(wanted):
-        lines = [line.view for line in fruit_table(read_round(store, round_key))]
-        found = lines[int(wanted) - 1 : int(wanted)] if int(wanted) else []
-    else:
-        found = [v for v in store.detections(round_key) if _begins(v.key, wanted)]
-    if len(found) != 1:
-        raise RoundError(
-            f"{'several' if found else 'no'} fruit called '{name}'",
-            remedy="give its number or key from `round show`",
-        )
-    return found[0]

@@ -72,9 +72,7 @@ def move_stop(store: Store, stop: StopView, place: Stop, note: str = "") -> int:
     return store.place_stop(stop.key, where)
 
 
-def delete_round(
-    store: Store, round_key: str, waiting: WaitingCaptures, *, by: str = ""
-) -> list[str]:
+def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list[str]:
     """Take a round out of the list of rounds; return the rounds that have to be settled then.
 
     Parameters
@@ -85,8 +83,6 @@ def delete_round(
         The round.
     waiting : WaitingCaptures
         What waits to be measured.
-    by : str
-        Who deletes it.
 
     Raises
     ------
@@ -100,30 +96,26 @@ def delete_round(
         words = "1 capture waits" if waits == 1 else f"{waits} captures wait"
         raise RoundError(f"{words} to be measured into it", remedy="delete it afterwards")
     after = later_rounds(store, round_key)[:1]
-    store.delete_round(round_key, by=by)
+    store.delete_round(round_key)
     return [one.key for one in after]  # its fruit are those of the round before now
 
 
-def undo(
-    store: Store, round_key: str | None = None, *, number: int | None = None, by: str = ""
-) -> tuple[int, str]:
-    """Take back what was done by hand, as `Store.undo` does.
+def undo(store: Store, round_key: str | None = None, *, number: int | None = None) -> str:
+    """Undo a correction, as `Store.undo` does.
 
     Returns
     -------
-    number : int
-        Of the undoing, in the log.
-    moved : str
-        The round whose stop is elsewhere now, so that it has to be settled; empty where none is.
+    str
+        The round whose stop has moved, so that it has to be merged again; empty for none.
 
     Raises
     ------
     StoreError
         If there is nothing to take back, or a later action stands on it.
     """
-    done = store.undo(round_key, number=number, by=by)
+    done = store.undo(round_key, number=number)
     line = next(one for one in store.log(round_key, limit=None) if one.number == done)
-    return done, (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
+    return (line.round_key or "") if line.details["kind"] in STOP_EDITS else ""
 
 
 def earlier_round(store: Store, round_key: str) -> RoundView | None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import streamlit as st
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision.capture.recorder import Walk
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import (
     as_data_url,
@@ -18,7 +17,6 @@ from cucumbervision.dashboard.fruit_view import (
     scale_bar,
     stop_layers,
 )
-from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_tables import counted, grade_name, length_words, stop_name
 from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
@@ -110,7 +108,7 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
     @st.fragment(run_every=_PANEL_S)
     def _draw() -> None:
         _begin_place(one.key, home)
-        shutter, waits, place, record = (st.container() for _ in range(4))
+        shutter, waits, place = (st.container() for _ in range(3))
         with shutter:
             for press in _presses():
                 _take(one, kind, press)
@@ -118,8 +116,6 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
             _place()
         with waits:
             _waits(one, home)
-        with record:
-            _record(kind)
 
     _draw()
 
@@ -259,30 +255,6 @@ def _waits(one: RoundView, home: str) -> None:
     if stops != st.session_state.setdefault("stops_shown", stops):
         st.session_state["stops_shown"] = stops
         st.rerun()
-
-
-def _record(kind: str) -> None:
-    """Draw the button that records what the camera shows, without measuring it."""
-    recorder = resources.recorder()
-
-    def begin() -> None:
-        _read_typed()
-        place = st.session_state["place"]
-        walk = Walk(place.row or None, place.side)
-        recorder.begin(resources.feed(kind), resources.settings().burst, walk)
-
-    now = recorder.newest
-    if now is not None and now.running:
-        button(st, "Stop recording", "stop", recorder.end, key="record_stop")
-    else:
-        button(st, "Record", "fiber_manual_record", begin, key="record")
-    if now is not None:
-        st.caption(
-            f"{counted(now.taken, 'capture', 'captures')} recorded, one a second, in "
-            f"{plain(now.folder)}"
-        )
-        if now.fault:
-            st.warning(plain(now.fault), icon=":material/error:")
 
 
 _EXPOSURES = {None: "As the camera has it", "automatic": "Automatic", "fixed": "By hand"}

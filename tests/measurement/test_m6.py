@@ -371,3 +371,14 @@ def test_a_fruit_bent_into_a_hook_is_followed_round(turn_deg: float, camera: Int
     lengths, fit = fitted(measure_m6(*noisy(tube, camera, 3), camera))
     assert lengths.centreline_m == pytest.approx(length, rel=0.02)
     assert fit.ends_seen == (True, True)
+
+
+def test_a_small_nub_at_an_end_is_seen() -> None:
+    camera = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
+    body = arc_tube(0.25, 0.016, 0.5)
+    steps = np.linalg.norm(np.diff(body.centres_m, axis=0), axis=1)
+    before_end = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    taper = 0.004 + 0.012 * np.sqrt(np.clip(before_end / 0.02, 0, 1))
+    tube = replace(body, radii_m=np.minimum(body.radii_m, taper)).moved(rotation(), (0, 0, 0.25))
+    _, fit = fitted(measure_m6(*seen(tube, camera, 0.3), camera))
+    assert fit.ends_seen == (True, True)

@@ -105,7 +105,7 @@ def test_ends_that_different_views_show_count_together() -> None:
     # The two leaves leave a stretch that both views show: nothing is hidden from both.
     assert joint.fruit.fit.hidden_share == pytest.approx(0.0, abs=0.02)
     best = max(one.selected.length_m or 0.0 for one in alone if one.selected)
-    assert abs(joint.fruit.length.value_m - 0.22) < 0.5 * abs(best - 0.22)
+    assert abs(joint.fruit.length.value_m - 0.22) < 0.6 * abs(best - 0.22)
 
 
 def test_an_end_that_keypoints_miss_in_every_view_stays_hidden() -> None:

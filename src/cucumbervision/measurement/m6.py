@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 _DEPTH_POINTS = 500
 
-_OUTLINE_POINTS = 200
+_OUTLINE_POINTS = 800
 
 _GRID_POINTS = 800
 
@@ -241,7 +241,7 @@ _GOOD_EXPLAINED, _GOOD_OUTLINE = 0.9, 0.1
 _ON_SURFACE_SD, _ON_SURFACE_M, _GOOD_ON_SURFACE = 4.0, 0.002, 0.8
 _MAY_BE_FRUIT, _CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
 _GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = 0.9, 0.004, 4.0  # beyond these another start is tried
-_FULL_OVERLAP, _HOOKED = 0.97, 1.03  # less, and a middle line longer by this: a hook cut short
+_FULL_OVERLAP = 0.97  # less, and a middle line longer than the fit: a hook cut short
 _LEAST_SEEN = 6  # readings that such a start needs
 _SPARSE_FILL = 0.5  # below it most depth is missing: the fruit is nearer than the sensor sees
 
@@ -340,7 +340,7 @@ def _best_fit(view: TubeView) -> TubeFitting:
     if unsure or overlap < _FULL_OVERLAP:
         picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
         bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
-        if bent is not None and (unsure or bent.length_m > _HOOKED * first.shape.length_m):
+        if bent is not None and (unsure or bent.length_m > first.shape.length_m):
             fits.append(fit_shape(evidence, bent))
     return _better(view, fits) if len(fits) > 1 else first
 

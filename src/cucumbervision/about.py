@@ -22,8 +22,8 @@ def source_offer() -> str:
     """Return the address of the program's source, or a sentence that none is given.
 
     The AGPL-3.0, section 13, asks for the offer. The address is the installed package's `Source` in
-    `[project.urls]` of `pyproject.toml`: whoever distributes a changed program changes it there.
-    Whoever runs one sets it by the environment's `CUCUMBERVISION_SOURCE`, which comes first.
+    `[project.urls]` of `pyproject.toml`: distributors of a changed program change it there.
+    Operators set it by the environment's `CUCUMBERVISION_SOURCE`, which comes first.
 
     Examples
     --------

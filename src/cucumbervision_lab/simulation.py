@@ -1,4 +1,4 @@
-"""Simulated houses and rows: the truth that the forecast, merging and linking are held against.
+"""Simulated houses and rows: the truth that forecast, merging and linking are compared with.
 
 In a house only lengths grow and are measured. In a row, fruit have the sizes of `synthesis.bodies`;
 what a capture shows of them is drawn at random, with the errors that the benchmark of single
@@ -43,7 +43,7 @@ class HouseSettings:
     links : int
         Links that the forecast gets to see, at most; fruit are chosen at random.
     found, false : float
-        Share of fruit that a round finds, and of invented ones among the found.
+        Share of fruit that a round finds, and of false positives among the detections.
     relative_sd, floor_sd_m : float
         Measuring error: a share of the length, and a floor.
     scale_sd : float
@@ -91,7 +91,7 @@ class SimulatedHouse:
     row : ndarray of int64, shape (N,)
         Row of each true fruit; its name is the number.
     of_fruit : ndarray of int64, shape (len(fruit),)
-        The true fruit behind each found one, -1 for an invented one.
+        The true fruit behind each found one, -1 for a false positive.
     """
 
     fruit: tuple[FruitState, ...]
@@ -205,7 +205,7 @@ class SimulatedRow:
     spacing_m, operator_sd_m : float
         From stop to stop, and how far stops are from where the operator says.
     missed, false : float
-        Share of visible fruit that a capture misses, and of invented ones among the found.
+        Share of visible fruit that a capture misses, and of false positives among the detections.
     hidden : float
         Share of views of which part is hidden, by 5 to 50 % of the length.
     length_sd, diameter_sd : float
@@ -270,7 +270,7 @@ class Walk:
     stops, views : RowStops, RowViews
         What merging gets to see.
     of_fruit : ndarray of int64, shape (N,)
-        The name of each view's fruit, -1 for an invented one.
+        The name of each view's fruit, -1 for a false positive.
     plants : Plants
         The fruit.
     in_view : int

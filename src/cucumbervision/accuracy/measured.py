@@ -67,7 +67,7 @@ class Measured:
     readings : tuple of Reading
         In the file's order.
     captures : tuple of str
-        Every capture, those without fruit too where the file says so.
+        Every capture, including those without fruit, if the file lists them.
     report : mapping
         `measurements.json` as it is, for camera and provenance; empty without one.
     """

@@ -150,7 +150,7 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
 
 
 def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
-    """Return whether a method's length is to be held against this kind of truth.
+    """Return whether a method's length is comparable with this kind of truth.
 
     M6's three lengths go with their own kind, M1 to M5 with any: theirs is none of the three. The
     reported length goes with any kind unless it names another one.
@@ -236,7 +236,7 @@ def _notes(
         )
     if not truth.specimens_named:
         notes.append(
-            "No column 'specimen': each fruit of each capture is taken for a fruit of its own. If "
+            "No column 'specimen': each fruit of each capture counts as a fruit of its own. If "
             "some were captured several times, name them, or the intervals are too narrow."
         )
     if missed:

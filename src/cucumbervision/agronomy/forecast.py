@@ -370,7 +370,7 @@ def _weights(
 ) -> NDArray[np.float32] | None:
     """Draw how many fruit each found one stands for, shape (draws, N); None where each for itself.
 
-    An invented one for none; a real one for itself and for missed ones: of fruit that are found
+    A false positive for none; a real one for itself and for missed ones: of fruit that are found
     with probability q, the missed ones before each found one are geometric, so that a found one
     stands for 1 / q on average.
     """

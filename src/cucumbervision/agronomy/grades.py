@@ -185,7 +185,7 @@ class GradingTraits:
         values : mapping
             `thread_m`, `centreline_m`, `chord_m`; `length_m` of `length_kind`; the interval
             `interval_low_m` to `interval_high_m` of `interval_of`; `diameter_max_m`, `volume_m3`;
-            and `inner_arc_mm_per_10cm`, or `inner_arc_m` to be held against the chord.
+            and `inner_arc_mm_per_10cm`, or `inner_arc_m`, which is divided by the chord.
 
         Examples
         --------
@@ -411,7 +411,7 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
     if band is None or band.shortest_cm is None:
         return _Check(band.name if band else "")
     if chord_m is None:
-        return _Check(band.name, missing="chord: not held against the weight")
+        return _Check(band.name, missing="chord: not compared with the weight")
     if round(100 * chord_m, 6) >= band.shortest_cm:
         return _Check(band.name)
     said = f"chord {100 * chord_m:.1f} cm, {band.name} must be {band.shortest_cm:g} cm long"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import Histories
     from cucumbervision.agronomy.profiles import CropProfile
 
-_NEARLY_FULL = 0.98  # nearer to its full length a fruit's age cannot be told from its length
+_NEARLY_FULL = 0.98  # nearer to its full length a fruit's age cannot be derived from its length
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,7 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     -----
     The ends of the intervals are those of the counts, class by class; where several classes are
     picked, their sum holds at least the level. Today is what the pick list holds (`work_of`), so
-    that it is one number everywhere; its interval allows for fruit that were missed or invented.
+    that it is one number everywhere; its interval allows for missed fruit and false positives.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What any RGB-D camera gives, whoever made it: captures, one after the other."""
+"""What any RGB-D camera gives, of any make: captures, one after the other."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
 def _add(
     store: Store, key: str, inputs: Sequence[Path], options: MeasureOptions, place: Place
 ) -> int:
-    """Add captures, show progress and what became of them, and return the exit code."""
+    """Add captures, show progress and outcomes, and return the exit code."""
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures

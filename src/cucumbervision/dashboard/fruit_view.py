@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     )
     from cucumbervision.store.views import DetectionView
 
-# Okabe and Ito's palette, told apart by colour-blind people too.
+# Okabe and Ito's palette, suitable for colour-blind people.
 _METHOD_COLORS = {
     "M1": "#56B4E9",
     "M2": "#CC79A7",

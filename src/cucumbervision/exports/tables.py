@@ -210,7 +210,7 @@ _SUMMARY = _columns(
     "fruit||whole|fruit, each once; rejected ones left out",
     "measured||whole|of them with a length",
     "picked||whole|of them picked",
-    "expected_fruit||number 2|fruit there are: invented ones taken off, unseen ones added",
+    "expected_fruit||number 2|fruit there are: false positives removed, unseen ones added",
     "expected_fruit_sd||number 2|standard deviation of that",
     "failures||whole|captures that could not be read or measured",
     "mean_length_cm|cm|number|mean of the fruit on the plant",
@@ -226,7 +226,7 @@ _ROWS = _columns(
     "stops||whole|stops with a position",
     "detections||whole|fruit seen, each as often as it was seen|views",
     "fruit||whole|fruit that these are merged into",
-    "expected_fruit||number 2|fruit there are: invented ones taken off, unseen ones added|"
+    "expected_fruit||number 2|fruit there are: false positives removed, unseen ones added|"
     "count.expected",
     "expected_fruit_sd||number 2|standard deviation of that|count.sd",
     "unplaced||whole|detections without a position or depth",

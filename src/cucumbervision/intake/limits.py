@@ -59,7 +59,7 @@ class Limits:
     zip_depth : int
         1 allows a zip in a zip; 0 none.
     pixels : int
-        Of a picture or array, told from its head before it is decoded.
+        Of a picture or array, read from its header before it is decoded.
     text_bytes : int
         Size of a JSON or CSV file.
     recording : RecordingLimits

@@ -45,7 +45,7 @@ _TOLD = {
 
 _OWN_NAMES = re.compile(r"(\d{6})(/(capture\.json|(color|depth)_\d{6}\.png))?|report\.jsonl")
 
-# What the process needs of the environment: nothing of ours is told to it.
+# What the process needs of the environment: none of our variables are passed on.
 _KEPT = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "LANG")
 
 
@@ -286,7 +286,7 @@ def limit_this_process(limits: dict[str, Any]) -> None:
         _, hard = resource.getrlimit(kind)
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, most))
-    # Whoever watches may have been killed: it ends by itself a little later.
+    # The watching process may have been killed: end a little later without it.
     signal.alarm(int(limits["wall_s"]) + 5)
 
 

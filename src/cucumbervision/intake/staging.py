@@ -116,7 +116,7 @@ class AcceptedSource:
 
 @dataclass(frozen=True)
 class AcceptedUploads:
-    """What became of an upload.
+    """The outcome of an upload.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def suppress(
     """
     import cv2
 
-    # Classes are told apart by shifting each beyond the last, which begins at 0.
+    # Classes are kept apart by shifting each beyond the last, which begins at 0.
     low, high = np.split(boxes.astype(np.float64), 2, axis=1)
     rectangles = np.concatenate([low - low.min(axis=0, initial=0.0), high - low], axis=1)
     kept = cv2.dnn.NMSBoxesBatched(

@@ -28,7 +28,7 @@ STRIP_PX = (64, 192)
 """Height and width of a fruit laid level."""
 
 SURE = 0.9
-"""From this probability on a fruit's ends are said to be told apart."""
+"""From this probability on a fruit's ends count as known."""
 
 _BEYOND = 0.25  # of the fruit's length, that is shown beyond each end: the stalk
 _HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side

@@ -179,7 +179,7 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> LabelledInstance
     where : str
         Place in the file, for errors.
     names : list of str
-        Class names; the class's number stands in for a missing one.
+        Class names; the class's number is used where one is missing.
 
     Returns
     -------

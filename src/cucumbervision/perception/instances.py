@@ -6,7 +6,7 @@ makes of a fruit beside the whole (each lies in it). Pieces without the whole sh
 a pose network that sees one fruit over both tells them from two fruit in a row. Boxes alone say
 little, since fruit that cross have boxes within each other.
 
-A mask over two fruit side by side is told from the whole of a piece by its thickness, and loses
+A mask over two fruit side by side differs from the whole of a piece by its thickness, and loses
 to the neighbour what is the neighbour's.
 """
 

@@ -5,7 +5,7 @@ each other, and what parts them is a cut and no two round ends: along lines para
 the gap is as wide at the sides as in the middle, while between two ends that face each other it
 opens towards the sides. Where there is depth, what lies in the gap must be nearer than the fruit
 (or, if it is as thin as a string, not farther); without depth, the parts must be of one colour.
-Two fruit whose ends are both hidden behind one leaf cannot be told from one: a gap of more than
+Two fruit whose ends are both hidden behind one leaf look the same as one: a gap of more than
 two and a half diameters (two without depth), or a whole of more than twelve, joins nothing.
 """
 
@@ -330,7 +330,7 @@ def _edges(
 def _something_in_front(
     facing: _Facing, color_rgb: NDArray[np.uint8], depth_m: NDArray[np.float32] | None
 ) -> bool:
-    """Return whether what parts two parts is nearer than the fruit, as far as that can be told."""
+    """Return whether what separates two parts is nearer than the fruit, if depth shows it."""
     ridges = [points[np.abs(points[:, 1]) < facing.girth_px / 3] for points in facing.near]
     if depth_m is not None:
         told = _depth_says(facing, ridges, depth_m)

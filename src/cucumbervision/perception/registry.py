@@ -109,7 +109,7 @@ class Model:
 
 @dataclass(frozen=True)
 class FileCheck:
-    """What became of one file's verification.
+    """The result of verifying one file.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.output import OutputFolder
 
 Engine: TypeAlias = Callable[[Batch], Iterator[Outcome]]
-"""Does a batch, and yields what became of each of its tasks, in order, as they are done."""
+"""Does a batch, and yields the outcome of each task, in order, as they are done."""
 
 
 def in_process(batch: Batch) -> Iterator[Outcome]:

@@ -141,7 +141,7 @@ def _say_again(path: str, captures: int, say: Callable[[str], None]) -> None:
 
 
 def distinct(inputs: Iterable[Path], say: Callable[[str], None]) -> list[Path]:
-    """Return the inputs without those that name the same place again; `say` is told of each."""
+    """Return the inputs without those that name the same place again; `say` is called for each."""
     places: set[str] = set()
     kept: list[Path] = []
     for path in inputs:

@@ -145,7 +145,7 @@ class CaptureResult:
     Parameters
     ----------
     capture : Capture
-        The frame as it was measured: its depth scaled where a calibration says so.
+        The frame as it was measured: its depth scaled by the calibration, if there is one.
     fruit : tuple of FruitMeasurement
         One for every detection.
     failures : tuple of Failure
@@ -177,7 +177,7 @@ class CaptureResult:
 
 @dataclass(frozen=True, eq=False)
 class DetectedCapture:
-    """A capture, its depth scaled where a calibration says so, and the fruit found in it."""
+    """A capture, its depth scaled by the calibration if there is one, and its fruit."""
 
     capture: Capture
     found: Found

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement, Measurement
     from cucumbervision.perception.instances import Instance
 
-# Okabe and Ito's palette, told apart by colour-blind people too (RGB).
+# Okabe and Ito's palette, suitable for colour-blind people (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
 
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)

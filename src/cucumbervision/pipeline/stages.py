@@ -139,7 +139,7 @@ class StageHashes:
     def _hashes(self, name: str) -> Any:
         try:
             return self._registry.hashes(name)
-        except ModelError as error:  # it is not here: measuring will say so
+        except ModelError as error:  # it is not installed: measuring raises the error
             return str(error)
 
 

@@ -1,4 +1,4 @@
-"""What a run comes to: counted while it goes, told on screen, in the workbook and in the JSON."""
+"""What a run comes to: counted as it goes, shown on screen, in the workbook and in the JSON."""
 
 from __future__ import annotations
 

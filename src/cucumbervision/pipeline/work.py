@@ -44,7 +44,7 @@ class Task:
     known : str
         Hash of the content that was measured before in the same way; empty where none was.
     trusted : bool
-        Whether it is taken as still so, without reading it: once a run is told to end.
+        Whether it is assumed unchanged without being read, as when a run is ending.
     """
 
     listed: Listed
@@ -57,7 +57,7 @@ class Task:
         return place_of(self.listed.ref.at or self.listed.input, self.listed.name)
 
     def dropped(self) -> Outcome | None:
-        """Return what becomes of it when a run ends before its turn: nothing, or what was known."""
+        """Return its outcome when a run ends before its turn: none, or what was known."""
         one = self.listed
         return Outcome(one.input, one.name, self.place, before=True) if self.known else None
 
@@ -78,7 +78,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one capture, or of an input that could not be listed.
+    """The outcome of one capture, or of an input that could not be listed.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class Batch:
     out : OutputFolder
         Gets the pictures.
     stop : callable
-        Once it says so, what is being measured is measured to its end, and no more is begun.
+        Once it returns True, running captures are finished and no more are started.
     """
 
     tasks: Iterable[Task | Outcome]
@@ -281,7 +281,7 @@ def content_of(parts: Iterable[Path | bytes]) -> str:
             name, data = ("", part) if isinstance(part, bytes) else (part.name, read_bytes(part))
             digest.update(f"{len(data)} {name}\n".encode(errors="surrogatepass"))
             digest.update(data)
-    except (CucumberVisionError, OSError):  # loading it will say so
+    except (CucumberVisionError, OSError):  # loading it raises the error
         return ""
     return digest.hexdigest()
 

@@ -62,7 +62,7 @@ def forecast_for(
 ) -> Forecast:
     """Forecast a round: growth from its links to earlier rounds, classes from a profile.
 
-    Fruit that were missed or invented are allowed for as the round itself shows them
+    Missed fruit and false positives are allowed for as the round itself shows them
     (`detection_rates`), the error that all lengths share as its calibration does
     (`shared_scale_sd`).
 

@@ -263,7 +263,7 @@ def merge_row(
     >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
     >>> row = simulate_row(SimulatedRow(fruit=40), seed=1)
     >>> merged = merge_row(row.stops, row.views)
-    >>> int(merged.cluster.max()) + 1 >= 40  # every fruit, and what the detector invented
+    >>> int(merged.cluster.max()) + 1 >= 40  # every fruit, and the false positives
     True
     """
     settings, by_hand = settings or MergeSettings(), by_hand or ByHand()

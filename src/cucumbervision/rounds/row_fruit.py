@@ -1,7 +1,7 @@
 """The fruit of a merged row: the measurement that stands for each, and how many there are.
 
-What was seen once only may be invented, and some fruit were never seen. A fruit is seen by each
-capture that could show it with one probability q; an invented one is seen once. Both shares are
+A view seen once may be a false positive, and some fruit were never seen. A fruit is seen by each
+capture that could show it with one probability q; a false positive is seen once. Both shares are
 learnt from the row itself by expectation maximisation (Dempster, Laird & Rubin 1977), with weak
 priors, so that a short row does not run away.
 """
@@ -188,14 +188,14 @@ def one_tube_stands(tube: tuple[float, float, float], combined: tuple[float, flo
 
 _MARGIN_M = 0.03  # a fruit nearer than that to a picture's edge may be out of it
 _SEEN, _SEEN_WEIGHT = 0.9, 20.0  # prior of q: as that many chances to see a fruit
-_FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of invented views
+_FALSE, _FALSE_WEIGHT = 0.02, 50.0  # prior of false positives
 _MOST_LEARNT = 500  # views; a house changes
 _STEPS = 400  # where much is hidden, it converges slowly
 
 
 @dataclass(frozen=True)
 class FalseFinds:
-    """What is known of invented fruit before a row is looked at.
+    """Prior of the share of false positives in a row.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ class CountEstimate:
     seen, shown : ndarray of int64, shape (F,)
         For each fruit found: how many views it has, and how many captures could show it.
     real : ndarray of float64, shape (F,)
-        How likely it is a fruit and not invented.
+        How likely it is a fruit and no false positive.
     seen_again : float
         The share q.
     """
@@ -308,7 +308,7 @@ def count_fruit(
     accepted : ndarray of bool, shape (N,), optional
         Views that a person said to show a fruit.
     false : FalseFinds
-        What is known of invented ones beforehand.
+        Prior of the share of false positives.
 
     Examples
     --------
@@ -404,12 +404,12 @@ def estimate_count(
     score : ndarray of float64, shape (F,)
         The detector's confidence in each.
     sure_scores : ndarray of float64, shape (V,)
-        Its confidence in views of fruit that were seen twice or more. What is invented is taken
+        Its confidence in views of fruit that were seen twice or more. False positives are assumed
         to have any confidence from the least to the highest alike.
     known : ndarray of bool, shape (F,), optional
         Which a person said to be a fruit.
     false : FalseFinds
-        What is known of invented ones beforehand.
+        Prior of the share of false positives.
 
     Examples
     --------
@@ -443,7 +443,7 @@ def estimate_count(
 
 
 def _share_learnt(real: Floats) -> float:
-    """Return by how much variance grows since the share of invented ones is learnt from them too.
+    """Return how much variance the estimate of the share of false positives adds.
 
     By the missing information m of a mixture's share: 1 / (1 - m) (Louis 1982).
     """

@@ -56,7 +56,7 @@ Files = Annotated[
 
 
 class _Metrics:
-    """What Prometheus is told."""
+    """The metrics for Prometheus."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()

@@ -70,7 +70,7 @@ _GLOSSARY = (
         "ends. Nobody can be expected to do better on the same masks.",
     ),
 )
-_LARGE_GROUP = 400  # fruit from which on coverage is held against fixed bounds
+_LARGE_GROUP = 400  # fruit from which on coverage is compared with fixed bounds
 _LARGE_GROUP_SHARE = (0.87, 0.93)  # for a 90 % interval; moved along with another level
 TILT_EDGES_DEG = np.arange(0, 61, 7.5)
 _HIDDEN_EDGES_PERCENT = (0, 0.01, 10, 20, 30, 40, 50, 60)
@@ -387,7 +387,7 @@ def error_by_value_plot(
     scored : DataFrame
         From `against`.
     truth : LengthDefinition
-        What they are held against.
+        What they are compared with.
     value : Series of float
         Of each row, such as its tilt.
     edges : array_like of float

@@ -177,7 +177,7 @@ def pseudo(
     names: Names = "",
     model: Annotated[str, typer.Option(help="mobile-sam or sam-vit-b.")] = "mobile-sam",
     prompt: Annotated[
-        PromptChoice, typer.Option(help="What SAM is told of a fruit.")
+        PromptChoice, typer.Option(help="What SAM is shown of a fruit.")
     ] = "box+point",
     runtime: Annotated[RuntimeChoice, typer.Option(help="What runs it.")] = "auto",
     copy: Copy = False,

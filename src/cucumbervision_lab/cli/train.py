@@ -266,7 +266,7 @@ def ends(
             progress=lambda *_: tick(1),
         )
     write_ends_card(result, name, epochs=epochs, seed=seed, credits=credit or ())
-    table = Table("fruit of scenes not learnt from", "ends told rightly", title=str(result.network))
+    table = Table("fruit of scenes not learnt from", "ends identified", title=str(result.network))
     for kind, share in result.right.items():
         table.add_row(kind, f"{100 * share:.1f} %")
     sure = f"those at least 90 % sure ({100 * result.sure:.0f} % of all)"

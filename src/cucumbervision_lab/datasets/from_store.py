@@ -250,9 +250,9 @@ def _card(dataset: DataSet, judged: dict[str, JudgedFruit]) -> str:
             "",
             *lines,
             "",
-            "Masks are SAM's, looked at by whoever accepted the fruit, or drawn anew at their tap "
+            "Masks are SAM's, reviewed when the fruit was accepted, or drawn anew at their tap "
             "or box. A rejected find is background; one that nobody judged is to be ignored. "
-            "What was neither found nor added is taken for background: judge whole pictures. A "
+            "What was neither found nor added counts as background: review whole pictures. A "
             f"scene is {_STRETCH_M:g} m of a row, and its split follows from its name alone.",
             "",
         ]

@@ -31,7 +31,7 @@ _TO_CORNER = np.array([0.5, 0.5, 0.0])  # COCO counts pixels from the corner
 
 
 class Judged(StrEnum):
-    """What is held against the truth."""
+    """What is compared with the truth."""
 
     BOXES = "bbox"
     MASKS = "segm"

@@ -285,7 +285,7 @@ def group_table(summary: Summary, factor: str) -> Table:
 
 
 def part_table(scores: Sequence[PartScore]) -> Table:
-    """Return what became of fruit in parts and of neighbours as a table."""
+    """Return how fruit in parts and neighbours were detected, as a table."""
     heads = ["stage", "fruit in parts", "found whole", "in pieces", "one part", "missed"]
     heads += ["finds", "over two fruit", "pixels in two masks (%):.2"]
     rows = [(str(one.stage), *list(vars(one).values())[1:]) for one in scores]

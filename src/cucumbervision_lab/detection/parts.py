@@ -29,7 +29,7 @@ class _Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class PartScore:
-    """What became of fruit in parts, and of neighbours, at one stage.
+    """How fruit in parts, and neighbours, were detected at one stage.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def parts_of(mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 
 
 def score_parts(frames: Sequence[Frame], confidence: float, stage: Stage) -> PartScore:
-    """Count what became of fruit in parts, finds over two fruit, and pixels in two masks.
+    """Count detected and missed fruit in parts, detections over two fruit, and pixels in two masks.
 
     Parameters
     ----------

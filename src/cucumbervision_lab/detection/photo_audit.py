@@ -60,7 +60,7 @@ class AuditedBox:
         courgette as a cucumber; a detection in an ignored region is neither right nor wrong.
     stem : str, optional
         Side or corner of the box at which the stalk end lies: 'left', 'up-right', ...; None where
-        it cannot be told.
+        it cannot be determined.
     ends : tuple of (float, float), length 2, optional
         Blossom end and stem end of the body without its stalk, u and v in pixels; None where they
         were not read.

@@ -44,11 +44,11 @@ _RESAMPLED_VALUES = 5_000_000  # bounds the memory of a bootstrap over thousands
 
 
 def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
-    """Return the readings that can be held against one kind of true length, with their errors.
+    """Return the readings that are comparable with one kind of true length, with their errors.
 
-    M1 to M5 and other people's tools are held against every kind: they do not say which they
-    measure. M6's own kinds and the oracle's are held against their own; M6's centreline also
-    against the thread, since that is what the paper would do. What a run reported is held against
+    M1 to M5 and other tools are compared with every kind: they do not say which they
+    measure. M6's own kinds and the oracle's are compared with their own; M6's centreline also
+    against the thread, since that is what the paper would do. What a run reported is compared with
     the kind that it names, if it names one.
 
     Parameters
@@ -371,7 +371,7 @@ def group_table(scored: pd.DataFrame, factor: Factor, truth: LengthDefinition) -
     factor : Factor
         From `factors_of`, of the same rows.
     truth : LengthDefinition
-        What they are held against.
+        What they are compared with.
     """
     methods = shown_methods(scored, truth)
     own = f"M6 {truth}" if f"M6 {truth}" in methods else "M6"

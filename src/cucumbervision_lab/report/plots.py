@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _DPI = 110
 _WIDTH_IN = 10.0
 _FEW_CAPTURES = 200  # drawn as larger dots
-# Okabe and Ito's colours, told apart by colour-blind eyes too; each method also has its marker.
+# Okabe and Ito's colours, suitable for colour-blind readers; each method also has its marker.
 STYLES: dict[str, tuple[str, str, str]] = {
     "M1": ("#E69F00", "v", "-"),
     "M2": ("#56B4E9", "s", "-"),

@@ -171,7 +171,7 @@ _MAX_SLOPE = 0.45  # of a radius along the axis: steeper makes an end blunter th
 
 
 class Variety(StrEnum):
-    """Kinds of greenhouse cucumbers, told by size."""
+    """Kinds of greenhouse cucumbers, by size."""
 
     LONG = "long"
     MEDIUM = "medium"
@@ -196,7 +196,7 @@ _SIZES = {
 
 
 def variety_of(length_m: float) -> Variety:
-    """Return the variety that a fruit of that length is taken for.
+    """Return the variety that a fruit of that length counts as.
 
     Examples
     --------

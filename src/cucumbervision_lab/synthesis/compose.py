@@ -1,7 +1,7 @@
 """Random whole scenes: fruit on the plant, on a bench or in a crate, seen by a handheld camera.
 
 Everything is placed in the camera's coordinates. What each leaf and rod stands for is kept beside
-the scene, for whoever paints it.
+the scene, for the renderer.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Composition:
 
 @dataclass(frozen=True)
 class Difficulty:
-    """How much a scene asks of whoever is to find its fruit.
+    """How difficult a scene is for a detector.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def color_sources(
 ) -> NDArray[np.int32]:
     """Return which depth pixel each colour pixel takes its reading from.
 
-    The rule is `align_depth_to_color`'s, told as indices, so that a burst needs it once.
+    The rule is `align_depth_to_color`'s, as indices, so that a burst needs it once.
 
     Parameters
     ----------

@@ -312,7 +312,7 @@ def label_of(
     points : ndarray of float64, shape (5, 3), optional
         Its keypoints.
     by_place : bool
-        Whether nobody said which of them is the stem's end; the label says so too.
+        Whether nobody said which of them is the stem's end; the label records this.
     """
     height, width = seen.shape
     if points is not None:

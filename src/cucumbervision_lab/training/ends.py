@@ -62,7 +62,7 @@ class EndsResult:
     strips, judged : int
         Fruit learnt from (each several times), and fruit judged by.
     right : dict of str to float
-        Share of fruit of other scenes whose ends are told rightly: 'all', and by how many ends
+        Share of fruit of other scenes with ends identified correctly: 'all', and by how many ends
         are in sight.
     sure, sure_right : float
         Share of those with a probability of at least 0.9, and how many of these are right.

@@ -186,7 +186,7 @@ def export_model(
 def _corners_to_centres(rows: Any) -> Any:
     """Lay the one-to-one head's rows (B, N, 4 + classes + extra) out as a raw output.
 
-    It stands in for `Detect.postprocess`, which chooses the best 300.
+    It replaces `Detect.postprocess`, which chooses the best 300.
     """
     import torch
 
@@ -204,7 +204,7 @@ def _finish(path: Path, own: dict[str, str], *, half: bool) -> None:
 
     network = onnx.load(path)
     entries = {entry.key: entry.value for entry in network.metadata_props}
-    # Where the data lay on the machine of whoever trained is nobody's business.
+    # Paths of the training machine are private.
     entries["description"] = entries.get("description", "").split(" trained on ")[0]
     entries.pop("date", None)
     entries |= {key: value for key, value in own.items() if value}

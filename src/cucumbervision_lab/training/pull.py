@@ -53,7 +53,7 @@ def pull_model(
     UnknownModelError
         If no model has the name.
     MissingExtraError
-        If the extra `train` is not installed; told before anything is fetched.
+        If the extra `train` is not installed; raised before anything is downloaded.
     ModelHashError
         If the file is not the one that the registry names.
     ModelError

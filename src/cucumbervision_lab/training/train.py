@@ -100,7 +100,7 @@ def train(
     init : str, optional
         Weights to begin with (.pt, also of the other task: what fits is taken), or an
         Ultralytics .yaml for random ones. A `network.pt` of an unfinished run for the same task
-        goes on where that run was, unless another plan than that run's is given.
+        resumes that run, unless another plan is given.
     plan : str, optional
         As `parse_plan` reads it. To prolong a run, give the longer plan.
     per_epoch : int

@@ -38,7 +38,7 @@ _AVERAGED_STEPS = 500  # by the weights' moving average; Ultralytics' is 10,000
 
 
 class Watcher(Protocol):
-    """Who is told how a training goes on."""
+    """Callbacks of a training."""
 
     def batch(self, done: int, total: int) -> None:
         """Tell that `done` of an epoch's `total` batches are through."""
@@ -100,7 +100,7 @@ def make_trainer(
     overrides : dict
         Ultralytics' own settings.
     watcher : Watcher
-        Is told of every batch and epoch.
+        Called with every batch and epoch.
     course : TrainerSettings
         Where in the plan it begins.
     threads, workers : int
@@ -262,7 +262,7 @@ def _leave_out_ignored(trainer: Any) -> None:
 
 
 def _say_by_place(trainer: Any) -> None:
-    # Exports tell it to whoever uses the points.
+    # Exports store it for users of the points.
     for network in (trainer.model, trainer.ema.ema):
         network.keypoint_order = BY_PLACE
 

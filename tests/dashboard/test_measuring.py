@@ -22,10 +22,10 @@ from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.forecasting import fruit_states
-from cucumbervision.rounds.service import RoundFruit, hanging_lengths_m
+from cucumbervision.rounds.fruit_table import RoundFruit, hanging_lengths_m
+from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
-from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import Verdict
 from cucumbervision_lab.synthesis.demo import SCENES, place
 

@@ -18,8 +18,9 @@ from cucumbervision.dashboard.round_tables import length_lines, list_round, map_
 from cucumbervision.dashboard.settings import Units
 from cucumbervision.dashboard.views.accuracy import measured_round
 from cucumbervision.exports.build import round_tables
-from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import DAY_S, find_round, fruit_table, merge_round
+from cucumbervision.rounds.from_store import find_round, read_round
+from cucumbervision.rounds.fruit_table import fruit_table
+from cucumbervision.rounds.merge_and_link import DAY_S, merge_round
 from cucumbervision.rounds.today import forecast_today
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store

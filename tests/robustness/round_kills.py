@@ -28,7 +28,7 @@ _LOADED = (
     "cucumbervision.capture.readers",
     "cucumbervision.perception.networks",
     "cucumbervision.rounds.adding",
-    "cucumbervision.rounds.service",
+    "cucumbervision.rounds.merge_and_link",
     "cucumbervision.store.repository",
     "tests.robustness.round_kills",
 )

@@ -156,7 +156,7 @@ def _store(folder: Path, _name: str) -> None:
 
 def _read_round(store: Any, key: str) -> None:
     from cucumbervision.rounds.from_store import read_round
-    from cucumbervision.rounds.service import fruit_table
+    from cucumbervision.rounds.fruit_table import fruit_table
 
     for stop in store.stops(key):
         for capture in store.stop(stop.key).captures:

@@ -15,8 +15,9 @@ from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import Added, Place, add_captures
 from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.fruit_table import fruit_table
+from cucumbervision.rounds.merge_and_link import merge_round
 from cucumbervision.rounds.poses import PoseLine
-from cucumbervision.rounds.service import fruit_table, merge_round
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation

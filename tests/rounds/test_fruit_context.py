@@ -7,8 +7,8 @@ import pytest
 
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_context import around, least_sure_first
+from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
 from cucumbervision.rounds.row_fruit import FalseFinds
-from cucumbervision.rounds.service import DAY_S, row_reports
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,

@@ -24,8 +24,9 @@ from cucumbervision.measurement.views import measure_views
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import joint_groups, read_round
+from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
-from cucumbervision.rounds.service import fruit_table, merge_round
+from cucumbervision.rounds.merge_and_link import merge_round
 from cucumbervision.store.repository import Store, open_store
 
 STOPS = (0, 1, 2)

@@ -17,9 +17,10 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.remeasuring import measure_round_again
 from cucumbervision.store.images import check_store
+from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store
-from cucumbervision.store.views import DetectionView, LinkKind, Verdict
+from cucumbervision.store.views import DetectionView, Verdict
 
 MORNING = key_of("rounds", "morning")
 OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M3, Method.M6))

@@ -8,11 +8,11 @@ import pytest
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
-from cucumbervision.rounds.service import link_rounds
+from cucumbervision.rounds.merge_and_link import link_rounds
 from cucumbervision.rounds.settling import delete_round, move_stop, settle, undo
 from cucumbervision.store.edits import StopPlace
+from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import CaptureRecord, StopRecord, key_of
-from cucumbervision.store.views import LinkKind
 from cucumbervision.store.waiting import WaitingCaptures
 from cucumbervision_lab.simulation import SimulatedRow, simulate_row
 

@@ -35,9 +35,9 @@ from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures
+from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
 from cucumbervision_lab.datasets.coco import picture_of
 from cucumbervision_lab.datasets.coco_writer import write_fragment

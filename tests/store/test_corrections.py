@@ -9,9 +9,10 @@ from sqlalchemy import text
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.engine import begin
+from cucumbervision.store.links import LinkKind, LinkRecord
 from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.views import DetectionFilter, DetectionView, LinkKind, LinkRecord, Verdict
+from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop

@@ -6,9 +6,9 @@ import pytest
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.edits import StopPlace
-from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of
+from cucumbervision.store.links import LinkKind, LinkRecord, Position
+from cucumbervision.store.records import DetectionRecord, RoundRecord, Saved, key_of
 from cucumbervision.store.repository import Store
-from cucumbervision.store.views import LinkKind, LinkRecord, Position, Saved
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop

@@ -19,13 +19,14 @@ from cucumbervision.store.records import (
     DetectionRecord,
     MethodRecord,
     RoundRecord,
+    Saved,
     StopRecord,
     key_of,
     new_key,
 )
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.schema import Base
-from cucumbervision.store.views import DetectionFilter, Saved, Verdict
+from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cucumbervision.errors import StoreError
+from cucumbervision.store.links import LinkKind, LinkRecord, Position, ShiftRecord
 from cucumbervision.store.records import RoundRecord, key_of, new_key
 from cucumbervision.store.repository import Store
-from cucumbervision.store.views import LinkKind, LinkRecord, Position, ShiftRecord
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop

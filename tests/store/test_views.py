@@ -2,7 +2,13 @@ from __future__ import annotations
 
 from itertools import permutations
 
-from cucumbervision.store.views import Candidate, LinkKind, LinkRecord, group_detections, standings
+from cucumbervision.store.links import (
+    Candidate,
+    LinkKind,
+    LinkRecord,
+    group_detections,
+    representative_views,
+)
 
 
 def same(pair: str, score: float | None = None, *, by_hand: bool = False) -> LinkRecord:
@@ -52,7 +58,7 @@ def test_of_a_group_the_best_view_stands() -> None:
         "e": Candidate(True, True, False, 0.90),
     }
     links = [same("ab"), same("bc"), same("cd"), same("de")]
-    found = standings(candidates, {"b": 5.0, "d": 3.0}, links)
+    found = representative_views(candidates, {"b": 5.0, "d": 3.0}, links)
     assert set(found.values()) == {("c", 5, 3.0)}
-    alone = standings(candidates, {}, [])
+    alone = representative_views(candidates, {}, [])
     assert {key: one.best for key, one in alone.items()} == {key: key for key in "abcde"}

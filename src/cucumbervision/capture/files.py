@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -335,6 +336,17 @@ def write_bytes(path: Path, data: bytes) -> None:
     """Write a file, or say in one line why not."""
     with wrap_os_errors("cannot be written", path, "choose another folder", CaptureError):
         path.write_bytes(data)
+
+
+def sync_folder(folder: Path) -> None:
+    """Put a folder's list of names on disk, where the system lets folders be opened."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def read_json(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.adding import Place
-    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.rounds.fruit_table import RoundFruit
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
 
@@ -41,7 +41,7 @@ def opened_round(
     where: str, name: str, images: Path | None = None, *, create: bool = True
 ) -> Iterator[tuple[Store, RoundView]]:
     """Open a store and find a round in it; close the store at the end."""
-    from cucumbervision.rounds.service import find_round
+    from cucumbervision.rounds.from_store import find_round
     from cucumbervision.store.repository import open_store
 
     with open_store(where, images=images, create=create) as store:
@@ -204,7 +204,7 @@ def merge(
     """
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.merge import MergeSettings
-    from cucumbervision.rounds.service import merge_round
+    from cucumbervision.rounds.merge_and_link import merge_round
 
     settings = MergeSettings()
     if across is not None:
@@ -236,7 +236,7 @@ def merge(
 def settle_round(store: Store, key: str) -> None:
     """Merge a round anew, measure it by all views, and link it; print what could not be done."""
     from cucumbervision.cli.console import screen
-    from cucumbervision.rounds.service import find_round
+    from cucumbervision.rounds.from_store import find_round
     from cucumbervision.rounds.settling import settle
 
     if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
@@ -266,7 +266,8 @@ def link(
 ) -> None:
     """Find the fruit of an earlier round again, though they grew and were moved."""
     from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision.rounds.service import find_round, link_rounds
+    from cucumbervision.rounds.from_store import find_round
+    from cucumbervision.rounds.merge_and_link import link_rounds
 
     with opened_round(store, earlier) as (opened, before):
         later = find_round(opened, round_)
@@ -290,7 +291,7 @@ def show(
     """Show a round's fruit by row and position."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.from_store import read_round
-    from cucumbervision.rounds.service import fruit_table
+    from cucumbervision.rounds.fruit_table import fruit_table
 
     with opened_round(store, round_) as (opened, one):
         lines = fruit_table(read_round(opened, one.key))
@@ -397,7 +398,7 @@ def pick_list(
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.rounds.from_store import read_round
-    from cucumbervision.rounds.service import fruit_table
+    from cucumbervision.rounds.fruit_table import fruit_table
     from cucumbervision.rounds.today import forecast_today
 
     with opened_round(store, round_) as (opened, one):

@@ -21,8 +21,8 @@ from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.rounds.adding import Place, measured_stop
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
+from cucumbervision.rounds.stop_records import fruit_record, stored_capture
 from cucumbervision.store.records import new_key
-from cucumbervision.store.results import fruit_record, stored_capture
 from cucumbervision.store.views import DetectionFilter, Verdict
 
 if TYPE_CHECKING:

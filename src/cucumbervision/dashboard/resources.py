@@ -41,8 +41,9 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
 from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.from_store import RoundContent, read_round
+from cucumbervision.rounds.fruit_table import RoundFruit, fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
-from cucumbervision.rounds.service import RoundFruit, RowReport, fruit_table, row_reports
+from cucumbervision.rounds.merge_and_link import RowReport, row_reports
 from cucumbervision.rounds.settling import settle
 from cucumbervision.rounds.settling import undo as undo_in
 from cucumbervision.rounds.today import Today, forecast_today, midnight_s, read_today

@@ -11,7 +11,7 @@ from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.rounds.forecasting import grade_of
-from cucumbervision.rounds.service import hanging_lengths_m, round_figures
+from cucumbervision.rounds.fruit_table import hanging_lengths_m, round_figures
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.from_store import RoundContent
+    from cucumbervision.rounds.fruit_table import RoundFigures, RoundFruit
     from cucumbervision.rounds.row_fruit import CountEstimate
-    from cucumbervision.rounds.service import RoundFigures, RoundFruit
     from cucumbervision.store.records import DetectionRecord, MethodRecord
     from cucumbervision.store.views import DetectionView, StopView
 

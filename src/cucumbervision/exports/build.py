@@ -21,13 +21,8 @@ from cucumbervision.exports.tables import Charts, ExportTable, RoundTables, utc
 from cucumbervision.measurement.result import Method
 from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import (
-    DAY_S,
-    fruit_table,
-    hanging_lengths_m,
-    round_figures,
-    row_reports,
-)
+from cucumbervision.rounds.fruit_table import fruit_table, hanging_lengths_m, round_figures
+from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
 from cucumbervision.rounds.today import day_0_s, forecast_today
 
 if TYPE_CHECKING:
@@ -37,7 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.picking import Rates
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import RoundContent
-    from cucumbervision.rounds.service import RoundFruit, RowReport
+    from cucumbervision.rounds.fruit_table import RoundFruit
+    from cucumbervision.rounds.merge_and_link import RowReport
     from cucumbervision.store.records import ArtifactRecord, MethodRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView

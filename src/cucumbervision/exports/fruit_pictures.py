@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.rounds.fruit_table import RoundFruit
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, ImageRef
     from cucumbervision.store.repository import Store
 

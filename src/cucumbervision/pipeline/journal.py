@@ -17,11 +17,11 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from cucumbervision.capture.files import sync_folder
 from cucumbervision.capture.urls import with_retries
 from cucumbervision.errors import wrap_os_errors
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.pipeline.output import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.files import sync_folder
 from cucumbervision.capture.urls import is_remote, with_retries
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 
@@ -161,14 +162,3 @@ class OutputFolder:
                     remedy="wait until it ends, or choose another --out",
                 ) from None
             yield
-
-
-def sync_folder(folder: Path) -> None:
-    """Put a folder's list of names on disk, where the system lets folders be opened."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -22,10 +22,10 @@ from cucumbervision.rounds.poses import (
     sign_of_side,
 )
 from cucumbervision.rounds.remeasuring import measure_stop_again
+from cucumbervision.rounds.stop_records import holds_still, stop_record
 from cucumbervision.rounds.walking import refuse_taken
-from cucumbervision.store.records import key_of
-from cucumbervision.store.results import holds_still, records_from_result
-from cucumbervision.store.views import CameraAt, Saved
+from cucumbervision.store.records import Saved, key_of
+from cucumbervision.store.views import CameraAt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -236,7 +236,7 @@ def measured_stop(
     """
     spot, sd_m, pose = _spot(capture, number, place)
     result = measurer.attempt(replace(capture, stop=spot))
-    stop = records_from_result("", [result], measurer, key="", position_sd_m=sd_m, images=images)
+    stop = stop_record("", [result], measurer, key="", position_sd_m=sd_m, images=images)
     captures = tuple(
         replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
         for one in stop.captures

@@ -11,10 +11,11 @@ from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, best_cla
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.rounds.day_linking import SURE
-from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.from_store import find_round, read_round
+from cucumbervision.rounds.fruit_table import fruit_table
+from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
 from cucumbervision.rounds.row_fruit import found_share
-from cucumbervision.rounds.service import DAY_S, find_round, fruit_table, row_reports
-from cucumbervision.store.views import LinkKind
+from cucumbervision.store.links import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.grades import Grade
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.rounds.from_store import RoundContent
-    from cucumbervision.rounds.service import RoundFruit, RowReport
+    from cucumbervision.rounds.fruit_table import RoundFruit
+    from cucumbervision.rounds.merge_and_link import RowReport
     from cucumbervision.store.records import ArtifactRecord, DetectionRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView

@@ -16,16 +16,18 @@ from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision.rounds.row_fruit import USUAL, FalseFinds, relative_sd
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
+from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import key_of
-from cucumbervision.store.views import LinkKind, Verdict
+from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from cucumbervision.rounds.row_views import Bools, Ints
+    from cucumbervision.store.links import LinkRecord
     from cucumbervision.store.records import DetectionRecord, JointRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import CameraAt, DetectionView, LinkRecord, StopView
+    from cucumbervision.store.views import CameraAt, DetectionView, RoundView, StopView
 
 _CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 _REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
@@ -101,6 +103,28 @@ class RoundContent:
     def rows(self) -> tuple[StoredRow, ...]:
         """Its rows as arrays, laid out once."""
         return tuple(_load_rows(self))
+
+
+def find_round(store: Store, name: str = "") -> RoundView:
+    """Find a round by its key, the start of it, or its name; the newest without one.
+
+    Raises
+    ------
+    RoundError
+        If there is none, or several begin so.
+    """
+    rounds = store.rounds()
+    wanted = name.strip().lower()
+    named = [one for one in rounds if one.record.name == name or one.key == wanted]
+    # A short number is never the start of a key: it may be a mistyped name.
+    is_start = not wanted.isdecimal() or len(wanted) > 5
+    found = named or [one for one in rounds if is_start and one.key.startswith(wanted)]
+    if not wanted:
+        found = rounds[:1]
+    if len(found) == 1:
+        return found[0]
+    problem = "several rounds are" if found else "no round is"
+    raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
 
 
 def read_round(store: Store, round_key: str) -> RoundContent:

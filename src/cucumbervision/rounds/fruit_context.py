@@ -9,13 +9,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cucumbervision.rounds.settling import earlier_round, later_rounds
-from cucumbervision.store.views import LinkKind, Verdict
+from cucumbervision.store.links import LinkKind
+from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from cucumbervision.store.links import LinkRecord
     from cucumbervision.store.repository import Store
-    from cucumbervision.store.views import DetectionView, LinkRecord, RoundView
+    from cucumbervision.store.views import DetectionView, RoundView
 
 _NEAR_M, _FAR_M = 0.35, 0.80  # of one round; of another day, since rows are moved
 _SHOWN = 4

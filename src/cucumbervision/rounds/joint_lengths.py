@@ -24,8 +24,8 @@ from cucumbervision.pipeline.measurer import Boundary, Failure, calibrated_fruit
 from cucumbervision.rounds.from_store import joint_groups, read_round
 from cucumbervision.rounds.poses import MIDDLE_SD_M, stored_pose
 from cucumbervision.rounds.row_views import ALONG
+from cucumbervision.rounds.stop_records import fruit_record, instance_of, stored_capture
 from cucumbervision.store.records import JointRecord
-from cucumbervision.store.results import fruit_record, instance_of, stored_capture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

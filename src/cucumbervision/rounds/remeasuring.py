@@ -15,10 +15,10 @@ from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
-from cucumbervision.store.results import (
+from cucumbervision.rounds.stop_records import (
     fruit_record,
     instance_of,
-    records_from_result,
+    stop_record,
     stored_capture,
 )
 from cucumbervision.store.views import DetectionFilter
@@ -175,7 +175,7 @@ def _stop_of(
     stop: StopRecord, found: Sequence[CaptureResult], measurer: Measurer, store: Store
 ) -> StopRecord:
     """Return what is saved of a stop that was measured again: its place is as it was."""
-    new = records_from_result(stop.round_key, found, measurer, key=stop.key, images=store.images)
+    new = stop_record(stop.round_key, found, measurer, key=stop.key, images=store.images)
     pose = stored_pose(stop.pose, stop.side)
     captures = tuple(
         replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cucumbervision.errors import RoundError, StoreError
+from cucumbervision.rounds.merge_and_link import DAY_S, link_rounds, merge_round
 from cucumbervision.rounds.poses import sign_of_side
-from cucumbervision.rounds.service import DAY_S, link_rounds, merge_round
 from cucumbervision.rounds.walking import refuse_taken
 from cucumbervision.store.edits import STOP_EDITS, StopPlace
 

@@ -13,7 +13,7 @@ from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision.errors import ForecastError
 from cucumbervision.rounds.forecasting import forecast_for
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import DAY_S
+from cucumbervision.rounds.merge_and_link import DAY_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

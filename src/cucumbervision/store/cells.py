@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from pydantic import TypeAdapter
-from sqlalchemy import select
+from sqlalchemy import insert, select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.store.engine import named
-from cucumbervision.store.records import DetectionRecord, ImageRef, Point
+from cucumbervision.store.records import DetectionRecord, ImageRef, Point, checked_key
 from cucumbervision.store.schema import (
     Base,
     DetectionLine,
@@ -182,3 +182,24 @@ def row_id_of(connection: Connection, round_id: int, name: str) -> int:
     """Return the id of a row of a round's house, inserted where it is not there yet."""
     house = connection.execute(select(Round.house).where(Round.id == round_id)).scalar_one()
     return id_of(connection, Row, {"house": house, "name": name}, "house", "name")
+
+
+def insert_all(connection: Connection, table: type[Base], lines: list[dict[str, Any]]) -> None:
+    """Insert lines, if there are any."""
+    if lines:
+        connection.execute(insert(table), lines)
+
+
+def round_id_of(connection: Connection, key: str) -> int:
+    """Return a round's number in the tables.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    query = select(Round.id).where(Round.key == checked_key(key, "round"))
+    found = connection.execute(query).scalar()
+    if found is None:
+        raise StoreError(f"round {key} is not in the store", remedy="save the round first")
+    return found

@@ -9,8 +9,10 @@ from sqlalchemy import and_, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.store.cells import round_id_of
 from cucumbervision.store.edits import MEASURE_AGAIN, Edits, change_line, log_action
-from cucumbervision.store.queries import links_of, round_id_of
+from cucumbervision.store.links import LinkKind, group_detections
+from cucumbervision.store.queries import links_of
 from cucumbervision.store.records import DetectionRecord, checked_key, record_json
 from cucumbervision.store.schema import (
     ADDED,
@@ -21,7 +23,7 @@ from cucumbervision.store.schema import (
     Mark,
     Round,
 )
-from cucumbervision.store.views import LinkKind, Verdict, group_detections
+from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

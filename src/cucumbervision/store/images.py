@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from sqlalchemy import select
 
+from cucumbervision.capture.files import sync_folder
 from cucumbervision.errors import StoredImageError, StoreError
-from cucumbervision.pipeline.output import sync_folder
 from cucumbervision.store.records import ImageRef
 from cucumbervision.store.schema import IMAGE_COLUMNS, Image
 

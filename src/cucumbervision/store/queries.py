@@ -17,8 +17,18 @@ from cucumbervision.store.cells import (
     detection_from_json,
     image_ref,
     record_of,
+    round_id_of,
 )
 from cucumbervision.store.engine import Database
+from cucumbervision.store.links import (
+    Candidate,
+    FruitGroup,
+    LinkKind,
+    LinkRecord,
+    ShiftRecord,
+    group_detections,
+    representative_views,
+)
 from cucumbervision.store.records import (
     ArtifactRecord,
     DetectionRecord,
@@ -51,19 +61,12 @@ from cucumbervision.store.stop_reading import artifacts_of, corrected_of, read_s
 from cucumbervision.store.views import (
     ActionView,
     CameraAt,
-    Candidate,
     DetectionDetail,
     DetectionFilter,
     DetectionView,
-    LinkKind,
-    LinkRecord,
-    RepresentativeView,
     RoundView,
-    ShiftRecord,
     StopView,
     Verdict,
-    group_detections,
-    standings,
 )
 
 if TYPE_CHECKING:
@@ -300,21 +303,6 @@ class Queries(Database):
             return _actions_of(connection, round_key, limit)
 
 
-def round_id_of(connection: Connection, key: str) -> int:
-    """Return a round's number in the tables.
-
-    Raises
-    ------
-    StoreError
-        If it is not there.
-    """
-    query = select(Round.id).where(Round.key == checked_key(key, "round"))
-    found = connection.execute(query).scalar()
-    if found is None:
-        raise StoreError(f"round {key} is not in the store", remedy="save the round first")
-    return found
-
-
 def links_of(
     connection: Connection, round_key: str, kind: LinkKind | None = None
 ) -> list[LinkRecord]:
@@ -395,7 +383,7 @@ def _detections_of(
         for row, own in rows
     }
     picked = {row[0]: own["picked"] for row, own in rows if "picked" in own}
-    groups = standings(candidates, picked, links_of(connection, round_key))
+    groups = representative_views(candidates, picked, links_of(connection, round_key))
     return [
         _detection_view(row, round_key, records[row[0]], own, groups[row[0]]) for row, own in rows
     ]
@@ -427,7 +415,7 @@ def _detection_view(
     round_key: str,
     record: DetectionRecord,
     marks: Mapping[str, Any],
-    group: RepresentativeView,
+    group: FruitGroup,
 ) -> DetectionView:
     given, given_sd, fitted, fitted_sd, mirrored = row[8:13]
     stop_m, stop_sd_m = (given, given_sd) if fitted is None else (fitted, fitted_sd)

@@ -8,6 +8,7 @@ import time
 import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
@@ -20,6 +21,13 @@ _PARTIAL_FLAGS = frozenset(map(str, LOWER_BOUND))
 _HIDDEN_SHARE = 0.15
 
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
+
+
+class Saved(StrEnum):
+    """Whether a saved record was new."""
+
+    NEW = "new"
+    ALREADY_THERE = "already-there"
 
 
 def new_key() -> str:

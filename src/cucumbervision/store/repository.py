@@ -6,49 +6,54 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import delete, func, insert, select, update
+from sqlalchemy import func, insert, or_, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.store.cells import columns_of, id_of, insert_new, pack_um, row_id_of
+from cucumbervision.store.cells import (
+    columns_of,
+    id_of,
+    insert_all,
+    insert_new,
+    pack_um,
+    round_id_of,
+    row_id_of,
+)
 from cucumbervision.store.corrections import (
     Corrections,
-    find_detections,
     lock_rounds,
     mark_added,
 )
 from cucumbervision.store.edits import MEASURE_AGAIN, log_action, original_name, stop_line
 from cucumbervision.store.engine import database_url, make_engine, named, prepare
-from cucumbervision.store.joint import JointRecords
-from cucumbervision.store.queries import Queries, round_id_of
+from cucumbervision.store.merging import Merging
+from cucumbervision.store.queries import Queries
 from cucumbervision.store.records import (
     RoundRecord,
+    Saved,
     StopRecord,
     checked_key,
     content_sha256,
     key_of,
+    new_key,
     record_json,
 )
-from cucumbervision.store.remeasured import carry_over, put_aside
 from cucumbervision.store.schema import (
     CAPTURE_CELLS,
     DETECTION_CELLS,
     METHOD_CELLS,
     ROUND_CELLS,
     Artifact,
-    Base,
     CaptureLine,
     DetectionLine,
     Image,
     Link,
+    Mark,
     MaskLine,
     MethodLine,
     Round,
-    Row,
-    Shift,
     StopArtifact,
     StopLine,
 )
-from cucumbervision.store.views import LinkKind, Saved
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -56,13 +61,12 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection
 
     from cucumbervision.store.records import ArtifactRecord, CaptureRecord, DetectionRecord
-    from cucumbervision.store.views import LinkRecord, Position, ShiftRecord
 
 _STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
 
 
 def open_store(where: str | Path, *, images: Path | None = None, create: bool = True) -> Store:
-    """Open a store; a new one is made, an older one brought up to date.
+    """Open a store; a new one is made where there is none.
 
     Parameters
     ----------
@@ -77,7 +81,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     Raises
     ------
     StoreVersionError
-        If a newer version of the software wrote it; nothing is changed then.
+        If another version of the software wrote it; nothing is changed then.
     StoreError
         If it cannot be opened, or is no store.
     MissingExtraError
@@ -113,7 +117,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     return Store(engine, images)
 
 
-class Store(Queries, Corrections, JointRecords):
+class Store(Queries, Corrections, Merging):
     """An open store; `open_store` makes it. Any number of threads may use one.
 
     Each method is one transaction: what it writes is there whole or not at all, and on the disk
@@ -217,7 +221,7 @@ class Store(Queries, Corrections, JointRecords):
         with self.writing() as connection:
             line = stop_line(connection, stop.key)
             lock_rounds(connection, [line.round_id])
-            old = put_aside(connection, line)
+            old = _put_aside(connection, line)
             keys = [
                 [
                     known.get((capture.name, one.number))
@@ -227,7 +231,7 @@ class Store(Queries, Corrections, JointRecords):
                 for number, capture in enumerate(stop.captures)
             ]
             _add_content(connection, line.id, line.round_id, stop, keys)
-            carry_over(connection, old, corrected)
+            _carry_over(connection, old, corrected)
             cells = {"content_sha256": sha256, "failures": [dict(one) for one in stop.failures]}
             connection.execute(update(StopLine).where(StopLine.id == line.id).values(**cells))
             gone = sorted(old.keys() - same.keys())
@@ -280,74 +284,6 @@ class Store(Queries, Corrections, JointRecords):
             _add_detections(connection, capture_id, round_id, [key], [numbered])
             mark_added(connection, key, by, accept="doubtful" not in record.flags.split())
         return key
-
-    def save_merging(
-        self,
-        round_key: str,
-        links: Sequence[LinkRecord],
-        positions: Mapping[str, Position] | None = None,
-    ) -> int:
-        """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions.
-
-        Returns
-        -------
-        int
-            How many links were written; those of pairs that were decided by hand were not.
-        """
-        with self.writing() as connection:
-            round_id = round_id_of(connection, round_key)
-            lock_rounds(connection, [round_id])
-            _forget_links(connection, LinkKind.SAME, (round_id, round_id))
-            in_round = StopLine.round_id == round_id
-            nowhere = {"fitted_m": None, "fitted_sd_m": None}
-            connection.execute(update(StopLine).where(in_round).values(**nowhere))
-            for key, position in (positions or {}).items():
-                values = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
-                fitted = connection.execute(
-                    update(StopLine).where(in_round, StopLine.key == key).values(**values)
-                )
-                if fitted.rowcount != 1:
-                    raise StoreError(
-                        f"stop {key} is not in round {round_key}", remedy="see stops()"
-                    )
-            return _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
-
-    def save_growth(
-        self,
-        earlier: str,
-        later: str,
-        links: Sequence[LinkRecord],
-        shifts: Sequence[ShiftRecord] = (),
-    ) -> int:
-        """Replace the links of `LinkKind.GROWTH` between two rounds, and their rows' shifts.
-
-        Returns
-        -------
-        int
-            How many links were written; those of pairs that were decided by hand were not.
-        """
-        with self.writing() as connection:
-            rounds = round_id_of(connection, earlier), round_id_of(connection, later)
-            lock_rounds(connection, rounds)
-            _forget_links(connection, LinkKind.GROWTH, rounds)
-            between = (Shift.earlier_id == rounds[0], Shift.later_id == rounds[1])
-            connection.execute(delete(Shift).where(*between))
-            for shift in shifts:
-                row = (
-                    select(Row.id)
-                    .join(StopLine, StopLine.row_id == Row.id)
-                    .where(StopLine.round_id == rounds[1], Row.name == shift.row)
-                    .limit(1)
-                )
-                row_id = connection.execute(row).scalar()
-                if row_id is None:
-                    raise StoreError(
-                        f"round {later} has no row '{shift.row}'", remedy="see stops()"
-                    )
-                cells = {"row_id": row_id, "earlier_id": rounds[0], "later_id": rounds[1]}
-                line = insert(Shift).values(**cells, shift_m=shift.shift_m, sd_m=shift.sd_m)
-                connection.execute(line)
-            return _add_links(connection, LinkKind.GROWTH, links, rounds)
 
 
 def _checked_stop(stop: StopRecord) -> StopRecord:
@@ -402,7 +338,7 @@ def _add_artifacts(
     lines = [
         {"stop_id": stop_id, "number": number, "artifact_id": ids[number]} for number in sorted(ids)
     ]
-    _insert_all(connection, StopArtifact, lines)
+    insert_all(connection, StopArtifact, lines)
 
 
 def _add_images(connection: Connection, captures: Sequence[CaptureRecord]) -> None:
@@ -450,7 +386,7 @@ def _add_detections(
         {"fruit_id": i, "rle": record.mask, "keypoints": [list(p) for p in record.keypoints]}
         for i, record in zip(ids, records, strict=True)
     ]
-    _insert_all(connection, MaskLine, masks)
+    insert_all(connection, MaskLine, masks)
     methods = [
         {
             **_cells(method, METHOD_CELLS),
@@ -462,12 +398,7 @@ def _add_detections(
         for i, record in zip(ids, records, strict=True)
         for number, method in enumerate(record.methods)
     ]
-    _insert_all(connection, MethodLine, methods)
-
-
-def _insert_all(connection: Connection, table: type[Base], lines: list[dict[str, Any]]) -> None:
-    if lines:
-        connection.execute(insert(table), lines)
+    insert_all(connection, MethodLine, methods)
 
 
 def _conflict(what: str, key: str) -> StoreConflictError:
@@ -477,55 +408,57 @@ def _conflict(what: str, key: str) -> StoreConflictError:
     )
 
 
-def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
-    """Remove the links that an algorithm made between two rounds, or within one."""
-    connection.execute(
-        delete(Link).where(
-            Link.kind == str(kind),
-            Link.action_id.is_(None),
-            Link.ended_by_id.is_(None),
-            Link.first_round_id == rounds[0],
-            Link.second_round_id == rounds[1],
-        )
-    )
+def _put_aside(connection: Connection, line: Any) -> dict[str, int]:
+    """Move a stop's captures to a deleted stop, and return its fruit's numbers by their old keys.
+
+    Parameters
+    ----------
+    connection : Connection
+        In a transaction.
+    line : Row
+        The stop's line, all columns.
+    """
+    cells = {**line._mapping, "key": new_key(), "deleted": True}
+    del cells["id"]
+    aside = connection.execute(insert(StopLine).values(**cells).returning(StopLine.id)).scalar_one()
+    for table in (CaptureLine, StopArtifact):
+        moved = update(table).where(table.stop_id == line.id)
+        connection.execute(moved.values(stop_id=aside))
+    old = connection.execute(
+        select(DetectionLine.key, DetectionLine.id)
+        .join(CaptureLine, CaptureLine.id == DetectionLine.capture_id)
+        .where(CaptureLine.stop_id == aside)
+    ).all()
+    for one in old:
+        named = update(DetectionLine).where(DetectionLine.id == one.id)
+        connection.execute(named.values(key=key_of(cells["key"], one.key)))
+    return {line.key: line.id for line in old}
 
 
-def _add_links(
-    connection: Connection, kind: LinkKind, links: Sequence[LinkRecord], rounds: tuple[int, int]
-) -> int:
-    if not links:
-        return 0
-    keys = sorted({key for link in links for key in (link.first, link.second)})
-    found = dict(zip(keys, find_detections(connection, keys), strict=True))
-    decided = _decided_pairs(connection, rounds)
-    lines = {}
-    for link in links:
-        first, second = found[link.first], found[link.second]
-        between = (first.round_id, second.round_id)
-        if between != rounds or first.id == second.id or link.kind != kind:
-            raise StoreError(
-                f"the link of {link.first} and {link.second} is not '{kind}' of these rounds",
-                remedy="link two fruit of the rounds named, the earlier first",
-            )
-        pair = frozenset((first.id, second.id))
-        if pair not in decided:
-            lines[pair] = {
-                "kind": str(kind),
-                "first_id": first.id,
-                "second_id": second.id,
-                "first_round_id": rounds[0],
-                "second_round_id": rounds[1],
-                "score": link.score,
-            }
-    _insert_all(connection, Link, list(lines.values()))
-    return len(lines)
+def _carry_over(
+    connection: Connection, old: Mapping[str, int], corrected: Mapping[str, DetectionRecord]
+) -> None:
+    """Give what people and algorithms said of fruit to those that have their keys now.
 
-
-def _decided_pairs(connection: Connection, rounds: tuple[int, int]) -> set[frozenset[int]]:
-    query = select(Link.first_id, Link.second_id).where(
-        Link.action_id.is_not(None),
-        Link.ended_by_id.is_(None),
-        Link.first_round_id.in_(rounds),
-        Link.second_round_id.in_(rounds),
-    )
-    return {frozenset((first, second)) for first, second in connection.execute(query)}
+    Parameters
+    ----------
+    connection : Connection
+        In the same transaction.
+    old : mapping of str to int
+        Of `_put_aside`.
+    corrected : mapping of str to DetectionRecord
+        Fruit of which a person corrected the mask, as measured again with it.
+    """
+    found = select(DetectionLine.key, DetectionLine.id).where(DetectionLine.key.in_(old))
+    for key, new in connection.execute(found).all():
+        was = old[key]
+        # A correction that was itself replaced stays with what it was measured from.
+        current = or_(Mark.slot != "mask", Mark.ended_by_id.is_(None))
+        marks = update(Mark).where(Mark.fruit_id == was, current)
+        connection.execute(marks.values(fruit_id=new))
+        for end in (Link.first_id, Link.second_id):
+            connection.execute(update(Link).where(end == was).values({end: new}))
+        standing = (Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
+        if key in corrected:
+            again = update(Mark).where(*standing)
+            connection.execute(again.values(details=record_json(corrected[key])))

@@ -1,11 +1,11 @@
-"""What the store returns: lists, one detection with everything, and which are one fruit."""
+"""Rows of the lists that the store returns, and one detection with everything."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.store.records import (
     CaptureRecord,
@@ -16,7 +16,7 @@ from cucumbervision.store.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from cucumbervision.store.links import LinkRecord
 
 
 _SAME_HEIGHT_M = 0.005
@@ -52,56 +52,11 @@ class CameraAt:
         return level and (not known or self.camera == other.camera)
 
 
-class Saved(StrEnum):
-    """What became of a record that was sent."""
-
-    NEW = "new"
-    ALREADY_THERE = "already-there"
-
-
 class Verdict(StrEnum):
     """A person's verdict on a measured fruit."""
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"
-
-
-class LinkKind(StrEnum):
-    """What two detections are to each other."""
-
-    SAME = "same"  # one fruit, seen twice in a round
-    GROWTH = "growth"  # one fruit on an earlier and a later round
-    APART = "apart"  # two fruit, decided by hand: no algorithm may link them
-
-
-@dataclass(frozen=True)
-class LinkRecord:
-    """Two detections and what they are to each other; for growth the earlier one is first."""
-
-    kind: LinkKind
-    first: str
-    second: str
-    score: float | None = None
-    by_hand: bool = False
-
-
-@dataclass(frozen=True)
-class Position:
-    """A position along a row, or a shift, and its standard deviation; metres."""
-
-    at_m: float
-    sd_m: float | None = None
-
-
-@dataclass(frozen=True)
-class ShiftRecord:
-    """How far a row's plants were moved between two rounds."""
-
-    row: str
-    earlier: str
-    later: str
-    shift_m: float
-    sd_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -206,7 +161,7 @@ class DetectionView:
 
     @property
     def best(self) -> bool:
-        """Whether this is the view of its fruit that stands."""
+        """Whether this view represents its fruit."""
         return self.group == self.key
 
     @property
@@ -232,7 +187,7 @@ class DetectionFilter:
     min_length_m, max_length_m : float, optional
         From and up to that length; fruit without a length are left out then.
     best : bool
-        Only the view of each fruit that stands: every fruit once.
+        Only the representative view of each fruit: every fruit once.
     """
 
     row: str | None = None
@@ -332,105 +287,3 @@ class DetectionDetail:
     stop: StopRecord
     links: tuple[LinkRecord, ...]
     log: tuple[ActionView, ...]
-
-
-def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[str, frozenset[str]]:
-    """Join detections that links say are the same fruit.
-
-    What was linked by hand joins first, then the surest. A link that would bring two detections
-    together that were parted by hand joins nothing.
-
-    Parameters
-    ----------
-    keys : iterable of str
-        The detections.
-    links : iterable of LinkRecord
-        Of any kind; those of growth say nothing here.
-
-    Returns
-    -------
-    dict
-        For each detection all that are the same fruit, itself among them.
-
-    Examples
-    --------
-    >>> same, apart = LinkKind.SAME, LinkKind.APART
-    >>> links = [LinkRecord(same, "a", "b", 0.9), LinkRecord(same, "b", "c", 0.5)]
-    >>> sorted(group_detections("abcd", links)["a"])
-    ['a', 'b', 'c']
-    >>> sorted(group_detections("abcd", [*links, LinkRecord(apart, "a", "c", by_hand=True)])["a"])
-    ['a', 'b']
-    """
-    groups = {key: {key} for key in keys}
-    shared: dict[int, frozenset[str]] = {}
-    foes: dict[str, set[str]] = {}
-    same = []
-    for link in links:
-        if link.first not in groups or link.second not in groups:
-            continue
-        if link.kind is LinkKind.SAME:
-            same.append(link)
-        elif link.kind is LinkKind.APART:
-            foes.setdefault(link.first, set()).add(link.second)
-            foes.setdefault(link.second, set()).add(link.first)
-    for link in sorted(same, key=lambda one: (not one.by_hand, -(one.score or 0.0))):
-        a, b = groups[link.first], groups[link.second]
-        if a is b or any(not b.isdisjoint(foes[key]) for key in a if key in foes):
-            continue
-        small, large = sorted((a, b), key=len)
-        large |= small
-        for key in small:
-            groups[key] = large
-    return {key: shared.setdefault(id(group), frozenset(group)) for key, group in groups.items()}
-
-
-class Candidate(NamedTuple):
-    """What decides whether a view of a fruit stands: more is better, the first thing first."""
-
-    not_rejected: bool
-    measured: bool
-    whole: bool
-    view_score: float
-
-
-class RepresentativeView(NamedTuple):
-    """A group: the view that stands, how many there are, when the fruit was first picked."""
-
-    best: str
-    views: int
-    picked_s: float | None
-
-
-def standings(
-    candidates: Mapping[str, Candidate], picked_s: Mapping[str, float], links: Iterable[LinkRecord]
-) -> dict[str, RepresentativeView]:
-    """Return for each detection its group, named by the view that stands, and when it was picked.
-
-    A rejected view stands only where all are rejected, one without a length only where none has
-    one, one that shows part of the fruit only where none shows the whole; then the highest view
-    score counts, then the view that comes first.
-
-    Parameters
-    ----------
-    candidates : mapping of str to Candidate
-        The detections in the order of their stops.
-    picked_s : mapping of str to float
-        When those that were marked so were picked.
-    links : iterable of LinkRecord
-        What links them.
-
-    Examples
-    --------
-    >>> views = {"a": Candidate(True, True, True, 0.4), "b": Candidate(True, True, True, 0.7)}
-    >>> standings(views, {"a": 9.0}, [LinkRecord(LinkKind.SAME, "a", "b")])["a"]
-    RepresentativeView(best='b', views=2, picked_s=9.0)
-    """
-    place = {key: -at for at, key in enumerate(candidates)}
-    found: dict[str, RepresentativeView] = {}
-    for key, group in group_detections(candidates, links).items():
-        if key not in found:
-            best = max(group, key=lambda one: (*candidates[one], place[one]))
-            times = [picked_s[one] for one in group if one in picked_s]
-            standing = RepresentativeView(best, len(group), min(times, default=None))
-            found.update(dict.fromkeys(group, standing))
-    return found

@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cucumbervision.capture.files import sync_folder
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import StoreError, wrap_os_errors
-from cucumbervision.pipeline.output import sync_folder
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

@@ -14,9 +14,9 @@ import pytest
 pytest.importorskip("streamlit")
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
+from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import open_store
-from cucumbervision.store.results import stored_capture
 from cucumbervision.store.waiting import WaitingCaptures, waiting_folder
 
 WALK = RoundRecord(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")

@@ -14,8 +14,9 @@ from cucumbervision.dashboard.settings import Units
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import read_round
+from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
-from cucumbervision.rounds.service import fruit_table, merge_round
+from cucumbervision.rounds.merge_and_link import merge_round
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import open_store
 

@@ -21,7 +21,7 @@ from cucumbervision.dashboard.settings import replace_text
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import fruit_table
+from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
 from cucumbervision.rounds.forecasting import grade_of
+from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.rounds.walking import NextPlace, next_place, sides_of, unless_taken
-from cucumbervision.store.results import stored_capture
 from cucumbervision.store.views import DetectionFilter
 
 if TYPE_CHECKING:

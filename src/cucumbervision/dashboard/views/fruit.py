@@ -36,7 +36,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import painted_mask
-from cucumbervision.store.results import stored_capture
+from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.views import DetectionDetail, DetectionFilter, Verdict
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.dashboard.settings import Units
-    from cucumbervision.rounds.service import RoundFruit
+    from cucumbervision.rounds.fruit_table import RoundFruit
     from cucumbervision.store.records import (
         DetectionRecord,
         JointRecord,

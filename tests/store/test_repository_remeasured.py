@@ -7,8 +7,9 @@ import pytest
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.edits import StopPlace
+from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import DetectionRecord, StopRecord, key_of
-from cucumbervision.store.views import LinkKind, Verdict
+from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
     from tests.store.conftest import MakeStop

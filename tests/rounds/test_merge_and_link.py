@@ -17,14 +17,10 @@ from cucumbervision.rounds.forecasting import (
     growth_links,
     shared_scale_sd,
 )
-from cucumbervision.rounds.from_store import read_round
-from cucumbervision.rounds.service import (
-    find_round,
-    fruit_table,
-    link_rounds,
-    merge_round,
-    row_reports,
-)
+from cucumbervision.rounds.from_store import find_round, read_round
+from cucumbervision.rounds.fruit_table import fruit_table
+from cucumbervision.rounds.merge_and_link import link_rounds, merge_round, row_reports
+from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
@@ -34,7 +30,6 @@ from cucumbervision.store.records import (
     key_of,
 )
 from cucumbervision.store.repository import Store
-from cucumbervision.store.views import LinkKind
 from cucumbervision_lab.simulation import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 Save = Callable[..., None]

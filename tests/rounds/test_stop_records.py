@@ -17,9 +17,9 @@ from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.rounds.stop_records import fruit_record, stop_record, view_score
 from cucumbervision.store.records import RoundRecord, record_json
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision.store.results import fruit_record, records_from_result, view_score
 
 OPTIONS = MeasureOptions(instances="dataset")
 
@@ -42,7 +42,7 @@ def test_a_measured_capture_is_saved_and_comes_back_whole(
     failure = Failure("folder", "b", "CaptureError", str(CaptureError("is empty")))
     with open_store(tmp_path / "house.db") as store:
         store.save_round(walk)
-        stop = records_from_result(
+        stop = stop_record(
             walk.key,
             [replace(measured, failures=(failure,))],
             measurer,
@@ -76,7 +76,7 @@ def _check_place(store: Store, key: str) -> None:
 
 
 def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None:
-    [stop] = records_from_result("r", [measured]).captures
+    [stop] = stop_record("r", [measured]).captures
     for record, row, fruit in zip(stop.fruit, measured.rows(), measured.fruit, strict=True):
         for metres, column in (
             ("length_m", "length_cm"),
@@ -103,7 +103,7 @@ def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None
 def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> None:
     # Of `SCENES`: the middles of the three fruit, camera coordinates.
     drawn = [(-0.17, 0.52), (0.02, 0.55), (0.20, 0.50)]
-    [capture] = records_from_result("r", [measured]).captures
+    [capture] = stop_record("r", [measured]).captures
     found = sorted((f.centre_x_m, f.centre_z_m, f.offset_m) for f in capture.fruit if f.centre_x_m)
     for (x, z), (x_m, z_m, offset_m) in zip(drawn, found, strict=True):
         assert x_m == offset_m == pytest.approx(x, abs=0.015)
@@ -157,5 +157,5 @@ def test_provenance_of_numpy_numbers_and_paths_is_stored(measured: CaptureResult
         measured.capture,
         provenance={"gain": np.float32(0.5), "list": np.arange(2), "from": Path("a")},
     )
-    [capture] = records_from_result("r", [CaptureResult(odd)]).captures
+    [capture] = stop_record("r", [CaptureResult(odd)]).captures
     assert capture.provenance == {"gain": 0.5, "list": [0, 1], "from": "a"}

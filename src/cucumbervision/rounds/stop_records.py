@@ -56,7 +56,7 @@ AS_READ = ("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulat
 _STORED = frozenset(column.name for column in fields(DetectionRecord))
 
 
-def records_from_result(
+def stop_record(
     round_key: str,
     results: Sequence[CaptureResult],
     measurer: Measurer | None = None,

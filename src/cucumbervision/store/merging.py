@@ -1,0 +1,238 @@
+"""Results of merging and linking: links, fitted positions, shifts, and lengths from all views."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from pydantic import TypeAdapter
+from sqlalchemy import and_, delete, insert, select, update
+
+from cucumbervision.errors import StoreError
+from cucumbervision.store.cells import (
+    cells_of,
+    columns_of,
+    decoding,
+    detection_from_json,
+    insert_all,
+    insert_new,
+    round_id_of,
+)
+from cucumbervision.store.corrections import find_detections, lock_rounds
+from cucumbervision.store.engine import Database
+from cucumbervision.store.links import LinkKind
+from cucumbervision.store.records import JointRecord, MethodRecord, record_json
+from cucumbervision.store.schema import JointLine, Link, Round, Row, Shift, StopLine
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from sqlalchemy import Connection
+
+    from cucumbervision.store.links import LinkRecord, Position, ShiftRecord
+
+
+_LISTED = columns_of(JointLine, ("key", "first", "views", "reason", "record"))
+
+
+class Merging(Database):
+    """Saves what merging and linking found. Each method is one transaction."""
+
+    def save_merging(
+        self,
+        round_key: str,
+        links: Sequence[LinkRecord],
+        positions: Mapping[str, Position] | None = None,
+    ) -> int:
+        """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions.
+
+        Returns
+        -------
+        int
+            How many links were written; those of pairs that were decided by hand were not.
+        """
+        with self.writing() as connection:
+            round_id = round_id_of(connection, round_key)
+            lock_rounds(connection, [round_id])
+            _forget_links(connection, LinkKind.SAME, (round_id, round_id))
+            in_round = StopLine.round_id == round_id
+            nowhere = {"fitted_m": None, "fitted_sd_m": None}
+            connection.execute(update(StopLine).where(in_round).values(**nowhere))
+            for key, position in (positions or {}).items():
+                values = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
+                fitted = connection.execute(
+                    update(StopLine).where(in_round, StopLine.key == key).values(**values)
+                )
+                if fitted.rowcount != 1:
+                    raise StoreError(
+                        f"stop {key} is not in round {round_key}", remedy="see stops()"
+                    )
+            return _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
+
+    def save_growth(
+        self,
+        earlier: str,
+        later: str,
+        links: Sequence[LinkRecord],
+        shifts: Sequence[ShiftRecord] = (),
+    ) -> int:
+        """Replace the links of `LinkKind.GROWTH` between two rounds, and their rows' shifts.
+
+        Returns
+        -------
+        int
+            How many links were written; those of pairs that were decided by hand were not.
+        """
+        with self.writing() as connection:
+            rounds = round_id_of(connection, earlier), round_id_of(connection, later)
+            lock_rounds(connection, rounds)
+            _forget_links(connection, LinkKind.GROWTH, rounds)
+            between = (Shift.earlier_id == rounds[0], Shift.later_id == rounds[1])
+            connection.execute(delete(Shift).where(*between))
+            for shift in shifts:
+                row = (
+                    select(Row.id)
+                    .join(StopLine, StopLine.row_id == Row.id)
+                    .where(StopLine.round_id == rounds[1], Row.name == shift.row)
+                    .limit(1)
+                )
+                row_id = connection.execute(row).scalar()
+                if row_id is None:
+                    raise StoreError(
+                        f"round {later} has no row '{shift.row}'", remedy="see stops()"
+                    )
+                cells = {"row_id": row_id, "earlier_id": rounds[0], "later_id": rounds[1]}
+                line = insert(Shift).values(**cells, shift_m=shift.shift_m, sd_m=shift.sd_m)
+                connection.execute(line)
+            return _add_links(connection, LinkKind.GROWTH, links, rounds)
+
+    def save_joint(
+        self, round_key: str, records: Sequence[JointRecord], keep: Collection[str]
+    ) -> None:
+        """Add joint measurements of a round; of the older ones only those of some keys stay."""
+        with self.writing() as connection:
+            round_id = round_id_of(connection, round_key)
+            lock_rounds(connection, [round_id])
+            there = select(JointLine.key).where(JointLine.round_id == round_id)
+            stays = {*keep, *(one.key for one in records)}
+            gone = [key for key in connection.execute(there).scalars() if key not in stays]
+            for key in gone:
+                connection.execute(delete(JointLine).where(JointLine.key == key))
+            for one in records:
+                methods = [asdict(method) for method in one.record.methods] if one.record else []
+                drawing = {"methods": methods, "poses": {k: list(v) for k, v in one.poses.items()}}
+                cells = {
+                    "key": one.key,
+                    "round_id": round_id,
+                    "first": one.first,
+                    "views": one.views,
+                    "reason": one.reason,
+                    "record": one.record and record_json(replace(one.record, methods=())),
+                    "drawing": drawing,
+                }
+                insert_new(connection, JointLine, cells, "key")
+
+    def joint(self, round_key: str) -> dict[str, JointRecord]:
+        """Return a round's joint measurements by their keys, without paths and poses."""
+        query = (
+            select(*_LISTED)
+            .join(Round, Round.id == JointLine.round_id)
+            .where(Round.key == round_key)
+        )
+        with self.reading() as connection:
+            rows = cells_of(connection, query)
+            with decoding(connection):
+                return {row[0]: _record(*row) for row in rows}
+
+    def joint_drawing(self, round_key: str, key: str) -> JointRecord:
+        """Return one joint measurement with everything: the tube's path, and the cameras' poses.
+
+        Raises
+        ------
+        StoreError
+            If it is not there.
+        """
+        query = (
+            select(*_LISTED, JointLine.drawing)
+            .join(Round, Round.id == JointLine.round_id)
+            .where(and_(Round.key == round_key, JointLine.key == key))
+        )
+        with self.reading() as connection:
+            rows = cells_of(connection, query)
+            if not rows:
+                raise StoreError(f"joint measurement {key} is not there", remedy="merge again")
+            with decoding(connection):
+                *cells, drawing = rows[0]
+                return _with_drawing(_record(*cells), drawing)
+
+
+def _record(key: str, first: str, views: int, reason: str, record: Any) -> JointRecord:
+    return JointRecord(key, first, views, reason, record and detection_from_json(record))
+
+
+def _with_drawing(one: JointRecord, drawing: Any) -> JointRecord:
+    poses = {key: tuple(map(float, numbers)) for key, numbers in drawing["poses"].items()}
+    if one.record is None:
+        return replace(one, poses=poses)
+    record = replace(one.record, methods=_reader_of_methods().validate_python(drawing["methods"]))
+    return replace(one, poses=poses, record=record)
+
+
+@lru_cache(maxsize=1)
+def _reader_of_methods() -> TypeAdapter[tuple[MethodRecord, ...]]:
+    return TypeAdapter(tuple[MethodRecord, ...])
+
+
+def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
+    """Remove the links that an algorithm made between two rounds, or within one."""
+    connection.execute(
+        delete(Link).where(
+            Link.kind == str(kind),
+            Link.action_id.is_(None),
+            Link.ended_by_id.is_(None),
+            Link.first_round_id == rounds[0],
+            Link.second_round_id == rounds[1],
+        )
+    )
+
+
+def _add_links(
+    connection: Connection, kind: LinkKind, links: Sequence[LinkRecord], rounds: tuple[int, int]
+) -> int:
+    if not links:
+        return 0
+    keys = sorted({key for link in links for key in (link.first, link.second)})
+    found = dict(zip(keys, find_detections(connection, keys), strict=True))
+    decided = _decided_pairs(connection, rounds)
+    lines = {}
+    for link in links:
+        first, second = found[link.first], found[link.second]
+        between = (first.round_id, second.round_id)
+        if between != rounds or first.id == second.id or link.kind != kind:
+            raise StoreError(
+                f"the link of {link.first} and {link.second} is not '{kind}' of these rounds",
+                remedy="link two fruit of the rounds named, the earlier first",
+            )
+        pair = frozenset((first.id, second.id))
+        if pair not in decided:
+            lines[pair] = {
+                "kind": str(kind),
+                "first_id": first.id,
+                "second_id": second.id,
+                "first_round_id": rounds[0],
+                "second_round_id": rounds[1],
+                "score": link.score,
+            }
+    insert_all(connection, Link, list(lines.values()))
+    return len(lines)
+
+
+def _decided_pairs(connection: Connection, rounds: tuple[int, int]) -> set[frozenset[int]]:
+    query = select(Link.first_id, Link.second_id).where(
+        Link.action_id.is_not(None),
+        Link.ended_by_id.is_(None),
+        Link.first_round_id.in_(rounds),
+        Link.second_round_id.in_(rounds),
+    )
+    return {frozenset((first, second)) for first, second in connection.execute(query)}

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.lab.synthesis.sensor_statistics import noise_split
+from tests.scenarios.sensor_statistics import noise_split
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.camera import Distortion, align_depth_to_color

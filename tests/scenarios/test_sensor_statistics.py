@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.lab.synthesis.sensor_statistics import (
+from tests.scenarios.sensor_statistics import (
     edge_profile,
     fill_inside,
     noise_split,

@@ -155,7 +155,7 @@ def test_an_end_behind_a_leaf_is_no_end(camera: Intrinsics) -> None:
     shown = 0.125 + (424 - 350) / camera.fx_px * 0.55
     assert lengths.centreline_m == pytest.approx(shown, rel=0.08)
     whole, exact = fitted(measure_m6(*seen(tube, camera), camera))
-    assert fit.centreline_sd_m > 2 * exact.centreline_sd_m
+    assert fit.centreline_sd_m > 1.5 * exact.centreline_sd_m
     assert whole.centreline_m > lengths.centreline_m
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12
 BALLS = 64
+_TIP_BALLS = 4
 
 _ROUNDS = 4
 _DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
@@ -377,6 +378,41 @@ def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.floa
     start = _unit(kept[1] - kept[0])
     end = _unit(kept[-1] - kept[-2])
     return np.vstack([kept[0] - radii[0] * start, kept, kept[-1] + radii[-1] * end])
+
+
+def with_tips(
+    centres_m: NDArray[np.float64], radii_m: NDArray[np.float64], overhangs_m: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a body with pointed ends, whose poles lie beyond those of its last balls.
+
+    Parameters
+    ----------
+    centres_m : ndarray of float64, shape (K, 3)
+        Centres in order.
+    radii_m : ndarray of float64, shape (K,)
+        Their radii.
+    overhangs_m : tuple of float
+        How far beyond the first and the last pole.
+
+    Examples
+    --------
+    >>> x = np.linspace(0, 0.2, 9)
+    >>> centres, radii = with_tips(np.stack([x, 0 * x, 0 * x], 1), np.full(9, 0.02), (0.0, 0.01))
+    >>> axis_path(centres, radii)[[0, -1], 0].round(3).tolist()
+    [-0.02, 0.23]
+    """
+    shares = np.linspace(0, 1, _TIP_BALLS + 1)[1:]
+    for end, inner, beyond in ((0, 1, overhangs_m[0]), (-1, -2, overhangs_m[1])):
+        if beyond <= 0:
+            continue
+        ahead = _unit(centres_m[end] - centres_m[inner])
+        tip = centres_m[end] + shares[:, None] * (radii_m[end] + beyond) * ahead
+        cone = radii_m[end] * (1 - shares)
+        if end:
+            centres_m, radii_m = np.vstack([centres_m, tip]), np.append(radii_m, cone)
+        else:
+            centres_m, radii_m = np.vstack([tip[::-1], centres_m]), np.append(cone[::-1], radii_m)
+    return centres_m, radii_m
 
 
 def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:

@@ -23,7 +23,7 @@ _BENDS = 3 * (BEND_SEGMENTS + 3)
 SHAPE = _BENDS + WIDTH_SEGMENTS + 3
 BODY = SHAPE + SLIPS  # unknowns of body and outline
 _TUKEY, _CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
-_TIP_COSINE, _TIP_RAYS = 0.7, 2
+_TIP_COSINE, _TIP_RAYS, _LEAST_FORESHORTENED = 0.7, 2, 0.5
 _GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: warts, ribs
 _ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
 _MISFIT_SD = 5.0
@@ -257,14 +257,38 @@ def ends_seen(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple
     rays : ndarray of float64, shape (M, 3)
         Unit directions through the outline.
     """
-    seen = []
+    first, last = (len(beyond) >= _TIP_RAYS for beyond in _beyond_ends(shape, found, rays))
+    return first, last
+
+
+def end_overhangs(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> tuple[float, float]:
+    """Return how far the outline goes beyond a body's first and last end, metres.
+
+    A pointed end is one that balls do not enter. At most the body's median radius, and 0 where
+    the outline does not go round the end. Parameters as those of `ends_seen`.
+    """
+    most = median_of(shape.width_m)
+    first, last = (
+        float(np.clip(median_of(beyond), 0.0, most)) if len(beyond) > _TIP_RAYS else 0.0
+        for beyond in _beyond_ends(shape, found, rays)
+    )
+    return first, last
+
+
+def _beyond_ends(
+    shape: TubeShape, found: Gaps, rays: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    # Of the rays that touch each end's ball on its far side: how far along the axis they lie.
+    both = []
     centres, _ = shape.balls()
     for share, tip, inner in ((0.0, 0, 1), (1.0, -1, -2)):
         at_end = np.abs(found.share - share) < 0.5 / BALLS
         tangent = centres[tip] - centres[inner]
         ray = rays[at_end]
         ahead = tangent - (ray @ tangent)[:, None] * ray
-        ahead /= np.maximum(np.linalg.norm(ahead, axis=1), 1e-12)[:, None]
-        touching = -np.einsum("ij,ij->i", ahead, found.away[at_end]) > _TIP_COSINE
-        seen.append(int(np.count_nonzero(touching)) >= _TIP_RAYS)
-    return seen[0], seen[1]
+        seen = np.maximum(np.linalg.norm(ahead, axis=1), 1e-12)
+        cosine = -np.einsum("ij,ij->i", ahead, found.away[at_end]) / seen
+        foreshortened = np.maximum(seen / np.linalg.norm(tangent), _LEAST_FORESHORTENED)
+        beyond = found.gap_m[at_end] * cosine / foreshortened
+        both.append(beyond[cosine > _TIP_COSINE])
+    return both

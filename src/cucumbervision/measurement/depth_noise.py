@@ -17,6 +17,8 @@ _WAVE_SIGMA_PX = 5.0  # of the Gaussian that makes them smooth, in the depth cam
 
 _MOST_WAVES = 48
 
+_SKIN_RMS_M = 0.0005  # and of a glossy or dark skin, however near it is
+
 _EDGE_STEP_M, _EDGE_SIGMA_PX = 0.2, 3.6  # what lies behind, and the blur of the matching window
 
 _KNOT_STEP = 1.4  # between knots, in sigmas
@@ -110,5 +112,6 @@ def noise_waves(
     )
     shape = (down[:, :, None] * across[:, None, :]).reshape(len(pixels), -1)
     shape = shape[:, shape.max(axis=0) > np.exp(-0.5 * (step / sigma) ** 2)]
-    strength = _WAVES_RMS_PX / _DISPARITY_RMS_PX / wider * _KNOT_STEP / np.sqrt(np.pi)
-    return np.asarray(shape * (strength * depth_noise(far_m, focal_px))[:, None])
+    matching = _WAVES_RMS_PX / _DISPARITY_RMS_PX / wider * depth_noise(far_m, focal_px)
+    strength = np.hypot(matching, _SKIN_RMS_M) * _KNOT_STEP / np.sqrt(np.pi)
+    return np.asarray(shape * strength[:, None])

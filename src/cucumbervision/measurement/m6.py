@@ -15,8 +15,9 @@ from cucumbervision.geometry.tube import (
     guess_from_picture,
     guess_shape,
     near_depths,
+    with_tips,
 )
-from cucumbervision.geometry.tube_evidence import Evidence
+from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
 from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
@@ -401,7 +402,8 @@ def judged_fit(
     covered : tuple of bool
         Which ends something nearer covers (`covered_ends`).
     """
-    traits = tube_traits(*fitting.shape.balls(_BALLS))
+    overhangs = end_overhangs(fitting.shape, fitting.rays, view.evidence.rays)
+    traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
     length = traits.lengths.centreline_m
     if not _RANGE_M[0] <= length <= _RANGE_M[1]:
         return Measurement(Method.M6, reason=Reason.OUT_OF_RANGE)

@@ -28,7 +28,8 @@ from .measurement.selector import measure_fruit as measure_fruit
 from .measurement.traits import TubeTraits as TubeTraits
 from .perception.instances import Instance as Instance
 from .perception.instances import MaskSource as MaskSource
-from .perception.sam import Segmenter as Segmenter
+from .perception.networks import Segmenter as Segmenter
+from .perception.networks import open_segmenter as open_segmenter
 from .perception.yolo import YoloDetector as YoloDetector
 from .pipeline.detect import DetectOptions as DetectOptions
 from .pipeline.detect import detect_inputs as detect_inputs

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.perception.networks import open_segmenter
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.runtime import Network
-from cucumbervision.perception.sam import PROMPTS, Segmenter, _mask_fault
+from cucumbervision.perception.sam import PROMPTS, Sam, _mask_fault
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
@@ -66,19 +67,25 @@ class Remembered:
         return self._known[key]
 
 
-def remembering(segmenter: Segmenter) -> Segmenter:
+def open_sam(**options: Any) -> Sam:
+    opened = open_segmenter("mobile-sam", **options)
+    assert isinstance(opened, Sam)
+    return opened
+
+
+def remembering(segmenter: Sam) -> Sam:
     segmenter._encoder = cast(Network, Remembered(segmenter._encoder))
     return segmenter
 
 
 @pytest.fixture(scope="module")
-def segmenter() -> Segmenter:
-    one = Segmenter("mobile-sam", runtime="onnxruntime", full_precision=True)
+def segmenter() -> Sam:
+    one = open_sam(runtime="onnxruntime", full_precision=True)
     return remembering(one)
 
 
 def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
-    segmenter: Segmenter, monkeypatch: pytest.MonkeyPatch
+    segmenter: Sam, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encoder, runs = segmenter._encoder, []
 
@@ -99,7 +106,7 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
 
 
 @pytest.mark.parametrize("size", [(640, 480), (720, 1280)])
-def test_a_drawn_fruit_is_found(segmenter: Segmenter, size: tuple[int, int]) -> None:
+def test_a_drawn_fruit_is_found(segmenter: Sam, size: tuple[int, int]) -> None:
     truth = tube(*size, LEFT)
     fruit = Instance(box_of_mask(truth), 0.8, "cucumber", detector_mask=truth)
     (found,) = segmenter.segment(drawn(*size, LEFT), [fruit])
@@ -113,7 +120,7 @@ def test_a_drawn_fruit_is_found(segmenter: Segmenter, size: tuple[int, int]) -> 
     assert (found.confidence, found.class_name) == (0.8, "cucumber")
 
 
-def test_several_fruit_equal_one_by_one(segmenter: Segmenter) -> None:
+def test_several_fruit_equal_one_by_one(segmenter: Sam) -> None:
     picture = drawn(480, 640, LEFT, RIGHT)
     fruit = [Instance(box_of_mask(tube(480, 640, curve))) for curve in (LEFT, RIGHT)]
     # Five prompts do not go into one call of the decoder.
@@ -125,16 +132,16 @@ def test_several_fruit_equal_one_by_one(segmenter: Segmenter) -> None:
 
 
 @pytest.fixture(scope="module")
-def as_shipped() -> list[Segmenter]:
+def as_shipped() -> list[Sam]:
     """One of each runtime, in the precision that users get."""
     pytest.importorskip("openvino")
     runtimes = ("onnxruntime", "openvino")
-    return [remembering(Segmenter("mobile-sam", runtime=runtime)) for runtime in runtimes]
+    return [remembering(open_sam(runtime=runtime)) for runtime in runtimes]
 
 
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_runtimes_agree(
-    prompt: str, as_shipped: list[Segmenter], monkeypatch: pytest.MonkeyPatch
+    prompt: str, as_shipped: list[Sam], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
     found: list[Instance] = []
@@ -146,10 +153,10 @@ def test_runtimes_agree(
 
 def test_auto_takes_openvino_where_it_is() -> None:
     pytest.importorskip("openvino")
-    assert Segmenter("mobile-sam").runtime.startswith("openvino")
+    assert open_sam().runtime.startswith("openvino")
 
 
-def test_parts_of_a_fruit_are_drawn_without_what_parts_them(segmenter: Segmenter) -> None:
+def test_parts_of_a_fruit_are_drawn_without_what_parts_them(segmenter: Sam) -> None:
     line = [(100, 200), (520, 200)]
     picture, truth = drawn(480, 640, line, thick=60), tube(480, 640, line, 60)
     before = tube(480, 640, [(310, 0), (310, 479)], 70)
@@ -162,7 +169,7 @@ def test_parts_of_a_fruit_are_drawn_without_what_parts_them(segmenter: Segmenter
     assert (found.mask & before).sum() < 0.02 * truth.sum()
 
 
-def test_no_pixel_is_of_two_fruit(segmenter: Segmenter) -> None:
+def test_no_pixel_is_of_two_fruit(segmenter: Sam) -> None:
     across = [(200, 60), (200, 420)]
     picture = drawn(480, 640, LEFT, across)
     fruit = [
@@ -174,11 +181,11 @@ def test_no_pixel_is_of_two_fruit(segmenter: Segmenter) -> None:
     assert np.sum(masks, axis=0).max() == 1
 
 
-def test_no_fruit_gives_no_instances(segmenter: Segmenter) -> None:
+def test_no_fruit_gives_no_instances(segmenter: Sam) -> None:
     assert segmenter.segment(np.zeros((48, 64, 3), np.uint8), []) == ()
 
 
-def test_colour_order_counts(segmenter: Segmenter) -> None:
+def test_colour_order_counts(segmenter: Sam) -> None:
     # Red and green swapped: SAM still sees a tube, but not with the same outline.
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
     (one,), (two,) = (segmenter.segment(p, [fruit]) for p in (picture, picture[..., ::-1]))
@@ -187,7 +194,7 @@ def test_colour_order_counts(segmenter: Segmenter) -> None:
     assert not np.array_equal(one.mask, two.mask)
 
 
-def test_a_speck_is_too_small(segmenter: Segmenter) -> None:
+def test_a_speck_is_too_small(segmenter: Sam) -> None:
     speck = [(200, 200), (206, 202)]
     fruit = Instance(box_of_mask(tube(480, 640, speck, 5)))
     (found,) = segmenter.segment(drawn(480, 640, speck, thick=5), [fruit])
@@ -196,7 +203,7 @@ def test_a_speck_is_too_small(segmenter: Segmenter) -> None:
 
 
 def test_a_mask_far_beyond_its_box_is_refused() -> None:
-    by_point = Segmenter("mobile-sam", runtime="onnxruntime", prompt="point")
+    by_point = open_sam(runtime="onnxruntime", prompt="point")
     middle = Instance(np.array([175.5, 140.5, 195.5, 170.5]), detector_mask=tube(480, 640, LEFT))
     (found,) = by_point.segment(drawn(480, 640, LEFT), [middle])
     assert found.mask_failure == "mask-off-box"
@@ -205,7 +212,7 @@ def test_a_mask_far_beyond_its_box_is_refused() -> None:
     assert found.detector_mask is middle.detector_mask
 
 
-def test_a_mask_unlike_the_detectors_is_refused(segmenter: Segmenter) -> None:
+def test_a_mask_unlike_the_detectors_is_refused(segmenter: Sam) -> None:
     # The detector says: only the left half of the tube is the fruit.
     truth = tube(480, 640, LEFT)
     half = truth.copy()
@@ -217,7 +224,7 @@ def test_a_mask_unlike_the_detectors_is_refused(segmenter: Segmenter) -> None:
 
 
 def test_the_detectors_mask_chooses_among_those_of_sam(
-    segmenter: Segmenter, monkeypatch: pytest.MonkeyPatch
+    segmenter: Sam, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # SAM offers the fruit with its shadow, and expects more of it than of the fruit alone.
     logits = np.full((2, 256, 256), -8.0, np.float32)
@@ -237,7 +244,7 @@ def test_the_detectors_mask_chooses_among_those_of_sam(
     assert iou(alone.mask, fruit) == pytest.approx(40 / 60, abs=0.01)
 
 
-def test_boxes_with_nothing_of_the_picture_in_them(segmenter: Segmenter) -> None:
+def test_boxes_with_nothing_of_the_picture_in_them(segmenter: Sam) -> None:
     picture, fruit = drawn(480, 640, LEFT), Instance(box_of_mask(tube(480, 640, LEFT)))
     outside = [[700, 10, 800, 60], [-90, -90, -10, -10], [50, 50, 50, 90], [np.nan] * 4]
     boxes = [Instance(np.array(box, float)) for box in outside]
@@ -247,7 +254,7 @@ def test_boxes_with_nothing_of_the_picture_in_them(segmenter: Segmenter) -> None
     assert iou(found.mask, tube(480, 640, LEFT)) > 0.9
 
 
-def test_a_box_that_reaches_out_of_the_picture(segmenter: Segmenter) -> None:
+def test_a_box_that_reaches_out_of_the_picture(segmenter: Sam) -> None:
     cut = [(-60, 200), (60, 210), (200, 240)]
     truth = tube(480, 640, cut)
     box = box_of_mask(truth) - np.array([120.0, 0, 0, 0])
@@ -255,7 +262,7 @@ def test_a_box_that_reaches_out_of_the_picture(segmenter: Segmenter) -> None:
     assert iou(found.mask, truth) > 0.9
 
 
-def test_an_earlier_mask_and_failure_are_replaced(segmenter: Segmenter) -> None:
+def test_an_earlier_mask_and_failure_are_replaced(segmenter: Sam) -> None:
     truth = tube(480, 640, LEFT)
     old = Instance(
         box_of_mask(truth),
@@ -269,18 +276,19 @@ def test_an_earlier_mask_and_failure_are_replaced(segmenter: Segmenter) -> None:
 
 
 def test_files_of_ones_own_are_taken() -> None:
-    files = load_registry().resolve("mobile-sam")
-    own = Segmenter((files["encoder"], files["decoder"]), runtime="onnxruntime")
+    own = Sam(load_registry().resolve("mobile-sam"), runtime="onnxruntime")
     assert own.runtime.startswith("onnxruntime")
 
 
 def test_wrong_names_are_told() -> None:
     with pytest.raises(ModelError, match=r"no prompt is called 'mask'; choose one of box, box\+po"):
-        Segmenter(prompt="mask")
+        open_segmenter(prompt="mask")
     with pytest.raises(UnknownModelError, match="'sam3'; choose one of mobile-sam, sam-vit-b"):
-        Segmenter("sam3")
+        open_segmenter("sam3")
+    with pytest.raises(UnknownModelError, match="cucumber-seg draws no masks; choose one of mob"):
+        open_segmenter("cucumber-seg")
     with pytest.raises(ModelError, match="nowhere"):
-        Segmenter((Path("nowhere.onnx"), Path("nowhere.onnx")))
+        Sam({"encoder": Path("nowhere.onnx"), "decoder": Path("nowhere.onnx")})
 
 
 @pytest.mark.parametrize(("rows", "fault"), [(20, ""), (19, "mask-off-box")])

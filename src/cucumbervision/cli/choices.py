@@ -25,7 +25,6 @@ EXIT_CODES = (
 )
 """What commands that work through many captures exit with; shown by their --help."""
 
-SegmenterChoice: TypeAlias = Literal["mobile-sam", "sam-vit-b", "none"]
 PromptChoice: TypeAlias = Literal["box+point", "box", "point"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 
@@ -37,8 +36,12 @@ Instances = Annotated[
     ),
 ]
 Segmenter = Annotated[
-    SegmenterChoice | None,
-    typer.Option(help="Who draws the masks; given, it also redraws a data set's own."),
+    str | None,
+    typer.Option(
+        help="Network that draws the masks (`models list` names them), or none; also redraws a "
+        "data set's own masks. Default: mobile-sam, for fruit without a mask.",
+        show_default=False,
+    ),
 ]
 Prompt = Annotated[PromptChoice, typer.Option(help="What SAM is shown.")]
 Confidence = Annotated[

@@ -14,7 +14,6 @@ from cucumbervision.cli.choices import (
     Prompt,
     Quiet,
     Runtime,
-    SegmenterChoice,
 )
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
@@ -37,7 +36,8 @@ def detect(
         typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
     ] = None,
     segmenter: Annotated[
-        SegmenterChoice, typer.Option(help="Who draws the masks; none keeps the detector's.")
+        str,
+        typer.Option(help="Network that draws the masks; none keeps the detector's."),
     ] = "mobile-sam",
     prompt: Prompt = "box+point",
     confidence: Confidence = DEFAULT_CONFIDENCE,

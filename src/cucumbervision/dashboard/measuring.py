@@ -32,16 +32,14 @@ if TYPE_CHECKING:
 
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.perception.networks import Segmenter
     from cucumbervision.perception.registry import Registry
-    from cucumbervision.perception.sam import Segmenter
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.records import CaptureRecord, DetectionRecord, Point, StopRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionDetail
     from cucumbervision.store.waiting import WaitingCaptures
-
-_SEGMENTER = "mobile-sam"
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,10 +247,9 @@ class SharedMeasurer:
     def _sam(self) -> Segmenter:
         with self._lock:
             if self._segmenter is None:
-                from cucumbervision.perception.sam import Segmenter
+                from cucumbervision.perception.networks import open_segmenter
 
-                files = self._registry.resolve(_SEGMENTER)
-                self._segmenter = Segmenter((files["encoder"], files["decoder"]), prompt="box")
+                self._segmenter = open_segmenter(prompt="box", registry=self._registry)
             return self._segmenter
 
 

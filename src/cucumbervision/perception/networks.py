@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, each_once, merge_instances
 from cucumbervision.perception.pieces import join_across
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
-from cucumbervision.perception.sam import Segmenter
 from cucumbervision.perception.yolo import YoloDetector
 
 if TYPE_CHECKING:
@@ -163,6 +163,82 @@ def with_pose_votes(
         vote = free.pop(int(ious.argmax())).confidence if agrees else 0.0
         voted.append(replace(one, confidence=(looks * one.confidence + vote) / (looks + 1)))
     return tuple(sorted(voted, key=lambda one: -one.confidence))
+
+
+class Segmenter(Protocol):
+    """Draws the masks of fruit.
+
+    A class with these methods becomes available by an entry in `models.toml` whose `segmenter`
+    names it. It is called with the entry's files by role, and with `runtime`, `prompt`,
+    `full_precision` and `vouched`.
+    """
+
+    prompt: str
+
+    @property
+    def runtime(self) -> str:
+        """What runs it, as `Network.runtime`."""
+        ...
+
+    def segment(
+        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
+    ) -> tuple[Instance, ...]:
+        """Return the instances with `mask` set, or None and `mask_failure`, in the same order."""
+        ...
+
+    def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
+        """Return the mask of the object at one pixel, bool, shape (H, W); may be empty."""
+        ...
+
+
+def open_segmenter(
+    name: str | None = None,
+    *,
+    runtime: str = "auto",
+    prompt: str = "box+point",
+    full_precision: bool = False,
+    registry: Registry | None = None,
+) -> Segmenter:
+    """Load a segmenter of the registry.
+
+    Parameters
+    ----------
+    name : str, optional
+        Its name, such as 'mobile-sam'; the default segmenter if not given.
+    runtime : str
+        As in `open_network`.
+    prompt : str
+        What it is prompted with: 'box+point', 'box' or 'point'.
+    full_precision : bool
+        Compute in float32 where results must reproduce.
+    registry : Registry, optional
+        The package's own if not given.
+
+    Raises
+    ------
+    ModelError, ModelHashError
+        If it is unknown, not on this machine, or a file is missing or damaged.
+
+    Examples
+    --------
+    >>> from cucumbervision.perception.instances import Instance
+    >>> picture = np.full((120, 160, 3), (120, 80, 50), np.uint8)
+    >>> picture[40:80, 30:130] = (40, 140, 50)
+    >>> fruit = Instance(np.array([29.5, 39.5, 129.5, 79.5]))
+    >>> (found,) = open_segmenter("mobile-sam").segment(picture, [fruit])
+    >>> found.mask_source.value, found.mask[60, 80], found.mask[100, 80]
+    ('sam', np.True_, np.False_)
+    """
+    registry = registry or load_registry()
+    model = registry.segmenter(name)
+    opened = resolve_name(model.segmenter)(
+        registry.resolve(model.name),
+        runtime=runtime,
+        prompt=prompt,
+        full_precision=full_precision,
+        vouched=True,
+    )
+    return cast("Segmenter", opened)
 
 
 class NetworkLoader:
@@ -318,7 +394,7 @@ class NetworkLoader:
         return Detectors(detector, pose, self._confidence)
 
     def begin_segmenter(self, name: str) -> None:
-        """Begin to load a SAM in a thread; `segmenter` waits for it and raises what went wrong.
+        """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.
 
         A runtime compiles a network mostly on one core, so that another's can load meanwhile.
         """
@@ -328,7 +404,7 @@ class NetworkLoader:
             executor.shutdown(wait=False)
 
     def segmenter(self, name: str) -> Segmenter:
-        """Return a SAM of the registry, loaded once.
+        """Return a segmenter of the registry, loaded once.
 
         Raises
         ------
@@ -345,13 +421,12 @@ class NetworkLoader:
         return self._segmenters[name]
 
     def _open_segmenter(self, name: str) -> Segmenter:
-        files = self.verify(name)
-        return Segmenter(
-            (files["encoder"], files["decoder"]),
-            self._runtime,
-            self._prompt,
+        return open_segmenter(
+            name,
+            runtime=self._runtime,
+            prompt=self._prompt,
             full_precision=self._full_precision,
-            vouched=True,
+            registry=self.registry,
         )
 
     def _note(self, name: str, task: str, sha256: Any, network: Any) -> None:

@@ -93,6 +93,8 @@ class Model:
         True if it lies in the package.
     card : str
         The page that tells its training data; for networks trained by this project.
+    segmenter : str
+        For 'prompted-mask': the class that draws masks with the files, as 'module:name'.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Model:
     architecture: str = ""
     embedded: bool = False
     card: str = ""
+    segmenter: str = ""
 
 
 @dataclass(frozen=True)
@@ -189,6 +192,21 @@ class Registry:
             return self.get(names[-1])
         own = (model for model in self.models if model.task == task and model.embedded)
         return next(own, None)
+
+    def segmenter(self, name: str | None = None) -> Model:
+        """Return a network that draws masks: the named one, or the default without a name.
+
+        Raises
+        ------
+        UnknownModelError
+            If there is no such network, or it does not draw masks.
+        """
+        model = self.default("prompted-mask") if name is None else self.get(name)
+        if model is None or not model.segmenter:
+            names = ", ".join(one.name for one in self.models if one.segmenter)
+            fault = "no segmenter is installed" if name is None else f"{name} draws no masks"
+            raise UnknownModelError(fault, remedy=f"choose one of {names}")
+        return model
 
     def folder(self, name: str) -> Path:
         """Return the folder that a model's files lie in, or would."""

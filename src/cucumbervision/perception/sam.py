@@ -1,7 +1,7 @@
-"""The SAM family behind one interface: a mask for every prompted fruit of a picture.
+"""SAM networks: a mask for each prompted fruit of a picture.
 
-The encoder runs once a picture, even where its fruit are asked for in several calls; the decoder
-takes the prompts of all of them together. Sources: SAM (Kirillov et al. 2023, "Segment Anything")
+The encoder runs once per picture, even if its fruit come in several calls; the decoder takes
+several prompts at once. Sources: SAM (Kirillov et al. 2023, "Segment Anything")
 and MobileSAM (Zhang et al. 2023, "Faster Segment Anything").
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +24,6 @@ from cucumbervision.perception.masks import (
     mask_ious,
     mask_window,
 )
-from cucumbervision.perception.registry import load_registry
 from cucumbervision.perception.resize import (
     mask_from_logits,
     mask_to_sam,
@@ -36,7 +34,8 @@ from cucumbervision.perception.resize import (
 from cucumbervision.perception.runtime import open_network
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -60,14 +59,14 @@ _TOGETHER = 4  # prompts in one call of the decoder: more would only need more m
 _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
 
 
-class Segmenter:
-    """A SAM network ready to draw masks.
+class Sam:
+    """A SAM network; the `Segmenter` that the registry's `mobile-sam` and `sam-vit-b` use.
 
     Parameters
     ----------
-    model : str or pair of Path
-        A name of the registry ('mobile-sam', 'sam-vit-b'), or an encoder's and a decoder's ONNX
-        file as `cucumbervision_lab.training.export_sam` writes them.
+    files : mapping of str to Path
+        The ONNX files 'encoder' and 'decoder', as `cucumbervision_lab.training.export_sam` writes
+        them.
     runtime : str
         As in `cucumbervision.perception.runtime.open_network`.
     prompt : str
@@ -75,56 +74,39 @@ class Segmenter:
     full_precision : bool
         Compute in float32 where results must reproduce.
     vouched : bool
-        As for `open_network`; files of the registry, whose hashes it compares, always are.
+        As for `open_network`.
 
     Raises
     ------
     ModelError
         If the prompt is unknown or a file cannot be loaded.
-    UnknownModelError, ModelHashError
-        From the registry.
-
-    Examples
-    --------
-    >>> picture = np.full((120, 160, 3), (120, 80, 50), np.uint8)
-    >>> picture[40:80, 30:130] = (40, 140, 50)
-    >>> fruit = Instance(np.array([29.5, 39.5, 129.5, 79.5]))
-    >>> found, = Segmenter("mobile-sam").segment(picture, [fruit])
-    >>> found.mask_source.value, found.mask[60, 80], found.mask[100, 80]
-    ('sam', np.True_, np.False_)
     """
 
     def __init__(
         self,
-        model: str | tuple[Path, Path] = "mobile-sam",
+        files: Mapping[str, Path],
         runtime: str = "auto",
         prompt: str = "box+point",
-        full_precision: bool = False,
         *,
+        full_precision: bool = False,
         vouched: bool = False,
     ) -> None:
         if prompt not in PROMPTS:
             raise ModelError(
                 f"no prompt is called {prompt!r}", remedy=f"choose one of {', '.join(PROMPTS)}"
             )
-        if isinstance(model, str):
-            files = load_registry().resolve(model)
-            encoder, decoder, vouched = files["encoder"], files["decoder"], True
-        else:
-            encoder, decoder = model
         self.prompt = prompt
         self._encoder = open_network(
-            encoder, runtime, full_precision=full_precision, vouched=vouched
+            files["encoder"], runtime, full_precision=full_precision, vouched=vouched
         )
         # The decoder takes coordinates: in bfloat16 they are off by pixels, and one mask in
         # twenty changes. In float32 ONNX Runtime is the faster one.
         self._decoder = open_network(
-            decoder,
+            files["decoder"],
             "onnxruntime" if runtime == "auto" else runtime,
             full_precision=True,
             vouched=vouched,
         )
-
         self._encoded: tuple[object, NDArray[np.float32] | None] = (None, None)
 
     @property

@@ -169,8 +169,8 @@ class DetectOptions:
     pose : Path, optional
         A YOLO pose ONNX export of the user's own; with the package's detector, the package's pose
         network if not given.
-    segmenter : str
-        Who draws the masks: 'mobile-sam', 'sam-vit-b', or 'none' for the detector's.
+    segmenter : str, optional
+        Name of the network that draws the masks, or 'none' to keep the detector's.
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
     confidence : float
@@ -187,7 +187,7 @@ class DetectOptions:
 
     model: Path | None = None
     pose: Path | None = None
-    segmenter: str = "mobile-sam"
+    segmenter: str | None = None
     prompt: str = "box+point"
     confidence: float = DEFAULT_CONFIDENCE
     input_sizes: tuple[int, ...] = ()
@@ -320,8 +320,10 @@ class _Run:
             models=result.models,
         )
         self._detectors = self._networks.detectors(options.model, options.pose)
+        self._segmenter = "none"
         if options.segmenter != "none":
-            self._networks.verify(options.segmenter)
+            self._segmenter = self._networks.registry.segmenter(options.segmenter).name
+            self._networks.verify(self._segmenter)
         self._labels = list(self._detectors.labels)
         self._images: list[dict[str, Any]] = []
         self._entries: list[dict[str, Any]] = []
@@ -339,9 +341,9 @@ class _Run:
     def look_at(self, picture: InputPicture) -> None:
         start = time.perf_counter()
         color = read_photo(picture.path)
-        found, segmenter = self._detectors.find(color), self._options.segmenter
-        if found and segmenter != "none":
-            found = self._networks.segmenter(segmenter).segment(color, found)
+        found = self._detectors.find(color)
+        if found and self._segmenter != "none":
+            found = self._networks.segmenter(self._segmenter).segment(color, found)
         found = place_keypoints(found)
         self._add(picture.name, color, found)
         scores = tuple(one.confidence for one in found)

@@ -100,9 +100,9 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         input_sizes=options.input_sizes,
     )
     by_stage: dict[Stage, list[dict[str, Any]]] = {}
-    name = options.segmenter or "mobile-sam"
+    name = options.segmenter or networks.registry.segmenter().name
     if options.segmenter not in (None, "none"):
-        networks.verify(options.segmenter)
+        networks.verify(networks.registry.segmenter(name).name)
     boxes = _box_finder(options, _Staged(networks, by_stage, name))
 
     def find(capture: Capture) -> Found:
@@ -231,12 +231,13 @@ def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
     True
     """
     detector, pose = registry.default("segment"), registry.default("pose")
+    drawer = registry.segmenter().name
     if detector is None:
-        options = MeasureOptions(instances="dataset", segmenter="mobile-sam")
-        return options, "Fruit by the boxes of the captures' own masks, masks by mobile-sam."
+        options = MeasureOptions(instances="dataset", segmenter=drawer)
+        return options, f"Fruit by the boxes of the captures' own masks, masks by {drawer}."
     keypoints = f", keypoints by {pose.name}" if pose else ""
-    options = MeasureOptions(instances="models", segmenter="mobile-sam")
-    return options, f"Fruit by {detector.name}{keypoints}, masks by mobile-sam."
+    options = MeasureOptions(instances="models", segmenter=drawer)
+    return options, f"Fruit by {detector.name}{keypoints}, masks by {drawer}."
 
 
 def _box_finder(options: MeasureOptions, networks: _Staged) -> Find:

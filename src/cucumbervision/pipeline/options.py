@@ -41,7 +41,7 @@ class MeasureOptions:
         Whether the package's own pose network looks for the keypoints of M4 where the package's own
         detector finds the fruit.
     segmenter : str, optional
-        'mobile-sam', 'sam-vit-b' or 'none'; None draws with MobileSAM wherever the masks are not
+        A segmenter's name or 'none'; None draws with the default wherever the masks are not
         the data set's own.
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.

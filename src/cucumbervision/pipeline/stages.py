@@ -119,7 +119,9 @@ class StageHashes:
             posed = [options.pose and _path_sha256(options.pose), self._named("ends")]
             return [posed, options.confidence, list(options.input_sizes), computing]
         if stage is Stage.DRAWN:
-            return [self._hashes(options.segmenter or "mobile-sam"), options.prompt, computing]
+            chosen = options.segmenter
+            drawing = self._hashes(chosen) if chosen else self._named("prompted-mask")
+            return [drawing, options.prompt, computing]
         if stage is Stage.KEPT:
             return options.segmenter
         return _path_sha256(Path(options.instances)) if stage is Stage.LISTED else None

@@ -183,13 +183,13 @@ def pseudo(
     copy: Copy = False,
 ) -> None:
     """Draw masks by SAM where there are only boxes, marked as pseudo-labels; never in test."""
-    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.networks import open_segmenter
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.coco_writer import write_coco
     from cucumbervision_lab.datasets.derive import add_pseudo_masks
 
     dataset = _open(folder, names)
-    segmenter = Segmenter(model, runtime, prompt)
+    segmenter = open_segmenter(model, runtime=runtime, prompt=prompt)
     with ticking("drawing", len(dataset.pictures)) as tick:
         drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
     written = write_coco(drawn.dataset, out or dataset.folder, link=not copy)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cucumbervision.cli.choices import InputSize, Runtime, SegmenterChoice
+from cucumbervision.cli.choices import InputSize, Runtime
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 Seg = Annotated[
@@ -28,7 +28,7 @@ def evaluate_models(
     seg: Seg = None,
     pose: Pose = None,
     segmenter: Annotated[
-        SegmenterChoice, typer.Option(help="Who draws masks; none measures on the detector's own.")
+        str, typer.Option(help="Network that draws the masks; none keeps the detector's.")
     ] = "mobile-sam",
     runtime: Runtime = "auto",
     confidence: Confidence = DEFAULT_CONFIDENCE,

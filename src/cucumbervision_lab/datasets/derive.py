@@ -18,7 +18,7 @@ from cucumbervision_lab.datasets.yolo_writer import write_yolo
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.networks import Segmenter
     from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 

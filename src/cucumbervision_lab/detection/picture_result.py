@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.instances import Instance
-    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.networks import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
 
 _PROMPTS_COMPARED = ("box", "box+point")

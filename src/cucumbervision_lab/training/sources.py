@@ -91,7 +91,7 @@ def _build(
 
 def _photos(source: Source, data: Path, folder: Path) -> DataSet:
     """Gather real pictures, without those of test scenes, and draw masks where there are none."""
-    from cucumbervision.perception.sam import Segmenter
+    from cucumbervision.perception.networks import open_segmenter
 
     place = data / source.folder
     if source.kind == "photos":
@@ -108,7 +108,7 @@ def _photos(source: Source, data: Path, folder: Path) -> DataSet:
     known = _known_labels(folder)
     plain = tuple(replace(p, labels=known.get(_identity(p), p.labels)) for p in plain)
     boxed = replace(found, pictures=plain, refused=())
-    drawn = add_pseudo_masks(boxed, Segmenter("mobile-sam"))
+    drawn = add_pseudo_masks(boxed, open_segmenter())
     return write_coco(with_axis_points(drawn.dataset), folder)
 
 

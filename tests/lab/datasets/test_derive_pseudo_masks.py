@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.files import write_png
-from cucumbervision.perception.sam import Segmenter
+from cucumbervision.perception.networks import Segmenter, open_segmenter
 from cucumbervision_lab.datasets.checks import check_dataset
 from cucumbervision_lab.datasets.derive import add_pseudo_masks
 from cucumbervision_lab.datasets.labels import DataSet, Label
@@ -18,7 +18,7 @@ BOX = np.array([29.5, 39.5, 129.5, 79.5])
 
 @pytest.fixture(scope="module")
 def segmenter() -> Segmenter:
-    return Segmenter("mobile-sam", full_precision=True)
+    return open_segmenter("mobile-sam", full_precision=True)
 
 
 def boxed(make_set: MakeSet) -> DataSet:

@@ -28,7 +28,7 @@ from cucumbervision.perception.registry import (
     load_registry,
 )
 from cucumbervision.perception.runtime import open_network
-from cucumbervision.perception.sam import Segmenter
+from cucumbervision.perception.sam import Sam
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
@@ -311,7 +311,7 @@ def test_pull_fetches_checks_and_exports(mobile: Path, server: str, tmp_path: Pa
     assert pull_model("mine", registry=registry, progress=again) == files
     assert again.total == 0
 
-    segmenter = Segmenter((files["encoder"], files["decoder"]), runtime="onnxruntime")
+    segmenter = Sam(files, runtime="onnxruntime")
     colour = np.random.default_rng(2).integers(0, 256, (90, 160, 3), dtype=np.uint8)
     (found,) = segmenter.segment(colour, [Instance(np.array([20.0, 20, 120, 70]))])
     assert (found.mask is None) == bool(found.mask_failure)

@@ -9,7 +9,7 @@ pytest.importorskip("streamlit")
 
 from cucumbervision.dashboard.server import LOGIN_VARIABLE, serve, server_arguments
 from cucumbervision.errors import AccessError, CucumberVisionError
-from cucumbervision.service.settings import TOKEN_VARIABLE
+from cucumbervision.service.server import TOKEN_VARIABLE
 
 
 @pytest.fixture(autouse=True)

@@ -25,7 +25,7 @@ from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.app import create_app
 from cucumbervision.service.client import packed
-from cucumbervision.service.settings import ServiceSettings, request_limits
+from cucumbervision.service.server import ServiceSettings, request_limits
 from cucumbervision.service.work import Work
 
 TOKEN = "0123456789abcdef"

@@ -23,7 +23,7 @@ from cucumbervision.errors import AccessError, CaptureError
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.client import Client, ServiceError
-from cucumbervision.service.settings import TOKEN_VARIABLE, check_access
+from cucumbervision.service.server import TOKEN_VARIABLE, check_access
 
 TOKEN = "a-token-of-the-tests"
 

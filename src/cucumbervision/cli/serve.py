@@ -35,8 +35,8 @@ def serve(
     options: MeasureOptions,
 ) -> None:
     """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'."""
+    from cucumbervision.service.server import ServiceSettings, request_limits
     from cucumbervision.service.server import serve as run
-    from cucumbervision.service.settings import ServiceSettings, request_limits
 
     settings = ServiceSettings(token, request_limits(most_mb), waiting)
 

@@ -10,7 +10,7 @@ from starlette.middleware import Middleware
 
 from cucumbervision.dashboard.access import AccessGuard, Login
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
-from cucumbervision.service.settings import TOKEN_VARIABLE
+from cucumbervision.service.server import TOKEN_VARIABLE
 
 _GUARD = Middleware(
     AccessGuard,

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.service.settings import TOKEN_VARIABLE, check_access
+from cucumbervision.service.server import TOKEN_VARIABLE, check_access
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"
 IMAGES_VARIABLE = "CUCUMBERVISION_IMAGES"

@@ -31,9 +31,8 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.service.replies import DetectReply, Health, MeasureReply, Problem
-from cucumbervision.service.settings import ServiceSettings
-from cucumbervision.service.work import BusyError, Work
+from cucumbervision.service.server import ServiceSettings
+from cucumbervision.service.work import BusyError, DetectReply, Health, MeasureReply, Problem, Work
 
 _OPEN = frozenset({"/health"})
 _BODY_SLACK = 1_000_000  # heads of the parts of a body of many files

@@ -1,21 +1,117 @@
-"""Start the service."""
+"""The service's settings, the check of its address and token, and its start."""
 
 from __future__ import annotations
 
+import hmac
+import ipaddress
 import os
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from cucumbervision.service.settings import (
-    TOKEN_VARIABLE,
-    ServiceSettings,
-    check_access,
-    require_extra,
-)
+from cucumbervision.errors import AccessError, MissingExtraError
+from cucumbervision.intake.limits import Limits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cucumbervision.pipeline.options import MeasureOptions
+
+TOKEN_VARIABLE = "CUCUMBERVISION_TOKEN"
+_SHORTEST_TOKEN = 16
+_MB = 1_000_000
+
+
+def request_limits(most_mb: int = 200) -> Limits:
+    """Return what one request may hold; zips may be four times as large when unpacked."""
+    most = most_mb * _MB
+    return Limits(files=200, file_bytes=most, total_bytes=most, unpacked_bytes=4 * most)
+
+
+@dataclass(frozen=True)
+class ServiceSettings:
+    """How a service guards itself.
+
+    Parameters
+    ----------
+    token : str
+        What every request but `GET /health` must carry; empty lets everyone in.
+    limits : Limits
+        What one request may hold; `total_bytes` is that of its whole body.
+    waiting : int
+        Requests that may wait for the one that is measured; more are refused with 503.
+    burst : int
+        Frames of a recording fused to one capture.
+    """
+
+    token: str = field(default="", repr=False)
+    limits: Limits = field(default_factory=request_limits)
+    waiting: int = 8
+    burst: int = 5
+
+    def admits(self, given: str) -> bool:
+        """Return whether a token is the right one, in a time that tells nothing of it.
+
+        Examples
+        --------
+        >>> ServiceSettings("0123456789abcdef").admits("0123456789abcdeF")
+        False
+        """
+        return not self.token or hmac.compare_digest(given.encode(), self.token.encode())
+
+
+def check_access(address: str, token: str) -> None:
+    """Refuse to serve other machines without a token, and tokens that are guessed.
+
+    Raises
+    ------
+    AccessError
+        If other machines can reach the address and there is no token, or it is short.
+
+    Examples
+    --------
+    >>> check_access("127.0.0.1", "")
+    >>> check_access("0.0.0.0", "")
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.AccessError: 0.0.0.0: other machines can reach this address, and there is
+    no token; set CUCUMBERVISION_TOKEN, or bind to 127.0.0.1
+    """
+    remedy = f"set {TOKEN_VARIABLE}, or bind to 127.0.0.1"
+    if not token and not is_loopback(address):
+        fault = "other machines can reach this address, and there is no token"
+        raise AccessError(fault, source=address or "''", remedy=remedy)
+    if token and len(token) < _SHORTEST_TOKEN:
+        fault = f"the token has {len(token)} characters"
+        remedy = f"give {_SHORTEST_TOKEN} or more, such as of `openssl rand -hex 16`"
+        raise AccessError(fault, source=TOKEN_VARIABLE, remedy=remedy)
+
+
+def is_loopback(address: str) -> bool:
+    """Return whether an address to bind to is reached from this machine alone.
+
+    An empty address means all of a machine's, and a name other than localhost may be anything.
+
+    Examples
+    --------
+    >>> [is_loopback(a) for a in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "", "192.168.1.5")]
+    [True, True, True, False, False, False]
+    """
+    name = address.strip().strip("[]").lower()
+    if name == "localhost":
+        return True
+    with suppress(ValueError):
+        return ipaddress.ip_address(name).is_loopback
+    return False
+
+
+def require_extra() -> None:
+    """Raise MissingExtraError if a package of the extra 'serve' is not installed."""
+    packages = ("fastapi", "uvicorn", "prometheus_client", "python_multipart")
+    for package in packages:
+        if find_spec(package) is None:
+            raise MissingExtraError(package.replace("_", "-"), "serve")
 
 
 def serve(

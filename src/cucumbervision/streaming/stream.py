@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import FruitMeasurement, Length
     from cucumbervision.pipeline.fields import Cell
     from cucumbervision.pipeline.measurer import CaptureResult
-    from cucumbervision.streaming.newest import Arrival
+    from cucumbervision.streaming.sources import Arrival
 
 _FAST_SIZE_PX = 640
 _FAST_FITS = 1

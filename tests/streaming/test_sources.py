@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CameraError
-from cucumbervision.streaming.newest import newest_first, paced
+from cucumbervision.streaming.sources import newest_first, paced
 
 
 class Camera:

@@ -103,17 +103,18 @@ def own_registry(
                 f'{{ role = "{f.role}", file = "{f.file}", sha256 = "{f.sha256}" }}'
                 for f in model.files
             )
+            files = f'[{files}]\nsegmenter = "{model.segmenter}"'
             entries.append(("mobile-sam", model.task, model.licence, files))
             for path in package.resolve(model.name).values():
                 (folder / "weights" / path.name).symlink_to(path)
     for task, name in (("segment", "tiny-seg"), ("pose", "tiny-pose")):
         file = folder / "weights" / f"{name}.onnx"
         shutil.copy(own_networks[task], file)
-        files = f'{{ role = "network", file = "{file.name}", sha256 = "{file_sha256(file)}" }}'
+        files = f'[{{ role = "network", file = "{file.name}", sha256 = "{file_sha256(file)}" }}]'
         entries.append((name, task, "AGPL-3.0-only", files))
     text = "".join(
         f'[[models]]\nname = "{name}"\ntask = "{task}"\nlicence = "{licence}"\ntitle = "t"\n'
-        f'origin = "o"\nembedded = true\nfiles = [{files}]\n'
+        f'origin = "o"\nembedded = true\nfiles = {files}\n'
         for name, task, licence, files in entries
     )
     (folder / "models.toml").write_text(text)

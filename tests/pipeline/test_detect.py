@@ -91,7 +91,7 @@ def test_pictures_classes_and_provenance(run: tuple[DetectResult, list[tuple[int
     assert page["categories"][0]["keypoints"][0] == "blossom_end"
     names = [m["name"] for m in page["info"]["models"]]
     assert names == ["tiny-seg", "tiny-pose", "mobile-sam"]
-    assert page["info"]["options"]["segmenter"] == "mobile-sam"
+    assert page["info"]["options"]["segmenter"] is None
 
 
 def test_coco_tools_load_and_score_it(

@@ -106,12 +106,13 @@ def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Regist
 
 
 def test_the_demo_takes_the_packages_own_networks_when_there_are_some(
-    own_registry: Registry, bare_registry: Registry
+    own_registry: Registry,
 ) -> None:
     options, line = demo_options(own_registry)
     assert options.instances == "models"
     assert line == "Fruit by tiny-seg, keypoints by tiny-pose, masks by mobile-sam."
-    options, line = demo_options(bare_registry)
+    sam = own_registry.segmenter()
+    options, line = demo_options(replace(own_registry, models=(sam,)))
     assert (options.instances, options.segmenter) == ("dataset", "mobile-sam")
     assert "boxes of the captures' own masks" in line
 

@@ -16,7 +16,7 @@ def box_areas(boxes: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-    """Compute the area that every pair of boxes shares.
+    """Compute the intersection area of every pair of boxes.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def _box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def box_ious(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-    """Compute every pair's intersection over union; 0 where neither has an area.
+    """Compute the intersection over union of every pair; 0 where neither has an area.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def share_inside(boxes: NDArray[Any], regions: NDArray[Any]) -> NDArray[np.float
 def suppress(
     boxes: NDArray[Any], scores: NDArray[Any], classes: NDArray[Any], iou: float
 ) -> NDArray[np.intp]:
-    """Return which boxes overlap no better one of their class (non-maximum suppression).
+    """Return the boxes kept by non-maximum suppression within each class.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def suppress(
         Above 0, at most 1.
     classes : ndarray of int, shape (N,)
     iou : float
-        Overlap above which the worse is dropped.
+        Overlap above which the lower score is dropped.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def suppress(
     """
     import cv2
 
-    # Classes are kept apart by shifting each beyond the last, which begins at 0.
+    # OpenCV separates classes by shifting their boxes, which must begin at 0.
     low, high = np.split(boxes.astype(np.float64), 2, axis=1)
     rectangles = np.concatenate([low - low.min(axis=0, initial=0.0), high - low], axis=1)
     kept = cv2.dnn.NMSBoxesBatched(

@@ -1,22 +1,22 @@
-"""From which confidence on a find counts; without NumPy, since commands show it in their help."""
+"""Confidence thresholds; imports no NumPy, since commands show them in their help."""
 
 DEFAULT_CONFIDENCE = 0.20
-"""Which a fruit's must exceed where none is asked for, with the pose network's vote."""
+"""Default threshold for a fruit, after the pose network's vote."""
 
 _POSE_CONFIDENCE = 0.05
 _FLOOR_SHARE = 1 / 3
 
 
 def detector_floor(confidence: float, *, votes: bool) -> float:
-    """Return how sure a detector must be for its find to be looked at.
+    """Return the detector's threshold for candidates.
 
     Parameters
     ----------
     confidence : float
-        Which a fruit's must exceed.
+        Threshold for a fruit.
     votes : bool
-        Whether further looks have a say (other input sizes, a pose network), which may lift a find
-        over it.
+        Whether other input sizes or a pose network vote, which may lift a candidate over the
+        threshold.
 
     Examples
     --------
@@ -29,12 +29,12 @@ def detector_floor(confidence: float, *, votes: bool) -> float:
 
 
 def pose_floor(confidence: float) -> float:
-    """Return how sure a pose must be to give its keypoints to a fruit that the detector found.
+    """Return the pose network's threshold for keypoints of a fruit that the detector found.
 
     Parameters
     ----------
     confidence : float
-        Which a fruit's must exceed.
+        Threshold for a fruit.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""Which end of a fruit is the stem's: a small network that looks at fruit laid straight.
+"""The stem end of a fruit, found by a small network on a straightened crop.
 
-A pose network trained here gives the five points from a fruit's lower left end to its upper right
-one. The fruit is cut out along them and laid level; a network of a few layers says at which side
-the stem is. It is built so that the fruit turned round gives exactly the opposite answer.
+The pose networks trained here give five points from a fruit's lower left to its upper right end.
+The fruit is resampled along them into a horizontal strip, and a network of a few layers classifies
+which side has the stem. A rotation of the strip by 180 degrees exactly negates its output.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
 
 STRIP_PX = (64, 192)
-"""Height and width of a fruit laid level."""
+"""Height and width of a strip."""
 
 SURE = 0.9
-"""From this probability on a fruit's ends count as known."""
+"""Least probability at which a fruit's ends count as known."""
 
-_BEYOND = 0.25  # of the fruit's length, that is shown beyond each end: the stalk
-_HALF_WIDTH = 0.25  # of the fruit's length, that is shown to either side
-_GREY = 114  # what stands for nothing in a network's input too
+_BEYOND = 0.25  # of the fruit's length, shown beyond each end for the stalk
+_HALF_WIDTH = 0.25  # of the fruit's length, shown on either side
+_GREY = 114  # the padding of network inputs
 
 
 def orient(
     color_rgb: NDArray[np.uint8], points_px: NDArray[np.float64]
 ) -> NDArray[np.uint8] | None:
-    """Cut a fruit out along its keypoints and lay it level.
+    """Resample a fruit along its keypoints into a horizontal strip.
 
     Parameters
     ----------
     color_rgb : ndarray of uint8, shape (H, W, 3)
         The picture.
     points_px : ndarray of float64, shape (K, 2)
-        u, v along the fruit's middle, from end to end.
+        u, v along the fruit's axis, from end to end.
 
     Returns
     -------
     ndarray of uint8, shape (64, 192, 3), or None
-        The first point to the left, up to 0.25 of the length beyond either end; None where the
-        points span no line of at least 4 pixels.
+        The first point is on the left, with 0.25 of the length beyond either end; None if the
+        points span less than 4 pixels.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def orient(
 def _near(
     color_rgb: NDArray[np.uint8], at: NDArray[np.float64], step_px: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the picture about some points, shrunk to their spacing; its corner and scale."""
+    """Return the picture around some points, shrunk to their spacing, with its corner and scale."""
     import cv2
 
     height, width = color_rgb.shape[:2]
@@ -114,19 +114,19 @@ def _near(
 
 
 class EndTeller:
-    """The network, ready to tell the ends of fruit apart.
+    """Classifies which end of a fruit is the stem's.
 
     Parameters
     ----------
     path : Path
         An ONNX file as `cucumbervision train ends` writes it.
     runtime : str
-        As for `open_network`; 'auto' is ONNX Runtime, which is quickest with so small a network.
+        As for `open_network`; 'auto' is ONNX Runtime, the fastest for a network this small.
 
     Raises
     ------
     ModelError
-        If the file cannot be loaded or is another network.
+        If the file cannot be loaded or is another kind of network.
     """
 
     def __init__(self, path: Path, runtime: str = "auto") -> None:
@@ -148,19 +148,19 @@ class EndTeller:
     def tell(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
     ) -> tuple[Instance, ...]:
-        """Order every fruit's points from its blossom end to its stem end.
+        """Order every fruit's keypoints from blossom end to stem end.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
         instances : sequence of Instance
-            With keypoints in whatever order; those without stay as they are.
+            With keypoints in either direction; those without are returned unchanged.
 
         Returns
         -------
         tuple of Instance
-            In the same order; `end_confidence` says how probable it is that the ends are right.
+            In the same order; `end_confidence` is the probability that the direction is right.
         """
         strips = [
             None if one.keypoints is None else orient(color_rgb, one.keypoints[:, :2])

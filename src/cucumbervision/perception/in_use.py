@@ -1,7 +1,7 @@
-"""Networks of one's own in the place of the package's: put there, and taken back.
+"""Replace the package's networks by a user's own, and undo it.
 
-`in-use.json` in the folder of fetched models says, for each task, which were put in its place, the
-newest last; each lies in a folder of its own beside it, as fetched ones do.
+`in-use.json` in the folder of fetched models lists the user's networks by task, the newest last.
+Each is in a folder of its own beside it, as fetched networks are.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 JUDGEMENT = "judgement.json"
-"""What `train house` writes into its run's folder: old and new network on the same pictures."""
+"""Written by `train house`: old and new network evaluated on the same pictures."""
 
 _LONGEST_NAME = 200
 
 
 def use_network(given: Path, *, anyway: bool = False, registry: Registry | None = None) -> Model:
-    """Put a network of one's own in the place of the one that is used for its task.
+    """Make a user's network the default for its task.
 
     Parameters
     ----------
     given : Path
         The folder of a `train house` run, or a YOLO ONNX export.
     anyway : bool
-        Whatever the judgement says.
+        Skip the check that it is better.
     registry : Registry, optional
-        The one to change; what `load_registry` gives by default.
+        The registry to change; `load_registry()` by default.
 
     Returns
     -------
     Model
-        As it is in the registry now.
+        Its entry in the registry.
 
     Raises
     ------
     ModelError
-        If it is no YOLO network for segments or poses, or, unless `anyway`, if nobody has judged
-        it against the one in use, or it was not better.
+        If it is not a YOLO network for segments or poses; unless `anyway`, if it was not compared
+        with the network in use, or is not better.
     """
     registry = registry or load_registry()
     judgement = _read_judgement(given)
@@ -84,7 +84,7 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
 
 
 def use_back(task: str = "segment", registry: Registry | None = None) -> Model | None:
-    """Take the newest of one's own networks back, and return what is used for its task now.
+    """Remove the user's newest network, and return the one in use for its task now.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def use_back(task: str = "segment", registry: Registry | None = None) -> Model |
 
 
 def use_shipped(task: str = "segment", registry: Registry | None = None) -> Model | None:
-    """Use the package's own network again, and return it; one's own are no more in the list."""
+    """Remove all of the user's networks for a task, and return the package's own."""
     return _with_own(registry or load_registry(), task, ())
 
 
@@ -125,7 +125,7 @@ def _write(registry: Registry) -> None:
 
 
 def _read_judgement(given: Path) -> Mapping[str, Any]:
-    """Return what a run's folder says of old and new; nothing beside a single file."""
+    """Return the comparison in a run's folder; empty for a single file."""
     path = (given if given.is_dir() else given.parent) / JUDGEMENT
     if not path.is_file():
         return {}
@@ -137,7 +137,7 @@ def _read_judgement(given: Path) -> Mapping[str, Any]:
 def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:
     path = given
     if given.is_dir():
-        # Its name alone: a judgement says nothing about files elsewhere.
+        # The file name only: a comparison is about files in its own folder.
         path = given / Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
     if not path.is_file() or path.suffix != ".onnx":
         raise ModelError(
@@ -151,7 +151,7 @@ def _network_file(given: Path, judgement: Mapping[str, Any]) -> Path:
 def _require_better(
     path: Path, sha256: str, judgement: Mapping[str, Any], used: Model | None
 ) -> None:
-    """Refuse a network that is not known to be better than the one in use."""
+    """Raise if a network is not known to be better than the one in use."""
     if judgement.get("new") != sha256:
         fault, remedy = "nobody has judged it against the network in use", "run `train house`"
     elif used is not None and judgement["old"] != used.files[0].sha256:

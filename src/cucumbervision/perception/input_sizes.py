@@ -1,4 +1,4 @@
-"""The sizes at which a network sees a picture, and what it finds at several made one."""
+"""Network input sizes, and the merging of detections from several of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SIZE_STEP_PX, _LARGEST_PX = 32, 4096
 
 
 def parse_input_sizes(text: str) -> tuple[int, ...]:
-    """Read what `--input-size` is given: a size in pixels, or several for their merged finds.
+    """Parse the option `--input-size`: one size in pixels, or several to merge.
 
     Parameters
     ----------
@@ -53,27 +53,26 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
 
 
 SAME_IOU = 0.5
-"""Two boxes that overlap by more are one find."""
+"""IoU above which two boxes are the same detection."""
 
 
 def merge_sizes(found: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
-    """Return what a network finds at several input sizes, each find once, best first.
+    """Merge a network's detections at several input sizes, best first.
 
-    The confidence is the mean over the sizes, with 0 where a size does not find it: what looks
-    like a fruit at one size only is half as sure (as in weighted boxes fusion, Solovyev et al.,
-    2021).
+    The confidence is the mean over the sizes, with 0 for sizes that miss it: a fruit seen at
+    one of two sizes gets half its confidence (as in weighted boxes fusion, Solovyev et al., 2021).
 
     Parameters
     ----------
     found : sequence of sequence of Instance
-        Of each size; those of a single size stay as they are.
+        Detections by size; those of a single size stay as they are.
 
     Returns
     -------
     tuple of Instance
-        Boxes of one class that overlap by an IoU of more than 0.5 are one find: their box is the
-        mean, weighted by confidence, all else that of the surest. Finds that agree less are joined
-        by their masks, as those of one size are (`merge_instances`).
+        Boxes of one class that overlap by an IoU of more than 0.5 are merged: the box is the mean
+        weighted by confidence, everything else is from the most confident one. Boxes that overlap
+        less are merged by their masks, as at one size (`merge_instances`).
 
     Examples
     --------

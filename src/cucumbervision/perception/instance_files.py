@@ -1,7 +1,7 @@
-"""Instances from files: boxes and masks that people drew or another detector found.
+"""Read instances from files: boxes and masks from annotation tools or another detector.
 
-COCO and YOLO count from the picture's corner, `Instance` from the first pixel's centre: half a
-pixel is taken off.
+COCO and YOLO measure from the picture's corner, `Instance` from the first pixel's centre; half a
+pixel is subtracted.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _KEYPOINTS = 5
-_SLACK = 1e-6  # numbers written with few digits may lie this far outside 0 to 1
+_SLACK = 1e-6  # tolerance outside 0 to 1 for rounded numbers
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledInstance:
-    """One instance as a file writes it, before it meets its picture.
+    """One instance as written in a file.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class LabelledInstance:
 
 @dataclass(frozen=True, eq=False)
 class LabelledImage:
-    """What a file says of one picture.
+    """A file's entries for one picture.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class LabelledImage:
     size_px : tuple of int, optional
         Width and height, where the file gives them.
     records : list of LabelledInstance or InstancesError
-        Its instances, and what could not be read.
+        Its instances, or the error of each unreadable one.
     """
 
     name: str
@@ -89,7 +89,7 @@ def read_coco(path: Path) -> list[LabelledImage]:
     Raises
     ------
     InstancesError
-        If the file is no JSON, or neither of the two.
+        If the file is not JSON, or neither of the two.
     """
     data = read_json(path, InstancesError)
     with wrap_reader_errors(path, InstancesError, "give COCO JSON"):
@@ -175,11 +175,11 @@ def parse_yolo_line(line: str, where: str, names: list[str]) -> LabelledInstance
     ----------
     line : str
         'class cx cy w h', a polygon 'class x1 y1 x2 y2 x3 y3 ...', or a box with five keypoints
-        'class cx cy w h x y v ...'; a confidence may stand at the end. Shares of the picture.
+        'class cx cy w h x y v ...'; a confidence may follow. Coordinates are shares of the picture.
     where : str
         Place in the file, for errors.
     names : list of str
-        Class names; the class's number is used where one is missing.
+        Class names; the class number replaces a missing one.
 
     Returns
     -------
@@ -241,21 +241,21 @@ def _keypoints(values: NDArray[np.float64], visible: float) -> NDArray[np.float6
     return points
 
 
-_CLIP_SLACK_PX = 0.01  # boxes written with few digits are not called clipped
+_CLIP_SLACK_PX = 0.01  # tolerance for rounded boxes
 
 
 @dataclass(frozen=True, eq=False)
 class FileInstances:
-    """What a file gives for one picture.
+    """A file's instances for one picture.
 
     Parameters
     ----------
     instances : tuple of Instance
         In the file's order; boxes lie within the picture.
     clipped : tuple of bool
-        For each instance, whether its box reached beyond the picture and was cut.
+        For each instance, whether its box was clipped to the picture.
     refused : tuple of InstancesError
-        What could not be used, each with its place in the file.
+        Errors of unusable entries, with their place in the file.
     """
 
     instances: tuple[Instance, ...]
@@ -272,7 +272,7 @@ class InstanceFile:
     source : str
         The file or folder.
     pictures : tuple of LabelledImage
-        What it says of each picture.
+        Its entries by picture.
     """
 
     source: str
@@ -286,8 +286,8 @@ class InstanceFile:
         Parameters
         ----------
         names : sequence of str
-            What the picture may be called: the capture's name, its colour file. Compared whole,
-            then without folder, then without folder and ending.
+            Possible names of the picture: the capture's name, its colour file. Compared in full,
+            then without folder, then without folder and extension.
         width, height : int
             The picture's size in pixels.
         frame : int, optional
@@ -331,7 +331,7 @@ class InstanceFile:
     def coverage(
         self, captures: Iterable[tuple[Sequence[str], int | None]]
     ) -> tuple[list[str], list[str]]:
-        """Return which captures the file does not name, and which of its pictures are no capture.
+        """Return the captures without a picture in the file, and its pictures without a capture.
 
         Parameters
         ----------
@@ -356,7 +356,7 @@ class InstanceFile:
 
     def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
         for short in (_whole, _file_name, _stem):
-            # A capture's name may hold dots and have no ending.
+            # A capture's name may contain dots without having an extension.
             wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
             found = [p for p in self.pictures if p.name and short(p.name) in wanted]
             if len(found) == 1:
@@ -367,7 +367,7 @@ class InstanceFile:
                     source=self.source,
                     remedy="give the pictures different names",
                 )
-        # A running number is no name: where the file has names, its ids count something else.
+        # A frame number is not a name: if the file has names, its ids mean something else.
         if frame is None or any(p.name for p in self.pictures):
             return None
         return next((p for p in self.pictures if p.number == frame), None)
@@ -464,7 +464,7 @@ def _mask(
 
 
 def _clip(box: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np.float64], bool]:
-    """Cut a box, given from the corner, to the picture; give it from the first pixel's centre."""
+    """Clip a corner-based box to the picture; return it from the first pixel's centre."""
     if box[2] <= box[0] or box[3] <= box[1]:
         raise ValueError("its box has no area")
     low, high = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))

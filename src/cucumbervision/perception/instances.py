@@ -1,13 +1,13 @@
-"""One fruit in the picture, and one instance for each: finds in pieces or twice are put together.
+"""Detected fruit, and the merging of duplicate and partial detections.
 
-Three ways in which a fruit is found more than once are known by the masks: two boxes of one fruit
-(the masks agree), a box within a box (one mask lies in the other), and the pieces that a leaf
-makes of a fruit beside the whole (each lies in it). Pieces without the whole share no pixel; only
-a pose network that sees one fruit over both tells them from two fruit in a row. Boxes alone say
-little, since fruit that cross have boxes within each other.
+Masks identify three kinds of duplicates: two boxes of one fruit (the masks agree), a box within a
+box (one mask contains the other), and the parts of a fruit behind a leaf beside the whole (which
+contains each part). Parts without the whole share no pixel; only a pose network that sees one fruit
+across both distinguishes them from two fruit in a row. Boxes alone are not enough, since crossing
+fruit have nested boxes.
 
-A mask over two fruit side by side differs from the whole of a piece by its thickness, and loses
-to the neighbour what is the neighbour's.
+A mask that covers two fruit side by side is recognised by its thickness, and its neighbour's pixels
+are removed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class MaskSource(StrEnum):
 
     @property
     def words(self) -> str:
-        """Who that is, for people."""
+        """Name shown to users."""
         return {"sam": "SAM", "detector": "detector", "dataset": "data set"}[self.value]
 
 
@@ -62,7 +62,7 @@ class Instance:
         x1, y1, x2, y2 of the box's edges in pixels; a mask's box runs from half a pixel outside
         its first pixel centre to half a pixel outside its last.
     confidence : float
-        How sure the networks are that it is a fruit, 0 to 1; 1 for boxes and masks given by people.
+        Confidence of the networks, 0 to 1; 1 for boxes and masks drawn by people.
     class_name : str
         Class name.
     mask : ndarray of bool, shape (H, W), optional
@@ -74,14 +74,14 @@ class Instance:
     keypoints : ndarray of float64, shape (5, 3), optional
         u, v in pixels and visibility 0 to 1 of KP0 (blossom end) to KP4 (stem end).
     mask_failure : str
-        Why SAM's mask was refused ('mask-empty', 'mask-small', 'mask-off-box',
+        Why SAM's mask was rejected ('mask-empty', 'mask-small', 'mask-off-box',
         'mask-off-detector'); empty if not.
     end_confidence : float, optional
-        How probable it is that `keypoints` run from blossom to stem and not the other way; None
-        where the pose network itself is said to know.
+        Probability that `keypoints` run from blossom to stem; None if the pose network itself
+        orders them.
     input_size_px : int, optional
-        Long side of the network's input at which it was found, pixels; None for what no network
-        found.
+        Long side of the network input that it was found at, pixels; None if it is not from a
+        network.
     """
 
     box: NDArray[np.float64]
@@ -103,14 +103,14 @@ class Instance:
 
 
 _SAME_IOU = 0.5  # of two masks of one fruit
-_INSIDE = 0.8  # share of the smaller mask that lies in the larger, where both are of one fruit
+_INSIDE = 0.8  # share of the smaller mask inside the larger one, for masks of one fruit
 _SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
-_TRUSTED = 0.5  # of the best confidence, which the largest mask needs to be kept
-_SPAN_IOU = 0.75  # of a pose's box with the common box of the pieces that it joins
-_OWN_IOU = 0.5  # of a piece's box with that of another pose, whose fruit it is then
-_THICKER = 1.6  # of a mask over two fruit side by side, to the one of them that is found too
-_MUCH_CUT = 0.3  # of a mask given to others, from which on its box no longer holds
-_OFF_LINE = 0.15  # of the pose's length: how far from its line a piece's middle may lie
+_TRUSTED = 0.5  # of the best confidence: least confidence for keeping the largest mask
+_SPAN_IOU = 0.75  # between a pose's box and the common box of the parts that it joins
+_OWN_IOU = 0.5  # between a part's box and another pose's box: then it is a fruit of its own
+_THICKER = 1.6  # thickness of a mask over two fruit, relative to the one found separately
+_MUCH_CUT = 0.3  # share of a mask lost to others from which its box is recomputed
+_OFF_LINE = 0.15  # of the pose's length: largest distance of a part's centre from its line
 
 
 def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -118,11 +118,11 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 
     Two instances are one fruit when their masks have an IoU of at least 0.5, or when 80 % of the
     smaller mask lies in the larger; without masks, when their boxes have an IoU of at least 0.7.
-    Fruit that cross share their crossing only: about the thickness over the length of the thinner
-    one. A mask that holds another but is 1.6 times as thick, is believed less, and without it is
-    about the same again beside it, lies over two fruit: they stay two. An instance that holds two
-    or more others which are not one fruit is the fruit that they are pieces of if its confidence
-    is at least their mean, else a box around several fruit, and goes.
+    Crossing fruit share only the crossing. A mask that contains another one covers two fruit, which
+    stay separate, if it is 1.6 times as thick, has a lower confidence, and its remainder is about
+    as large as the other. An instance that contains two or more others that are separate is the
+    fruit of which they are parts if its confidence is at least their mean; otherwise it is a box
+    around several fruit and is removed.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     Returns
     -------
     tuple of Instance
-        Best first. Of those that are one fruit the one with the largest mask stays, unless its
-        confidence is below half of the best one's; it gets the best confidence, and, if it has
-        none, the keypoints of the best that has some.
+        Best first. The instance with the largest mask is kept for each fruit, unless its confidence
+        is below half of the best. It gets the best confidence, and the best instance's keypoints if
+        it has none.
 
     Examples
     --------
@@ -151,8 +151,8 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     found = sorted((_Region.of(one) for one in instances), key=_best_first)
     found = [one for one in found if not _around_several(one, found)]
     groups: list[list[_Region]] = []
-    # The largest first, each compared with the largest of a group only: a speck that lies in two
-    # fruit joins one of them and makes them no single one.
+    # The largest first, each compared only with the largest of a group: a small mask inside two
+    # fruit joins one of them without merging both.
     for one in sorted(found, key=lambda one: -one.area):
         own = max(groups, key=lambda group: _shared(one, group[0]), default=None)
         if own is not None and _same(one, own[0]):
@@ -163,11 +163,11 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 
 
 def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Join the pieces that a leaf makes of a fruit, where a pose network sees the whole.
+    """Join the parts of a fruit behind a leaf where a pose network sees the whole.
 
-    A pose whose keypoints run through two or more instances joins them when their common box has
-    an IoU of at least 0.75 with its own, more than each of them alone, and none of them is a fruit
-    of its own to another pose (IoU 0.5): two fruit in a row stay two.
+    A pose whose keypoints run through two or more instances joins them if their common box has an
+    IoU of at least 0.75 with the pose's box, more than each of them alone, and none of them matches
+    another pose (IoU 0.5). Two fruit in a row therefore stay separate.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tup
 def each_once(
     found: Sequence[Instance], posed: Sequence[Instance], sure: float = 0.0
 ) -> tuple[Instance, ...]:
-    """Return each fruit of two networks once, with the pose network's keypoints.
+    """Merge the detections of two networks into one instance per fruit, with keypoints.
 
     Parameters
     ----------
@@ -219,12 +219,12 @@ def each_once(
     posed : sequence of Instance
         Of the pose network, as it gives them.
     sure : float
-        From this confidence on a pose joins pieces; it goes before the others everywhere.
+        Poses with at least this confidence join parts and are matched first.
 
     Returns
     -------
     tuple of Instance
-        Best first: pieces joined, keypoints where a pose fits.
+        Best first: parts joined, keypoints where a pose matches.
     """
     poses = merge_instances(posed)
     whole = join_pieces(found, [pose for pose in poses if pose.confidence > sure])
@@ -246,8 +246,7 @@ def apart(
     Returns
     -------
     tuple of Instance
-        In their order. Where a mask loses 30 % or more its box is drawn anew; a fruit of which
-        nothing is left goes.
+        In their order. A mask that loses 30 % or more gets a new box; an empty one is removed.
     """
     masks = [one.detector_mask for one in instances]
     left = disjoint_masks(masks, [one.confidence for one in instances], depth_m)
@@ -269,9 +268,9 @@ def with_keypoints(
     *,
     sure: float = 0.0,
 ) -> tuple[Instance, ...]:
-    """Return instances with the keypoints that a pose network found for them.
+    """Return instances with the keypoints of the matching poses.
 
-    Boxes are matched one to one, so that the sum of their overlaps is largest.
+    Boxes are matched one to one, with the largest sum of overlaps.
 
     Parameters
     ----------
@@ -282,8 +281,7 @@ def with_keypoints(
     min_iou : float
         Least overlap of the two boxes.
     sure : float
-        Poses above this confidence are matched first, the others with what is left: that there is
-        a fruit the detector has said.
+        Poses above this confidence are matched first, the others with the remaining instances.
 
     Returns
     -------
@@ -320,7 +318,7 @@ def _matches(
     from scipy.optimize import linear_sum_assignment
 
     overlaps = np.array([[box_iou(a.box, b.box) for b in poses] for a in instances])
-    # Pairs below the threshold count nothing, so that they push no good pair aside.
+    # Pairs below the threshold count 0, so that they cannot displace a good pair.
     overlaps[overlaps < min_iou] = 0.0
     pairs = zip(*(k.tolist() for k in linear_sum_assignment(overlaps, maximize=True)), strict=True)
     return [
@@ -347,7 +345,7 @@ class _Region:
 
 
 def visible_mask(instance: Instance) -> NDArray[np.bool_] | None:
-    """Return the detector's own mask, or without one that which is measured."""
+    """Return the detector's own mask, or the measured mask without one."""
     return instance.mask if instance.detector_mask is None else instance.detector_mask
 
 
@@ -356,7 +354,7 @@ def _best_first(one: _Region) -> tuple[float, float]:
 
 
 def _shared(a: _Region, b: _Region) -> float:
-    """Return the pixels that two masks share; without masks the boxes' overlap."""
+    """Return the number of shared pixels of two masks, or the overlap of boxes without masks."""
     if a.mask is None or b.mask is None or a.window is None or b.window is None:
         return box_iou(a.instance.box, b.instance.box)
     rows, columns = (
@@ -380,7 +378,7 @@ def _inside(shared: float, a: _Region, b: _Region) -> bool:
 
 
 def _over_two(part: _Region, whole: _Region) -> bool:
-    """Return whether a mask lies over the fruit of another and over a fruit beside it."""
+    """Return whether a mask covers another instance's fruit and a fruit beside it."""
     if whole.mask is None or part.mask is None or whole.window is None:
         return False
     if whole.instance.confidence > part.instance.confidence:
@@ -405,12 +403,12 @@ def _sides(mask: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
-    """Return whether an instance is a box around several fruit that are found one by one too."""
+    """Return whether an instance is a box around several fruit that were also found separately."""
     if one.mask is None:
         return False
     parts: list[_Region] = []
     for other in found:
-        # What agrees with it as a whole is the same find again, not a part.
+        # An instance that matches the whole is a duplicate, not a part.
         if other is one or other.mask is None or other.area >= one.area:
             continue
         shared = _shared(one, other)

@@ -1,9 +1,9 @@
-"""Keypoints on the axis of a fruit's outline.
+"""Move keypoints onto the axis of a fruit's outline.
 
-A pose network says roughly where a fruit's two ends are, and which of them is the stem's; the
-outline says it to a pixel. An end that the outline ends near is set to the end of the outline's
-axis, without the stalk; one that lies elsewhere, since something hides it, stays where the network
-saw it. The points between are spread evenly along the axis.
+A pose network gives a fruit's two ends roughly, and which of them is the stem's; the outline gives
+them to a pixel. An end near an end of the outline moves to the end of the outline's axis, without
+the stalk. An end elsewhere is hidden and stays at the network's position. The points between are
+spaced evenly along the axis.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
     _Axis = tuple[Array, Array, Array, Callable[[Array], Array]]
 
 _LEAST_PIXELS = 80
-_LEAST_SLIMNESS = 1.7  # a rounder outline has no axis that one could trust
+_LEAST_SLIMNESS = 1.7  # a rounder outline has no reliable axis
 _SAMPLES = 400
-_FADE = 4  # in the middle of the fruit a sixteenth of an end's shift is left
+_FADE = 4  # a sixteenth of an end's shift remains in the middle of the fruit
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-_STALK = 0.45  # of the body's thickness: what is thinner is no body
-_NEAR = 0.12  # of the length: an end of the outline further from the network's is another one
+_STALK = 0.45  # of the body's thickness: thinner parts are stalk
+_NEAR = 0.12  # of the length: largest distance between corresponding ends
 
 
 def place_keypoints(instances: Iterable[Instance]) -> tuple[Instance, ...]:
-    """Set keypoints onto the axes of the masks that are measured.
+    """Move keypoints onto the axes of the measured masks.
 
     Parameters
     ----------
     instances : iterable of Instance
-        With keypoints from end to end, of a network, and `mask`, or else `detector_mask`. Others
-        stay as they are: keypoints that people gave, and fruit whose outline has no clear axis.
+        With a network's keypoints, and `mask` or `detector_mask`. Keypoints drawn by people, and
+        fruit without a clear axis, stay as they are.
 
     Returns
     -------
     tuple of Instance
-        In the same order; visibilities and which end is which stay.
+        In the same order; visibilities and direction stay.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def _placed(instance: Instance) -> Instance:
 
 
 def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-    """Return an outline without what is thinner than 45 % of its thickest place.
+    """Return a mask without the parts thinner than 45 % of its largest thickness.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     Returns
     -------
     ndarray of bool, shape (H, W), or None
-        The largest part that is left by opening with a disc; None of an empty mask.
+        The largest part after opening with a disc; None for an empty mask.
     """
     import cv2
 
@@ -109,7 +109,7 @@ def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
         return None
     inside = distances_inside(np.pad(mask[window], 1))
     radius = _STALK * float(inside.max())
-    # A pixel is in the opening if it lies in a disc that lies in the mask.
+    # The opening is the union of all discs inside the mask.
     opened = distances_inside(inside <= radius) < radius
     count, labels, stats, _ = cv2.connectedComponentsWithStats(opened.astype(np.uint8))
     if count > 2:
@@ -129,12 +129,12 @@ def axis_line(mask: NDArray[np.bool_]) -> Array | None:
     Returns
     -------
     ndarray of float64, shape (K, 2), or None
-        u, v in pixels; None where the outline is too small, too round or bent too much.
+        u, v in pixels; None if the outline is too small, too round or too bent.
 
     Notes
     -----
-    The axis is the cubic that lies in the middle of the pixels in the frame of their principal
-    axes (least squares over all of them), cut where it leaves the outline.
+    The axis is a cubic fitted to all pixels by least squares, in the frame of their principal axes,
+    cut where it leaves the outline.
     """
     axis = _axis(mask)
     return None if axis is None else _line_along(mask, axis)
@@ -155,20 +155,20 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | No
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
-        A whole fruit; its stalk may be in it.
+        A whole fruit, with or without its stalk.
     ends_px : array_like, shape (2, 2)
         u, v of both ends, pixels.
 
     Returns
     -------
     ndarray of float64, shape (5, 2), or None
-        u, v in pixels, evenly along the line from the first end to the second; None where the
-        outline is too small, too round or bent too much.
+        u, v in pixels, evenly spaced from the first end to the second; None if the outline is too
+        small, too round or too bent.
 
     Notes
     -----
-    The line is that of `axis_line` between the feet of both ends, shifted so that it meets them;
-    what shifts it fades from each end to the other.
+    The line of `axis_line` between the projections of both ends, shifted to meet them; each shift
+    fades towards the other end.
 
     Examples
     --------
@@ -188,14 +188,14 @@ def _points_between(mask: NDArray[np.bool_], axis: _Axis, ends: Array) -> Array 
     line = middle + np.stack([s, curve(s)], axis=1) @ frame
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
     line += (1 - share) ** _FADE * (ends[0] - line[0]) + share**_FADE * (ends[1] - line[-1])
-    # At the very ends the line may run along the outline.
+    # Near its ends the line may run along the outline.
     if not _inside(mask, line[_SAMPLES // 10 : -_SAMPLES // 10]).all():
         return None
     return points_along(line, SHARES)
 
 
 def _axis(mask: NDArray[np.bool_]) -> _Axis | None:
-    """Return the pixels' middle, their principal axes, their places along and the axis across."""
+    """Return the pixels' centre, their principal axes, coordinates along, and the cubic."""
     pixels = mask_pixels(mask)
     if len(pixels) < _LEAST_PIXELS:
         return None

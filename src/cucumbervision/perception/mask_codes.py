@@ -1,4 +1,4 @@
-"""Masks as files hold them: COCO's run lengths and polygons."""
+"""Encode and decode masks as COCO run lengths and polygons."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> 
     if isinstance(counts, bytes):
         counts = counts.decode("ascii")
     runs = _unpack(counts) if isinstance(counts, str) else list(counts)
-    # Python's integers have no bound: none reaches NumPy that could overflow there.
+    # Check before NumPy, where large integers would overflow.
     size = height * width
     if not all(0 <= run <= size and run % 1 == 0 for run in runs) or sum(runs) != size:
         raise ValueError(f"the run lengths do not fill {width}x{height} pixels")
@@ -74,7 +74,7 @@ def encode_rle(mask: NDArray[np.bool_]) -> str:
     """
     pixels = np.asarray(mask, bool).T.ravel()
     changes = np.flatnonzero(pixels[1:] != pixels[:-1]) + 1
-    # Runs begin with background: a first run of nothing where the first pixel is set.
+    # Runs begin with background: an empty first run if the first pixel is set.
     starts = [0, 0] if pixels[:1].any() else [0]
     runs = np.diff(np.concatenate([starts, changes, [pixels.size]])).tolist()
     return "".join(_pack(n - runs[k - 2] if k > 2 else n) for k, n in enumerate(runs))
@@ -105,12 +105,12 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     centres = np.arange(height)[:, None] + 0.5
     crossed = (y1 <= centres) != (y2 <= centres)
     rows, edges = np.nonzero(crossed)
-    # An edge that is passed there and back (a bridge between parts) must cross a row at the same
-    # number both times, to the last bit: counted from its lower end.
+    # An edge that is traversed in both directions (a bridge between parts) must cross a row at
+    # exactly the same position: computed from its lower end.
     low = np.where(y1 <= y2, [x1, y1], [x2, y2])[:, edges]
     high = np.where(y1 <= y2, [x2, y2], [x1, y1])[:, edges]
     at = low[0] + (centres[rows, 0] - low[1]) * ((high[0] - low[0]) / (high[1] - low[1]))
-    # Everything from the first pixel centre at or right of a crossing changes sides.
+    # All pixel centres at or right of a crossing change sides.
     first = np.clip(np.ceil(at - 0.5), 0, width).astype(int)
     changes = np.zeros((height, width + 1), np.int32)
     np.add.at(changes, (rows, first), 1)
@@ -134,7 +134,7 @@ def polygon_points(values: Any) -> NDArray[np.float64]:
 
 
 def mask_of_segmentation(shape: Any, height: int, width: int) -> NDArray[np.bool_]:
-    """Return the mask that COCO's 'segmentation' says.
+    """Decode COCO's 'segmentation'.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def mask_of_segmentation(shape: Any, height: int, width: int) -> NDArray[np.bool
     Raises
     ------
     KeyError, TypeError, ValueError, OverflowError
-        If it is neither, of another size, or covers no pixel.
+        If it is neither, has another size, or covers no pixel.
 
     Examples
     --------
@@ -171,14 +171,14 @@ def mask_of_segmentation(shape: Any, height: int, width: int) -> NDArray[np.bool
     return mask
 
 
-_RUN_BITS = 60  # reading a number of a million digits would take minutes
+_RUN_BITS = 60  # limits the time for a malformed number of a million digits
 
 
 def _pack(value: int) -> str:
     text = ""
     while True:
         low, value = value & 0x1F, value >> 5
-        # The last character's sign bit must say the sign of the whole.
+        # The last character's sign bit must match the sign of the value.
         more = value != (-1 if low & 0x10 else 0)
         text += chr((low | (0x20 if more else 0)) + 48)
         if not more:

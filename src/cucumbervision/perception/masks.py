@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return a mask of yes and no: bool, or numbers of which one is 0, as 0/1 and 0/255.
+    """Return a binary mask (bool, 0/1 or 0/255) as bool.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
     Raises
     ------
     InstancesError
-        If it has other dimensions, or values that are neither 0 nor one other number.
+        If it is not two-dimensional, or holds more than two values, or two of which none is 0.
 
     Examples
     --------
@@ -53,13 +53,13 @@ def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, slice] | None:
-    """Return the rows and columns that hold a mask's pixels, None where none is set.
+    """Return the slices of the rows and columns that hold a mask's pixels; None if it is empty.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
     margin_px : int
-        Pixels more on every side, as far as the picture goes.
+        Pixels to add on every side, within the picture.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, sli
 
 
 def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the places of a mask's pixels, row by row.
+    """Return the coordinates of a mask's pixels, row by row.
 
     Parameters
     ----------
@@ -112,17 +112,17 @@ def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 
 def distances_inside(mask: NDArray[Any]) -> NDArray[np.float32]:
-    """Return each set pixel's distance from the nearest one that is not set, pixels.
+    """Compute each set pixel's distance to the nearest unset pixel, in pixels.
 
     Parameters
     ----------
     mask : ndarray of bool or uint8, shape (H, W)
-        Not 0 is set; beyond its border nothing is known.
+        Nonzero is set; the border does not count as unset.
 
     Returns
     -------
     ndarray of float32, shape (H, W)
-        0 where no pixel is set; the same numbers at every call.
+        0 for unset pixels; reproducible to the last bit.
 
     Examples
     --------
@@ -134,12 +134,12 @@ def distances_inside(mask: NDArray[Any]) -> NDArray[np.float32]:
     import cv2
 
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    # OpenCV's roots differ in their last bit from call to call; what they are roots of is whole.
+    # OpenCV's square roots differ in the last bit between calls; the squares are whole numbers.
     return np.sqrt(np.rint(np.square(inside)))
 
 
 def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the edges x1, y1, x2, y2 of a mask's box, in pixels.
+    """Return the bounding box x1, y1, x2, y2 of a mask, in pixels.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def mask_ious(masks: NDArray[np.bool_], mask: NDArray[np.bool_]) -> NDArray[np.f
 
 
 def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
-    """Compute two masks' intersection over union; 0 where there is no first one.
+    """Compute the intersection over union of two masks; 0 if the first is None.
 
     Examples
     --------
@@ -182,10 +182,10 @@ def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
     return 0.0 if a is None else float(mask_ious(a[None], b)[0])
 
 
-_SWALLOWED = 0.5  # share of the smaller mask in the larger: then the larger has swallowed it
-_ONE_IOU = 0.8  # two masks of one thing, which is nobody's neighbour
+_SWALLOWED = 0.5  # share of the smaller mask inside the larger one, from which it is contained
+_ONE_IOU = 0.8  # IoU from which two masks show the same object
 _BESIDE_PX = 8
-_NEARER = 0.01  # of the distance: what tells by depth which of two lies in front
+_NEARER = 0.01  # of the distance: least depth difference that shows which fruit is in front
 
 
 def disjoint_masks(
@@ -193,24 +193,25 @@ def disjoint_masks(
     scores: Sequence[float],
     depth_m: NDArray[np.float32] | None = None,
 ) -> list[NDArray[np.bool_] | None]:
-    """Assign each pixel that two masks share to one of them.
+    """Assign the pixels that two masks share to one of them.
 
-    The smaller one gets it where the larger holds half of it or more, and so has swallowed it;
-    else the one whose own pixels are nearer in depth to what both share; else the surer one.
+    The smaller mask gets them if at least half of it lies in the larger one; otherwise the mask
+    whose other pixels are closest in depth to the shared ones; otherwise the more confident one.
 
     Parameters
     ----------
     masks : sequence of ndarray of bool, shape (H, W), or None
-        Of different fruit; two with an IoU of 0.8 or more are of one, and keep what they share.
+        Masks of different fruit. Two with an IoU of 0.8 or more show the same fruit and stay as
+        they are.
     scores : sequence of float
-        How sure each is.
+        Confidence of each.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres; 0 where there is no reading.
 
     Returns
     -------
     list of ndarray of bool, shape (H, W), or None
-        In the same order. Where nothing is shared the very array that was given.
+        In the same order; an array that shares no pixel is returned itself.
 
     Examples
     --------
@@ -233,7 +234,7 @@ def disjoint_masks(
             )
             if not (a[rows, columns] & b[rows, columns]).any():
                 continue
-            # As given: what others took from both may have made two fruit alike.
+            # Compare the masks as given: earlier assignments may have changed both.
             if given_a is None or given_b is None or mask_iou(given_a, given_b) >= _ONE_IOU:
                 continue
             loser = _loser((a, b), (scores[i], scores[j]), depth_m)
@@ -246,7 +247,7 @@ def _loser(
     scores: tuple[float, float],
     depth_m: NDArray[np.float32] | None,
 ) -> int:
-    """Return which of two masks that overlap gives up what they share."""
+    """Return the index of the mask that loses the shared pixels."""
     a, b = pair
     shared = a & b
     areas = int(np.count_nonzero(a)), int(np.count_nonzero(b))
@@ -266,9 +267,9 @@ def _distances(
     pair: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     depth_m: NDArray[np.float32] | None,
 ) -> list[float]:
-    """Return the median depth of what two masks share and of each one's own beside it, metres.
+    """Return the median depths, metres, of the shared pixels and of each mask's own near them.
 
-    0 without a reading. A fruit that lies askew is at its other end at another depth.
+    0 without a reading. Only pixels nearby count, since a tilted fruit's ends differ in depth.
     """
     window = mask_window(shared)
     if depth_m is None or window is None:
@@ -286,7 +287,7 @@ def _distances(
 _FLOWER_REDNESS = 18.0
 """How much redder than the fruit a withered flower is, in CIELAB a*; skin varies by half of it."""
 
-_FLOWER_SHARE = 0.002, 0.15  # of the mask's area: less is a speck, more is no flower
+_FLOWER_SHARE = 0.002, 0.15  # of the mask's area: a smaller part is noise, a larger one no flower
 
 
 def without_flower(mask: NDArray[np.bool_], color_rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -344,18 +345,18 @@ def without_flower(mask: NDArray[np.bool_], color_rgb: NDArray[np.uint8]) -> NDA
 def painted_mask(
     mask: NDArray[np.bool_], points_px: NDArray[np.float64], radius_px: float, *, erase: bool
 ) -> NDArray[np.bool_]:
-    """Return a mask with a brush's stroke added to it, or taken away.
+    """Return a mask with a brush stroke added or erased.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
         The mask.
     points_px : ndarray of float64, shape (N, 2)
-        The stroke: x and y.
+        x and y along the stroke.
     radius_px : float
-        Of the brush.
+        Radius of the brush.
     erase : bool
-        Whether it takes away.
+        Erase instead of add.
 
     Examples
     --------

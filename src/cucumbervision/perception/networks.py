@@ -1,4 +1,4 @@
-"""The networks of a run: verified and loaded once, when first needed, and named in provenance."""
+"""The networks of a run: verified and loaded once, on first use, and listed in the provenance."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 
 class Detectors:
-    """A detector, a pose network beside it, and what puts their finds together.
+    """A detector and an optional pose network, with their detections merged.
 
     Parameters
     ----------
     detector : YoloDetector
-        Whose detections are the fruit; of whatever class, since a fruit of two classes is one.
+        Finds the fruit. Classes are ignored when merging: a fruit of two classes is one.
     pose : YoloDetector, optional
-        Whose keypoints they get, and who has a say in how sure they are (`with_pose_votes`).
+        Gives the keypoints, and votes on the confidence (`with_pose_votes`).
     confidence : float
-        Which a fruit's must exceed.
+        Threshold for a fruit.
     """
 
     def __init__(
@@ -63,14 +63,14 @@ class Detectors:
     def find(
         self, color_rgb: NDArray[np.uint8], depth_m: NDArray[np.float32] | None = None
     ) -> tuple[Instance, ...]:
-        """Find the fruit of one picture, each once.
+        """Find the fruit of one picture, without duplicates.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
         depth_m : ndarray of float32, shape (H, W), optional
-            Metres, aligned to colour: tells what lies in front.
+            Metres, aligned to colour: shows which fruit is in front.
 
         Returns
         -------
@@ -94,20 +94,20 @@ def each_fruit_once(
     confidence: float = DEFAULT_CONFIDENCE,
     looks: int = 1,
 ) -> tuple[Instance, ...]:
-    """Return what is reported of a detector's and a pose network's detections of one picture.
+    """Merge a detector's and a pose network's detections of one picture.
 
     Parameters
     ----------
     detected : sequence of Instance
-        Of the detector: the fruit.
+        The detector's detections.
     posed : sequence of Instance, optional
-        Of the pose network, whose keypoints and votes they get; None without one.
+        The pose network's detections; None without a pose network.
     color_rgb : ndarray of uint8, shape (H, W, 3)
         The picture.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
     confidence : float
-        Which a fruit's must exceed, with the pose network's vote; surer poses join the parts of a
+        Threshold for a fruit after the pose network's vote; poses above it join the parts of a
         fruit.
     looks : int
         As for `with_pose_votes`.
@@ -115,7 +115,7 @@ def each_fruit_once(
     Returns
     -------
     tuple of Instance
-        Each fruit once, best first; no pixel is of two masks.
+        One instance per fruit, best first; masks do not overlap.
     """
     voted = detected if posed is None else with_pose_votes(detected, posed, looks)
     sure = [one for one in voted if one.confidence > confidence]
@@ -126,21 +126,21 @@ def each_fruit_once(
 def with_pose_votes(
     detected: Sequence[Instance], posed: Sequence[Instance], looks: int = 1
 ) -> tuple[Instance, ...]:
-    """Return detections as sure as detector and pose network are of them together.
+    """Return detections with the mean confidence of detector and pose network.
 
-    The pose network has been taught by the same fruit but errs elsewhere: what only the detector
-    takes for a fruit is seldom one.
+    The pose network learnt from the same fruit but makes other mistakes: what only the detector
+    finds is seldom a fruit.
 
     Parameters
     ----------
     detected : sequence of Instance
         Of the detector.
     posed : sequence of Instance
-        Of the pose network; one whose box overlaps a detection's by an IoU of more than 0.5 votes
-        for it, each for one at most.
+        The pose network's detections. Each votes for at most one detection, with a box IoU of more
+        than 0.5.
     looks : int
-        At how many sizes the detector has looked; the pose network's is one look more, and every
-        look counts the same, with 0 where it finds nothing (as `merge_sizes` has it).
+        Number of the detector's input sizes. Every input size and the pose network have the same
+        weight; a miss counts 0 (as in `merge_sizes`).
 
     Returns
     -------
@@ -242,26 +242,27 @@ def open_segmenter(
 
 
 class NetworkLoader:
-    """Loads networks by their name in a registry, or a user's own from a file.
+    """Loads networks by name from a registry, or from a user's file.
 
     Parameters
     ----------
     registry : Registry, optional
-        Where networks with a name lie; the package's own if not given.
+        The named networks; the package's registry if not given.
     runtime : str
         What runs them, as in `open_network`.
     confidence : float
-        Detections below it are left out.
+        Detections below it are omitted.
     prompt : str
         What SAM is shown.
     full_precision : bool
         Compute in float32.
     most : int, optional
-        Detections a picture at most.
+        Largest number of detections per picture.
     input_sizes : tuple of int
-        Long sides that detector and pose network see, pixels; empty for each file's own.
+        Input sizes (long sides, pixels) of detector and pose network; empty for each file's
+        default.
     models : list of dict, optional
-        Gets name, task, SHA-256 and runtime of each network that is loaded.
+        Receives name, task, SHA-256 and runtime of each loaded network.
 
     Examples
     --------
@@ -290,11 +291,11 @@ class NetworkLoader:
         self._confidence, self._most, self._input_sizes = confidence, most, input_sizes
         self._pose_confidence = pose_floor(confidence)
         self._files: dict[str, dict[str, Path]] = {}
-        self._segmenters: dict[str, Segmenter] = {}
-        self._begun: dict[str, Future[Segmenter]] = {}
+        self._segmenters: dict[str | None, Segmenter] = {}
+        self._begun: dict[str | None, Future[Segmenter]] = {}
 
     def verify(self, name: str) -> dict[str, Path]:
-        """Return the files of a network of the registry by role; each is read and hashed once.
+        """Return the files of a registered network by role; each is hashed once.
 
         Raises
         ------
@@ -308,13 +309,12 @@ class NetworkLoader:
     def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).
 
-        Where its points are ordered by place, the registry's network that tells a fruit's ends
-        apart comes with it.
+        If it orders keypoints by position, the registry's network for stem ends is loaded too.
 
         Raises
         ------
         ModelError, ModelHashError
-            If a file is missing, damaged, or no network of a known kind.
+            If a file is missing, damaged, or not a known kind of network.
         """
         path = self.verify(chosen)["network"] if isinstance(chosen, str) else chosen
         network = YoloDetector(
@@ -338,12 +338,12 @@ class NetworkLoader:
         return network
 
     def pose(self, path: Path) -> YoloDetector:
-        """Load a user's own pose network, for the keypoints of fruit that are known.
+        """Load a user's pose network, for the keypoints of known fruit.
 
         Raises
         ------
         ModelError
-            If the file is missing, or no YOLO pose network.
+            If the file is missing, or not a YOLO pose network.
         """
         pose = self.yolo(path, self._pose_confidence)
         if pose.task != "pose":
@@ -366,11 +366,11 @@ class NetworkLoader:
         Parameters
         ----------
         file : Path, optional
-            A user's own detector; the registry's without it, and then its pose network too.
+            A user's detector; by default the registry's, together with its pose network.
         pose : YoloDetector or Path, optional
-            Stands in for the registry's pose network.
+            Used instead of the registry's pose network.
         keypoints : bool
-            Whether the registry's pose network takes part.
+            Whether to use the registry's pose network.
 
         Raises
         ------
@@ -393,18 +393,18 @@ class NetworkLoader:
             pose = self.pose(pose)
         return Detectors(detector, pose, self._confidence)
 
-    def begin_segmenter(self, name: str) -> None:
+    def begin_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.
 
-        A runtime compiles a network mostly on one core, so that another's can load meanwhile.
+        Runtimes compile mostly on one core, so another network can load meanwhile.
         """
         if name not in self._segmenters and name not in self._begun:
-            executor = ThreadPoolExecutor(1, thread_name_prefix=f"load {name}")
+            executor = ThreadPoolExecutor(1, thread_name_prefix="load segmenter")
             self._begun[name] = executor.submit(self._open_segmenter, name)
             executor.shutdown(wait=False)
 
-    def segmenter(self, name: str) -> Segmenter:
-        """Return a segmenter of the registry, loaded once.
+    def segmenter(self, name: str | None = None) -> Segmenter:
+        """Return a segmenter of the registry, or the default one, loaded once.
 
         Raises
         ------
@@ -414,13 +414,14 @@ class NetworkLoader:
         if name not in self._segmenters:
             begun = self._begun.pop(name, None)
             segmenter = self._open_segmenter(name) if begun is None else begun.result()
-            known, files = self.registry.hashes(name), self.verify(name)
+            model = self.registry.segmenter(name)
+            known, files = self.registry.hashes(model.name), self.verify(model.name)
             hashes = {role: known[file.name] for role, file in files.items()}
-            self._note(name, self.registry.get(name).task, hashes, segmenter)
+            self._note(model.name, model.task, hashes, segmenter)
             self._segmenters[name] = segmenter
         return self._segmenters[name]
 
-    def _open_segmenter(self, name: str) -> Segmenter:
+    def _open_segmenter(self, name: str | None) -> Segmenter:
         return open_segmenter(
             name,
             runtime=self._runtime,

@@ -1,12 +1,11 @@
-"""The parts of one fruit left and right of a leaf or a string become one instance.
+"""Join the parts of a fruit on both sides of a leaf or string into one instance.
 
-Two parts are one fruit where one axis runs through both, they are equally thick where they face
-each other, and what parts them is a cut and no two round ends: along lines parallel to the axis
-the gap is as wide at the sides as in the middle, while between two ends that face each other it
-opens towards the sides. Where there is depth, what lies in the gap must be nearer than the fruit
-(or, if it is as thin as a string, not farther); without depth, the parts must be of one colour.
-Two fruit whose ends are both hidden behind one leaf look the same as one: a gap of more than
-two and a half diameters (two without depth), or a whole of more than twelve, joins nothing.
+Two parts are one fruit if one axis runs through both, their thickness is equal at the gap, and the
+gap is as wide at its sides as in the middle; between two round ends it widens towards the sides.
+With depth, the object in the gap must be nearer than the fruit (a thin string: not farther);
+without depth, the parts must have the same colour. Two fruit with both ends behind one leaf look
+like one, so gaps of more than 2.5 diameters (2 without depth) and totals of more than 12 are not
+joined.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ if TYPE_CHECKING:
     from cucumbervision.perception.instances import Instance
 
 # Lengths are in diameters of the thinner part.
-_NARROWEST_GAP = 0.08  # a string's; masks that touch are two fruit, one before the other
+_NARROWEST_GAP = 0.08  # a string's width; touching masks are two fruit, one in front of the other
 _LONGEST_GAP, _LONGEST_GAP_UNSEEN = 2.5, 2.0  # with depth, and without
 _LONGEST_WHOLE = 12.0
 _SHORTEST_PART = 0.3
-_NEAR = 2.0  # of a part, counted from the gap, tells its axis and its diameter there
-_SIDES = 0.4  # how far beside the axis the gap is looked at
-_BESIDE, _INNER = 0.75, 0.35  # of that: which lines run beside the middle, and which through it
-_OPENING = 0.15  # how much wider the gap may be at its sides; between two round ends it is 0.27
+_NEAR = 2.0  # length of a part, from the gap, that gives its axis and diameter
+_SIDES = 0.4  # how far from the axis the gap is examined
+_BESIDE, _INNER = 0.75, 0.35  # of that: which lines count as sides, and which as middle
+_OPENING = 0.15  # allowed extra width of the gap at its sides; between two round ends it is 0.27
 _OFFSET = 0.3  # between the two axes, in the middle of the gap
 _THIN_GAP = 0.35  # a string's: too thin for a depth camera to see it nearer
 _EQUAL_GIRTH = 0.7  # thinner over thicker
@@ -43,7 +42,7 @@ _TURN_DEG = 30.0  # between the two axes
 _AXIS_SPAN = 0.6  # how long a part must be before it has an axis of its own
 _NEARER, _NEARER_SHARE = 0.008, 0.6  # of the distance, and of the readings in the gap
 _FARTHER, _FARTHER_SHARE = 0.02, 0.2
-_DEPTH_STEP = 0.03  # of the distance, between what both parts foretell for the gap
+_DEPTH_STEP = 0.03  # of the distance, between both parts' predicted depths of the gap
 _SAME_COLOR = 18.0  # between the parts' medians, in CIE Lab
 
 
@@ -52,7 +51,7 @@ def join_across(
     color_rgb: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None = None,
 ) -> tuple[Instance, ...]:
-    """Join the parts of fruit that something in front cuts in two or more.
+    """Join the parts of fruit that an object in front splits.
 
     Parameters
     ----------
@@ -66,8 +65,8 @@ def join_across(
     Returns
     -------
     tuple of Instance
-        Best first. Joined: the common box and mask, the best confidence, no keypoints: each
-        part's were its own.
+        Best first. A joined instance has the common box and mask, the best confidence and no
+        keypoints.
 
     Examples
     --------
@@ -158,7 +157,7 @@ class _Facing:
 
     @property
     def fits(self) -> bool:
-        """Whether shape and place are those of one fruit."""
+        """Whether shape and position fit one fruit."""
         girth = self.girth_px
         return (
             self.ratio >= _EQUAL_GIRTH
@@ -203,7 +202,7 @@ def _best_pair(
 
 
 def _facing(a: _Part, b: _Part) -> _Facing | None:
-    """Return how two parts lie to each other; None where they plainly are apart."""
+    """Return the relative position of two parts; None if they are clearly separate."""
     thin, thick = sorted((a.girth_px, b.girth_px))
     far = float(np.linalg.norm(b.centre - a.centre))
     reach = (a.long_px + b.long_px) / 2 + _LONGEST_GAP * thick
@@ -250,7 +249,7 @@ def _near_the_gap(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the direction from one part to the other, and the pixels of both beside the gap.
 
-    A bent fruit's parts point past each other's middles, so what is near the gap gives it.
+    Only pixels near the gap count, since a bent fruit's parts point past each other's centres.
     """
     apart, near_a, near_b = b.centre - a.centre, a.pixels, b.pixels
     for _ in range(2):
@@ -271,11 +270,11 @@ class _Sections:
     girth_px : float
         Their median width.
     long_px : float
-        How far those that are complete reach along.
+        Length along the axis of the complete sections.
     middle_px : float
-        Where the section nearest to the gap has its middle.
+        Middle of the section nearest to the gap.
     slope : float, optional
-        How much the middles move across for each pixel along; None for a short part.
+        Slope of the middles; None for a short part.
     centre : tuple of float
         Mean s and t of the middles.
     """
@@ -300,7 +299,7 @@ class _Sections:
         if not known.any():
             return None
         girth = float(np.quantile(width[known], 0.6))
-        # Where the edge cuts the fruit askew the sections are no whole ones.
+        # Sections at an oblique edge are incomplete.
         whole = known & (width > 0.8 * girth)
         s, t = np.flatnonzero(whole) + start, (low[whole] + high[whole]) / 2
         span = float(np.ptp(s)) + 1
@@ -317,7 +316,7 @@ class _Sections:
 def _edges(
     first: NDArray[np.float64], second: NDArray[np.float64], middle: float, girth: float
 ) -> NDArray[np.float64]:
-    """Return of lines along the frame their t, and where they leave and enter the parts."""
+    """Return lines along the frame: their t, and where they leave and enter the parts."""
     step = max(1.0, girth / 15)
     edges = []
     for t in np.arange(middle - _SIDES * girth, middle + _SIDES * girth + step / 2, step):
@@ -330,21 +329,21 @@ def _edges(
 def _something_in_front(
     facing: _Facing, color_rgb: NDArray[np.uint8], depth_m: NDArray[np.float32] | None
 ) -> bool:
-    """Return whether what separates two parts is nearer than the fruit, if depth shows it."""
+    """Return whether the object between two parts is nearer than the fruit, as far as is known."""
     ridges = [points[np.abs(points[:, 1]) < facing.girth_px / 3] for points in facing.near]
     if depth_m is not None:
-        told = _depth_says(facing, ridges, depth_m)
-        if told is not None:
-            return told
+        in_front = _depth_shows_in_front(facing, ridges, depth_m)
+        if in_front is not None:
+            return in_front
     if facing.gap_px > _LONGEST_GAP_UNSEEN * facing.girth_px:
         return False
     return _of_one_color(facing, ridges, color_rgb)
 
 
-def _depth_says(
+def _depth_shows_in_front(
     facing: _Facing, ridges: Sequence[NDArray[np.float64]], depth_m: NDArray[np.float32]
 ) -> bool | None:
-    """Return what depth says of the gap; None where there are too few readings."""
+    """Return whether depth shows an object in front in the gap; None with too few readings."""
     middle = float(facing.edges[:, 1:].mean())
     predicted = [_predicted_depth(facing, ridge, depth_m, middle) for ridge in ridges]
     if predicted[0] is None or predicted[1] is None:
@@ -366,7 +365,7 @@ def _depth_says(
 def _predicted_depth(
     facing: _Facing, ridge: NDArray[np.float64], depth_m: NDArray[np.float32], at: float
 ) -> float | None:
-    """Return the depth that one part's ridge foretells for the middle of the gap, metres."""
+    """Return the depth that one part's ridge predicts for the middle of the gap, metres."""
     pixels = facing.pixels(ridge[:, 0], ridge[:, 1])
     readings = depth_m[pixels[:, 1], pixels[:, 0]]
     known = valid_depth(readings)

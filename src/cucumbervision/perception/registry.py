@@ -1,7 +1,7 @@
-"""The networks that have a name: what they are, whose, and where their verified files lie.
+"""The registry of networks: description, origin, licence and verified files.
 
-`models.toml` beside this file lists them. Embedded networks lie in the package; the others are
-fetched by `cucumbervision models pull` into the user's folder, never at run time.
+`models.toml` beside this file lists them. Embedded networks are part of the package;
+`cucumbervision models pull` fetches the others into the user's folder, never at run time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class ModelFile:
     Parameters
     ----------
     role : str
-        What it is to its network: 'encoder', 'decoder', 'network'.
+        'encoder', 'decoder' or 'network'.
     file : str
         Its name.
     sha256 : str
@@ -57,7 +57,7 @@ class ModelSource:
     url : str
         Where the publisher offers it; 'pip:NAME==VERSION' for a Python distribution.
     member : str
-        Its path inside the archive that `url` names; empty if it stands alone.
+        Its path inside the archive at `url`; empty if it is not in an archive.
     """
 
     file: str
@@ -74,13 +74,13 @@ class Model:
     Parameters
     ----------
     name : str
-        What commands call it.
+        Its name in commands.
     task : str
         'prompted-mask', 'segment' or 'pose'.
     licence : str
         SPDX identifier of the weights' licence.
     title : str
-        What it is, in a line.
+        A one-line description.
     origin : str
         Who published it.
     files : tuple of ModelFile
@@ -88,11 +88,11 @@ class Model:
     source : ModelSource, optional
         What the files were exported from.
     architecture : str
-        The name that the exporter knows it by.
+        Its name in the exporter.
     embedded : bool
-        True if it lies in the package.
+        True if it is part of the package.
     card : str
-        The page that tells its training data; for networks trained by this project.
+        File name of its model card; for networks trained by this project.
     segmenter : str
         For 'prompted-mask': the class that draws masks with the files, as 'module:name'.
     """
@@ -142,7 +142,7 @@ IN_USE = "in-use.json"
 
 @dataclass(frozen=True)
 class Registry:
-    """The models and the two folders that their files lie in.
+    """The models, and the two folders with their files.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ class Registry:
     embedded : Path
         Folder of the embedded files.
     user : Path
-        Folder of the fetched ones, a subfolder a model; it need not exist.
+        Folder of the fetched ones, with a subfolder per model; it need not exist.
     in_use : mapping of str to tuple of str
-        By task the networks that their user put in the place of the package's, the newest last.
+        The user's own networks by task, the newest last.
     """
 
     models: tuple[Model, ...]
@@ -209,17 +209,17 @@ class Registry:
         return model
 
     def folder(self, name: str) -> Path:
-        """Return the folder that a model's files lie in, or would."""
+        """Return the folder of a model's files; it may not exist yet."""
         return self.embedded if self.get(name).embedded else self.user / name
 
     def state(self, name: str) -> str:
-        """Tell, without hashing: 'embedded', 'pulled' or 'not pulled'."""
+        """Return, without hashing, 'embedded', 'pulled' or 'not pulled'."""
         if self.get(name).embedded:
             return "embedded"
         return "pulled" if (self.folder(name) / _MANIFEST).is_file() else "not pulled"
 
     def size_bytes(self, name: str) -> int:
-        """Return the size of the files on this machine, or else of the file to fetch."""
+        """Return the size of the files on this machine, or of the file to fetch."""
         model, folder = self.get(name), self.folder(name)
         here = [folder / f.file for f in model.files if (folder / f.file).is_file()]
         if here:
@@ -227,14 +227,14 @@ class Registry:
         return model.source.size_bytes if model.source else sum(f.size_bytes for f in model.files)
 
     def hashes(self, name: str) -> dict[str, str]:
-        """Return the SHA-256 that each file must have, by file name.
+        """Return the expected SHA-256 of each file, by file name.
 
         Raises
         ------
         ModelError
             If the model was not pulled, or its manifest cannot be read.
         ModelHashError
-            If it was exported from another file than the registry names.
+            If it was exported from another checkpoint than the registered one.
         """
         model = self.get(name)
         if self.state(name) == "not pulled":
@@ -288,7 +288,7 @@ class Registry:
         ModelError
             If it was not pulled, or a file is missing.
         ModelHashError
-            If a file is not what it should be.
+            If a file's hash differs.
         """
         self.require(self.verify(name))
         folder = self.folder(name)
@@ -340,7 +340,7 @@ class Registry:
         return self.resolve(name)
 
     def export(self, name: str, out: Path, form: str = "onnx") -> tuple[Path, ...]:
-        """Copy a model's verified files out, or convert them to OpenVINO's own form.
+        """Copy a model's verified files, or convert them to OpenVINO's format.
 
         Parameters
         ----------
@@ -362,7 +362,7 @@ class Registry:
         ModelError
             If the form is unknown.
         UnknownModelError, ModelHashError, MissingExtraError
-            From finding the files and from converting.
+            If a file is unknown or damaged, or OpenVINO is not installed.
         """
         if form not in _FORMATS:
             raise ModelError(f"no format {form!r}", remedy=f"choose one of {', '.join(_FORMATS)}")

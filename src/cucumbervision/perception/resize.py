@@ -1,7 +1,7 @@
-"""Pictures to the sizes that networks take, and their answers back, exactly.
+"""Resize pictures for networks, and map their outputs back exactly.
 
 Ultralytics and SAM measure from the picture's corner (pixel i covers i to i + 1), cameras and
-`Instance` from the first pixel's centre (pixel i covers i - 0.5 to i + 0.5): going back subtracts
+`Instance` from the first pixel's centre (pixel i covers i - 0.5 to i + 0.5); the way back subtracts
 0.5. Sources: `LetterBox`, `scale_boxes`, `scale_coords` and `process_mask_native` of Ultralytics
 8.4; `ResizeLongestSide` and `postprocess_masks` of SAM.
 """
@@ -33,7 +33,7 @@ _GREY = 114
 
 @dataclass(frozen=True)
 class Letterbox:
-    """How a picture lies in a network's input; `fit` makes it.
+    """Position of a picture in a network's input; made by `fit`.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Letterbox:
         return out
 
     def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the picture as a network takes it, resized and padded.
+        """Return the network input for a picture, resized and padded.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Letterbox:
         return np.divide(planes, np.float32(255), dtype=np.float32)
 
     def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Take boxes from the network's input to the picture, clipped to it.
+        """Map boxes from the network's input to the picture, and clip them.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Letterbox:
         return self.points_back(np.reshape(boxes, (-1, 2, 2))).reshape(-1, 4)
 
     def points_back(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Take points from the network's input to the picture, clipped to it.
+        """Map points from the network's input to the picture, and clip them.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class Letterbox:
         coefficients: NDArray[np.float32],
         box: NDArray[np.floating],
     ) -> NDArray[np.bool_]:
-        """Take one mask from the prototypes' grid to the picture, cut by its box.
+        """Map one mask from the prototypes' grid to the picture, and crop it to its box.
 
         The prototypes' weighted sum is interpolated linearly and cut at zero at the picture's own
         resolution (`process_mask_native`, Ultralytics' `retina_masks`); only the part that the
@@ -179,7 +179,7 @@ def fit(
     minimal: bool = False,
     stride: int = 32,
 ) -> Letterbox:
-    """Return how a picture is fitted into a network's input.
+    """Compute the position of a picture in a network's input.
 
     Parameters
     ----------
@@ -188,8 +188,8 @@ def fit(
     size : tuple of int
         Height and width of the network's input.
     minimal : bool
-        Pad only up to the next multiple of `stride`, as Ultralytics does where the network takes
-        any size (`rect`).
+        Pad only to the next multiple of `stride`, as Ultralytics does for networks with free size
+        (`rect`).
     stride : int
         The network's largest stride in pixels.
 
@@ -227,8 +227,8 @@ def _mask_weights(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the matrices that interpolate the prototypes' rows and columns to the picture's.
 
-    Where the padding is no whole number of prototype pixels, the prototypes are first enlarged two
-    or four times, so that it can be cut off whole.
+    If the padding is not a whole number of prototype pixels, the prototypes are first enlarged two
+    or four times, so that it can be cropped exactly.
     """
     gain = min(4 * rows / box.height, 4 * columns / box.width)
     spare_rows = 4 * rows - max(round(box.height * gain), 1)
@@ -262,9 +262,9 @@ def scaled_size(height: int, width: int) -> tuple[int, int]:
 
 
 def rows_needed(height: int, width: int) -> int:
-    """Return how many of the square's 1024 rows a picture reaches, in whole patches of 16.
+    """Return how many of the square's 1024 rows a picture covers, rounded up to patches of 16.
 
-    Below them there is only padding, which an encoder of free height need not see.
+    The rest is padding, which an encoder with free height can omit.
 
     Examples
     --------
@@ -303,7 +303,7 @@ def prepare_picture(color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> NDArray[np.float32]:
-    """Carry points of the picture into the decoder's pixels.
+    """Map points of the picture to the decoder's pixels.
 
     The picture's edges run from -0.5 to W - 0.5 and are scaled onto 0 to the scaled width; the
     decoder counts pixel centres too and adds half a pixel itself.
@@ -332,7 +332,7 @@ def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> ND
 
 
 def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.bool_]:
-    """Enlarge one low-resolution mask to the picture and cut it at zero.
+    """Enlarge one low-resolution mask to the picture and threshold it at zero.
 
     The same as SAM's own two bilinear steps (to 1024, without the padding to the picture), which
     are linear and act on rows and columns apart; done only where a positive logit can reach.
@@ -340,7 +340,7 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
     Parameters
     ----------
     logits : ndarray of float32, shape (256, 256) or fewer rows
-        One mask of the decoder; rows that it lacks are padding.
+        One mask of the decoder; missing rows are padding.
     height, width : int
         The picture's size.
 
@@ -357,7 +357,7 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
     """
     mask = np.zeros((height, width), bool)
     if len(logits) < _LOW:
-        # The picture's lowest rows lean on the first one beyond.
+        # The picture's lowest rows interpolate with the first padding row.
         logits = np.pad(logits, ((0, _LOW - len(logits)), (0, 0)), mode="edge")
     positive = logits > 0
     if not positive.any():

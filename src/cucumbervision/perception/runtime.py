@@ -1,9 +1,9 @@
-"""One small interface over ONNX Runtime and OpenVINO: open a network, feed it, take its outputs.
+"""One interface to ONNX Runtime and OpenVINO: load a network and run it.
 
-Both runtimes report home by default: `import openvino` sends an event through the package
+Both runtimes send telemetry by default: `import openvino` sends an event through the package
 openvino_telemetry, and ONNX Runtime 1.29 and later keeps a device id and a store of events under
-the user's cache folder and uploads them. `import_onnxruntime` and `import_openvino` switch that
-off before anything is loaded; nothing else in the project imports the two.
+the user's cache folder and uploads them. `import_onnxruntime` and `import_openvino` disable it
+before anything is loaded; no other module imports the two.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _PROVIDERS = {
     "cuda": ("CUDAExecutionProvider", "CPUExecutionProvider"),
     "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
 }
-# Two networks may be opened at once, by two threads.
+# Two threads may each open a network.
 _STARTING_OPENVINO = threading.RLock()
 _GPU_REMEDY = "install onnxruntime-gpu in place of onnxruntime, or choose the runtime auto"
-_ONNX_FLOATS = {"float": "float32", "double": "float64"}  # others are called as in NumPy
+_ONNX_FLOATS = {"float": "float32", "double": "float64"}  # the others have NumPy's names
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Network:
     metadata : mapping of str to str
         The file's custom metadata (Ultralytics stores names, imgsz, task, stride, kpt_shape).
     runtime : str
-        What runs it, with the precision or the provider, and why where 'auto' had to step down.
+        The runtime, with precision or provider; with the reason if 'auto' fell back to another.
     source : str
         The file, for errors.
     compute : callable
@@ -131,7 +131,7 @@ _most_threads: int | None = None
 
 
 def limit_threads(threads: int | None) -> None:
-    """Limit the threads of every network that this process loads from now on."""
+    """Limit the threads of all networks loaded later in this process."""
     global _most_threads
     _most_threads = threads
 
@@ -153,18 +153,18 @@ def open_network(
         The file, or its content.
     runtime : str
         'onnxruntime', 'openvino', 'cuda' or 'tensorrt' (ONNX Runtime's providers), or 'auto':
-        OpenVINO where it is installed and can load the file, as the faster one on a CPU, else
-        ONNX Runtime.
+        OpenVINO (faster on a CPU) if it is installed and loads the file, otherwise ONNX Runtime.
     full_precision : bool
-        Compute in float32 where results must reproduce; without it OpenVINO takes bfloat16 on
-        CPUs that have it, and CUDA takes TF32.
+        Compute in float32 for reproducible results; otherwise OpenVINO uses bfloat16 where the CPU
+        supports it, and CUDA uses TF32.
     threads : int, optional
-        Most threads to use; what `limit_threads` says, or the runtime's own choice, if not given.
+        Largest number of threads; by default the one set by `limit_threads`, or the runtime's
+        choice.
     name : str
-        What errors call a network given as bytes.
+        Name in errors of a network given as bytes.
     vouched : bool
-        Whether its content is known, by a hash, to be sound. Any other is first checked by ONNX
-        Runtime, which refuses a broken graph: OpenVINO crashes at a node without its inputs.
+        Whether its hash was verified. Other files are first checked by ONNX Runtime, which rejects
+        a broken graph: OpenVINO crashes at a node without its inputs.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def open_network(
     Raises
     ------
     ModelError
-        If the file is missing or no network, the runtime unknown, or its provider not available.
+        If the file is missing or not a network, the runtime unknown, or its provider not available.
     MissingExtraError
         If 'openvino' is asked for and not installed.
     """
@@ -249,7 +249,7 @@ def import_openvino() -> Any:
 
 
 def _check_kind(path: Path | bytes, source: str) -> None:
-    """Refuse what is plainly no ONNX file, on which OpenVINO tries all its other readers."""
+    """Raise if a file is clearly not ONNX; OpenVINO would try all its other readers on it."""
     if isinstance(path, bytes):
         head = path[:2]
     else:
@@ -265,7 +265,7 @@ def _check_kind(path: Path | bytes, source: str) -> None:
 
 
 def _check_graph(path: Path | bytes, source: str) -> None:
-    """Refuse a network whose graph ONNX Runtime refuses; nothing of it is optimised or run."""
+    """Raise if ONNX Runtime rejects the graph; nothing is optimised or run."""
     ort = import_onnxruntime()
     options = ort.SessionOptions()
     options.log_severity_level = 4
@@ -284,7 +284,7 @@ def _check_graph(path: Path | bytes, source: str) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    """Return what a runtime says, without its source lines and in at most 200 characters."""
+    """Return a runtime's error message without source lines, at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines()]
     told = [line for line in lines if line and not line.startswith("Exception from ")]
     return (" ".join(told) or type(error).__name__)[:200].rstrip(".")
@@ -313,7 +313,7 @@ def _open_onnxruntime(
         raise ModelError(f"ONNX Runtime has no {wanted[0]} here", remedy=_GPU_REMEDY)
     options = ort.SessionOptions()
     options.log_severity_level = 4
-    # Else its threads go on looking for work for 30 ms after each run, which the rest needs.
+    # Otherwise its threads spin for 30 ms after each run and slow the rest down.
     options.add_session_config_entry("session.force_spinning_stop", "1")
     if threads is not None:
         options.intra_op_num_threads = threads
@@ -363,8 +363,8 @@ def _open_openvino(
         settings["INFERENCE_PRECISION_HINT"] = "f32"
     if threads is not None:
         settings["INFERENCE_NUM_THREADS"] = threads
-    # One at a time: a thread that compiles waits for Python's lock while another that reads the
-    # inputs of its network holds it and waits for OpenVINO's, for ever.
+    # One at a time, against a deadlock between Python's lock (held while reading a network's
+    # inputs) and OpenVINO's (held while compiling).
     with _STARTING_OPENVINO:
         core = _openvino_core()
         try:
@@ -380,7 +380,7 @@ def _open_openvino(
 
     def compute(feeds: dict[str, Array]) -> list[Array]:
         request.infer(feeds, share_inputs=True)
-        # Copied: the request's own buffers are written again by the next run.
+        # Copy, since the next run overwrites the request's buffers.
         return [request.get_output_tensor(i).data.copy() for i in range(len(outputs))]
 
     return Network(

@@ -42,19 +42,19 @@ if TYPE_CHECKING:
     _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 PROMPTS = ("box", "box+point", "point")
-"""What a detection can be prompted by: its box, its centre, or both."""
+"""Prompts for a detection: its box, its centre, or both."""
 
 _MIN_MASK_PX = 100
 
 _MIN_BOX_IOU = 0.5
 
 _MIN_AGREEMENT = 0.6
-"""Least IoU with the detector's own mask, where there is one, that a mask is taken with."""
+"""Least IoU of a mask with the detector's own, if there is one."""
 
 _LEAST_PART = 0.1
-"""Of the detector's mask, what a part must be to be drawn by itself."""
+"""Least share of the detector's mask for a part to be segmented separately."""
 
-_TOGETHER = 4  # prompts in one call of the decoder: more would only need more memory
+_TOGETHER = 4  # prompts per call of the decoder; more need more memory and save no time
 
 _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
 
@@ -72,7 +72,7 @@ class Sam:
     prompt : str
         One of `PROMPTS`.
     full_precision : bool
-        Compute in float32 where results must reproduce.
+        Compute in float32 for reproducible results.
     vouched : bool
         As for `open_network`.
 
@@ -125,7 +125,7 @@ class Sam:
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture; red first.
         instances : sequence of Instance
-            Whose boxes are the prompts.
+            Their boxes are the prompts.
 
         Returns
         -------
@@ -134,10 +134,10 @@ class Sam:
 
         Notes
         -----
-        SAM gives several masks, each with the IoU that it expects. Where the detector drew a mask,
-        the sum of that and the IoU with the detector's decides; else it alone. The parts of a fruit
-        left and right of what hides it are drawn one by one: the middle of their common box lies
-        on what hides it. No pixel is of two fruit's masks.
+        SAM gives several masks, each with its predicted IoU. The mask with the largest predicted
+        IoU is taken, plus its IoU with the detector's mask if there is one. Parts of a fruit on
+        both sides of an occluder are segmented separately, since the centre of their common box is
+        on the occluder. Masks do not overlap.
         """
         parts = [_parts(instance) for instance in instances]
         drawn = iter(self._drawn(color_rgb, [one for some in parts for one in some]))
@@ -150,7 +150,7 @@ class Sam:
     def _drawn(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
     ) -> tuple[Instance, ...]:
-        """Draw a mask for each, as if it were in one part."""
+        """Draw a mask for each, ignoring separate parts."""
         height, width = color_rgb.shape[:2]
         boxes = [_clip(instance.box, height, width) for instance in instances]
         seen = {i: box for i, box in enumerate(boxes) if box is not None}
@@ -167,14 +167,14 @@ class Sam:
 
     @OneThread()
     def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
-        """Draw the mask of what lies at one pixel, whatever `prompt` says.
+        """Draw the mask of the object at one pixel, regardless of `prompt`.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture; red first.
         u_px, v_px : float
-            The pixel that somebody pointed at.
+            The selected pixel.
 
         Returns
         -------
@@ -188,7 +188,7 @@ class Sam:
     def _answers(
         self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64], prompt: str
     ) -> list[_Answer]:
-        """Return each box's masks as logits, and how good SAM believes each to be."""
+        """Return each box's masks as logits, with SAM's predicted IoUs."""
         if not len(boxes):
             return []
         height, width = color_rgb.shape[:2]
@@ -202,8 +202,8 @@ class Sam:
         return found
 
     def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the picture's embedding; that of the last picture is kept."""
-        # The content counts, since a camera may write the next picture into the same array.
+        """Return the picture's embedding; the last one is cached."""
+        # Compare contents, since a camera may reuse the array for the next picture.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
         known, embedding = self._encoded
@@ -218,7 +218,7 @@ class Sam:
 
 
 def _mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
-    """Return why a mask cannot be the fruit in a box; nothing if it can.
+    """Return why a mask cannot be the fruit in a box; empty if it can.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def _mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
 
 
 def _clip(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64] | None:
-    """Cut a box to the picture; None if nothing of it is inside."""
+    """Clip a box to the picture; None if it is outside."""
     limit = np.array([width, height, width, height]) - 0.5
     cut = np.clip(np.asarray(box, np.float64), -0.5, limit)
     return cut if cut[2] > cut[0] and cut[3] > cut[1] else None
@@ -268,8 +268,7 @@ def _prompts(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return points (N, P, 2) in pixels and SAM's labels (N, P).
 
-    As SAM itself does, points come before the corners, and a point without a box is followed by
-    an empty one.
+    As in SAM, points precede the corners, and a point without a box is followed by a padding point.
     """
     corners = boxes.reshape(-1, 2, 2)
     centres = corners.mean(axis=1, keepdims=True)
@@ -287,7 +286,7 @@ def _prompts(
 def _with_mask(
     instance: Instance, answer: _Answer, box: NDArray[np.float64], height: int, width: int
 ) -> Instance:
-    """Take the best of SAM's masks, unless it cannot be the fruit."""
+    """Return an instance with the best of SAM's masks, unless it cannot be the fruit."""
     logits, sure = answer
     agreement = np.ones(len(sure))
     own = instance.detector_mask
@@ -304,7 +303,7 @@ def _with_mask(
 
 
 def _parts(instance: Instance) -> tuple[Instance, ...]:
-    """Return an instance for each part of the detector's mask; itself where there is one only."""
+    """Return an instance for each part of the detector's mask, or the instance itself."""
     import cv2
 
     own = instance.detector_mask
@@ -325,7 +324,7 @@ def _parts(instance: Instance) -> tuple[Instance, ...]:
 
 
 def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
-    """Return an instance with the masks of its parts as one; refused where one of them is."""
+    """Return an instance with the union of its parts' masks; rejected if one of them is."""
     masks = [one.mask for one in drawn if one.mask is not None]
     if len(masks) < len(drawn):
         fault = next(one.mask_failure for one in drawn if one.mask is None)
@@ -335,7 +334,7 @@ def _whole(instance: Instance, drawn: Sequence[Instance]) -> Instance:
 
 
 def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Assign each pixel to one fruit; a mask of which too little is left is refused."""
+    """Assign each pixel to one fruit; reject a mask of which too little is left."""
     masks = [one.mask for one in instances]
     left = disjoint_masks(masks, [one.confidence for one in instances])
     out = []

@@ -1,4 +1,4 @@
-"""Find fruit with a YOLO network: any Ultralytics ONNX export for detect, segment or pose."""
+"""YOLO detection with any Ultralytics ONNX export for detect, segment or pose."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from cucumbervision.perception.runtime import Network, TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
-"""Metadata key of our exports: 'True' where the raw head is the one-to-one one."""
+"""Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""
 
 ORDER_KEY = "keypoint_order"
 """Metadata key of our pose exports; without it points run from blossom to stem."""
 
 SIZES_KEY = "input_sizes"
-"""Metadata key of our exports: the long sides that a network is shown where none is asked for."""
+"""Metadata key of our exports: default input sizes (long sides)."""
 
 BY_PLACE = "place"
-"""Its value where points run from a fruit's lower left end to its upper right one."""
+"""Its value if points run from a fruit's lower left to its upper right end."""
 
 _TASKS = ("detect", "segment", "pose")
 _REMEDY = "name an ONNX export of a YOLO detect, segment or pose network"
@@ -62,21 +62,21 @@ class YoloLayout:
     size_px : tuple of int
         Height and width of the input.
     sizes_px : tuple of int
-        Long sides at which the file asks to be run; empty for `size_px` alone.
+        Default input sizes of the file; empty for `size_px` alone.
     free_size : bool
-        True where the network takes any size that is a multiple of the stride.
+        True if the network takes any multiple of the stride.
     stride_px : int
         Its largest stride.
     extra : int
-        Numbers a detection beside box and classes: mask coefficients or keypoints.
+        Numbers per detection beside box and classes: mask coefficients or keypoints.
     keypoints : tuple of int
-        How many keypoints, and numbers each; (0, 0) unless the task is 'pose'.
+        Keypoints, and numbers per keypoint; (0, 0) unless the task is 'pose'.
     end_to_end : bool
-        True where the file says that its rows are already chosen.
+        True if the file's metadata says that its rows are final.
     one_to_one : bool
-        True where a raw head's rows do not overlap.
+        True if the raw rows need no suppression.
     by_place : bool
-        True where keypoints are ordered by where they lie in the picture.
+        True if keypoints are ordered by their position in the picture.
     source : str
         The file, for errors.
     """
@@ -103,12 +103,12 @@ class YoloLayout:
         Parameters
         ----------
         shape : tuple of int
-            Of the detections' output without the batch: (a, b).
+            Shape of the detections without the batch: (a, b).
 
         Raises
         ------
         ModelError
-            If the shape is neither layout's.
+            If the shape fits neither layout.
         """
         channels, last = shape
         classes = len(self.names) or channels - 4 - self.extra
@@ -127,12 +127,12 @@ class YoloLayout:
 
 
 def _read_layout(network: Network) -> YoloLayout:
-    """Read what a network takes and gives.
+    """Read the layout of a network's inputs and outputs.
 
     Parameters
     ----------
     network : Network
-        Any network; Ultralytics' metadata is used where it is there.
+        The network; Ultralytics' metadata is used if present.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def _read_layout(network: Network) -> YoloLayout:
     Raises
     ------
     ModelError
-        If this is no YOLO network of a known task, or not for one picture at a time.
+        If this is not a YOLO network of a known task with batch size 1.
     """
     source, data = network.source, network.metadata
     free_size, size = _input_size(network)
@@ -181,7 +181,7 @@ def _read_layout(network: Network) -> YoloLayout:
 
 
 def _input_size(network: Network) -> tuple[bool, tuple[int, int]]:
-    """Return whether the input's size is free, and what it is (or what the file recommends)."""
+    """Return whether the input size is free, and the size (or the file's recommended one)."""
     source, inputs = network.source, network.inputs
     shape = inputs[0].shape if len(inputs) == 1 else ()
     if len(shape) != 4 or shape[1] not in (3, None):
@@ -275,7 +275,7 @@ def choose_rows(output: NDArray[np.floating], confidence: float) -> NDArray[np.f
 def choose_raw(
     output: NDArray[np.floating], classes: int, confidence: float, *, one_to_one: bool
 ) -> NDArray[np.float32]:
-    """Choose from a raw output.
+    """Select the detections of a raw output.
 
     Parameters
     ----------
@@ -286,8 +286,8 @@ def choose_raw(
     confidence : float
         0 to 1; a score must exceed it.
     one_to_one : bool
-        True takes the best 300 (`Detect.get_topk_index`), False suppresses overlaps
-        (`non_max_suppression` with IoU 0.7, within a class).
+        True keeps the best 300 (`Detect.get_topk_index`); False suppresses overlaps within a class
+        (`non_max_suppression`, IoU 0.7).
 
     Returns
     -------
@@ -308,7 +308,7 @@ def choose_raw(
     boxes = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
     if one_to_one:
         best = _descending(scores.max(axis=1))[:_MAX_DETECTIONS]
-        # As Ultralytics: an anchor of the best may answer for more than one class.
+        # As in Ultralytics, one anchor may give detections of several classes.
         flat = _descending(scores[best].ravel())[:_MAX_DETECTIONS]
         index, labels = best[flat // classes], flat % classes
     else:
@@ -330,7 +330,7 @@ _log = logging.getLogger("cucumbervision")
 
 
 class YoloDetector:
-    """A YOLO network with everything around it: letterbox, decoding, masks at full resolution.
+    """A YOLO network with its pre- and post-processing: letterbox, decoding, full-resolution masks.
 
     Parameters
     ----------
@@ -343,22 +343,22 @@ class YoloDetector:
     full_precision : bool
         As for `open_network`.
     ends : EndTeller, optional
-        Tells which end of a fruit is the stem's where the file says that its points are ordered
-        by place. Without one such points keep their order, and nobody knows their ends.
+        Finds the stem end if the file orders keypoints by position. Without it such keypoints keep
+        their order.
     most : int, optional
-        Detections a picture at most, the best ones: with next to no least confidence there are
-        hundreds, and each mask is drawn at full size.
+        Largest number of detections per picture. A very low confidence gives hundreds, each with a
+        full-size mask.
     input_sizes : tuple of int
-        Long sides that the network sees, pixels, multiples of its stride; what it finds at several
-        is merged (`merge_sizes`). Empty for the file's own.
+        Input sizes (long sides, pixels), multiples of the stride; detections at several are merged
+        (`merge_sizes`). Empty for the file's default.
     vouched : bool
         As for `open_network`.
 
     Raises
     ------
     ModelError
-        If the file cannot be loaded, is no YOLO network for one picture at a time, or takes
-        another size only.
+        If the file cannot be loaded, is not a YOLO network with batch size 1, or has another fixed
+        size.
     """
 
     def __init__(
@@ -400,12 +400,12 @@ class YoloDetector:
 
     @property
     def looks(self) -> int:
-        """At how many sizes it looks at a picture."""
+        """Number of input sizes."""
         return len(self._sizes_px)
 
     @property
     def by_place(self) -> bool:
-        """Whether its keypoints are ordered by where they lie, so that `ends` is needed."""
+        """Whether its keypoints are ordered by position, so that `ends` is needed."""
         return self._layout.by_place
 
     @property
@@ -426,8 +426,8 @@ class YoloDetector:
         -------
         tuple of Instance
             Best first: boxes clipped to the picture, `detector_mask` from a segmenting network
-            (None where it is empty), `keypoints` from a pose network. Detections that lie
-            outside the picture are left out.
+            (None where it is empty), `keypoints` from a pose network. Detections outside the
+            picture are omitted.
 
         Raises
         ------

@@ -100,8 +100,8 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         input_sizes=options.input_sizes,
     )
     by_stage: dict[Stage, list[dict[str, Any]]] = {}
-    name = options.segmenter or networks.registry.segmenter().name
-    if options.segmenter not in (None, "none"):
+    name = options.segmenter
+    if name not in (None, "none"):
         networks.verify(networks.registry.segmenter(name).name)
     boxes = _box_finder(options, _Staged(networks, by_stage, name))
 
@@ -150,7 +150,10 @@ class _Staged:
     """Loads networks and notes the stage that each works in."""
 
     def __init__(
-        self, networks: NetworkLoader, by_stage: dict[Stage, list[dict[str, Any]]], segmenter: str
+        self,
+        networks: NetworkLoader,
+        by_stage: dict[Stage, list[dict[str, Any]]],
+        segmenter: str | None,
     ) -> None:
         self._networks, self._by_stage, self._segmenter = networks, by_stage, segmenter
 

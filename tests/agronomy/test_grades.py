@@ -76,7 +76,7 @@ def test_mass_is_volume_times_the_profiles_density() -> None:
 def test_light_fruit_is_in_no_class() -> None:
     found = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
     assert (found.verdict, found.name) == (Verdict.OUT, OUT_OF_GRADE)
-    assert found.rules[0].startswith("too light: about 249 g, at least 250 g are asked for (Reg")
+    assert found.rules[0].startswith("too light: about 249 g, at least 250 g required (Reg")
 
 
 def test_weight_is_a_remark_where_the_profile_says_so() -> None:

@@ -1,1 +1,1 @@
-"""What lengths mean to a grower: crop profiles, grades, growth, forecast, picking and work."""
+"""From lengths to decisions: crop profiles, grades, growth, forecast, picking and labour."""

@@ -1,4 +1,4 @@
-"""How many fruit will be in which class on each of the next days, by fruit, row and house."""
+"""Forecast the number of fruit per class for the next days, by fruit, row and house."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FruitState:
-    """One fruit, as it was last measured.
+    """The last measurement of one fruit.
 
     Parameters
     ----------
     fruit_id : str
-        The fruit; links of growth go by the same name.
+        Fruit identifier, the same as in growth links.
     row : str
         Its row.
     position_m : float
         Along the row, metres.
     length_m, sd_m : float
-        The length that the profile's classes are about, and its standard deviation, metres:
-        `LengthBelief.sd_m` gives it from an interval.
+        The length that the profile grades by, and its standard deviation, metres;
+        `LengthBelief.sd_m` computes it from an interval.
     day : float
-        When it was measured, on the same count of days as the links.
+        Day of the measurement, counted as in the links.
     side : str
         Side of the row.
     best_class : str
@@ -61,12 +61,12 @@ class FruitState:
 
 
 def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
-    """Refuse fruit that nothing can be forecast from.
+    """Check the fruit of a forecast.
 
     Raises
     ------
     ForecastError
-        Naming the first fruit at fault: figures, `best_class`, or a name that two fruit have.
+        Names the first fruit with an invalid figure or `best_class`, or a duplicate identifier.
     """
     seen: set[str] = set()
     for one in fruit:
@@ -91,7 +91,7 @@ def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
 
 @lru_cache(maxsize=4096)  # a house has few rows, and many fruit in each
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Return a key that sorts names as people do: row 2 before row 10.
+    """Return a natural sort key: row 2 before row 10.
 
     Examples
     --------
@@ -102,24 +102,24 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts)
 
 
-_SURELY_COMPLETE = 0.10  # a fruit still too small to be seen reaches a class no likelier than this
+_SURELY_COMPLETE = 0.10  # largest probability that a fruit too small to be detected reaches a class
 
 
 @dataclass(frozen=True)
 class DetectionRates:
-    """How many fruit the camera finds.
+    """Detection rates of the camera.
 
     Parameters
     ----------
     found, found_sd : float
-        Share of the fruit that are found, and how sure that is.
+        Share of the fruit that are found, and its standard deviation.
     false : float
-        Share of the found that are no fruit, or the same fruit twice.
+        Share of the detections that are false positives or duplicates.
 
     Raises
     ------
     ForecastError
-        If one of them is no share.
+        If one of them is not a share.
     """
 
     found: float = 1.0
@@ -136,7 +136,7 @@ class DetectionRates:
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """A number of fruit: its mean, and the ends of its interval. Arrays of one shape, float64."""
+    """Number of fruit: mean and interval. Arrays of the same shape, float64."""
 
     expected: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -145,12 +145,12 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """What is to be expected of N fruit in R rows over D days, today (day 0) included.
+    """Forecast for N fruit in R rows over D days, including today (day 0).
 
     Parameters
     ----------
     today : float
-        Day 0, on the fruit's count of days.
+        Day 0, counted as in the fruit.
     days : ndarray of int64, shape (D,)
         0 to the last day.
     classes : tuple of str, length C
@@ -160,17 +160,17 @@ class Forecast:
     rows : tuple of str, length R
         In walking order.
     fruit : tuple of FruitState, length N
-        Fruit on the plant, by row; those marked picked are left out.
+        Fruit on the plant, by row, without picked ones.
     probability : ndarray of float64, shape (N, D, C)
-        To be in each class on each day if not picked; Monte Carlo, to about 0.5 / sqrt(draws).
+        Of each class on each day if not picked; Monte Carlo error about 0.5 / sqrt(draws).
     house, by_row : Counts, shapes (D, C) and (R, D, C)
-        Fruit in each class if nothing is picked meanwhile.
+        Fruit in each class if nothing is picked.
     picks, row_picks : Counts, shapes (D, C) and (R, D, C)
-        Fruit that become ready that day: what is picked if every ready fruit is picked every day,
-        by the class it then has.
+        Fruit that become ready on that day, by class: the picks if every ready fruit is picked
+        every day.
     complete : ndarray of bool, shape (D, C)
-        Whether the fruit seen today are all that can be in that class by then. Where not, fruit
-        too small to be measured today come on top.
+        Whether only fruit seen today can be in that class on that day. If not, add fruit that are
+        too small to be measured today.
     level : float
         Of the intervals.
     """
@@ -191,7 +191,7 @@ class Forecast:
 
     @property
     def ready(self) -> NDArray[np.float64]:
-        """Probability of each fruit to be ready today, shape (N,), float64."""
+        """Probability that each fruit is ready today, shape (N,), float64."""
         return np.asarray(self.probability[:, 0, self._picked].sum(axis=1), np.float64)
 
     @property
@@ -217,23 +217,23 @@ def forecast(
     Parameters
     ----------
     fruit : sequence of FruitState
-        The fruit; those marked picked are left out.
+        The fruit; picked ones are ignored.
     growth : Growth
-        The posterior of growth. A fruit whose `fruit_id` has links is forecast by its own.
+        The posterior of growth. A fruit with links is forecast by its own growth.
     profile : CropProfile
         Classes, and which of them are picked.
     days : int
         Days ahead.
     seed : int
-        The same seed gives the same figures.
+        Seed of the random draws.
     today : float, optional
-        Day 0; by default the latest day of the fruit. Fruit seen earlier are carried on to it.
+        Day 0; by default the latest day of the fruit. Earlier measurements are extrapolated to it.
     detection : DetectionRates, optional
-        Share of fruit that the camera misses or invents; by default none. Missed fruit are taken
-        to be like the found ones of their row.
+        Miss and false positive rates; by default none. Missed fruit are assumed to resemble the
+        found ones of their row.
     scale_sd : float
-        Relative standard deviation of an error that all lengths share: the camera's depth scale,
-        0.01 until a bar of known length was measured. It is taken out of each fruit's own.
+        Relative standard deviation of an error common to all lengths: the camera's depth scale,
+        0.01 until it was calibrated. It is subtracted from each fruit's own variance.
     draws : int
         Draws from the posterior; a multiple of `growth.HYPER_DRAWS`, rounded up.
     level : float
@@ -242,7 +242,7 @@ def forecast(
     Raises
     ------
     ForecastError
-        If a fruit's figures or an option cannot be, or two fruit have one name.
+        If a fruit's figure or an option is invalid, or an identifier occurs twice.
 
     Examples
     --------
@@ -277,12 +277,12 @@ def forecast(
         rng,
     )
     shape = (len(left), days + 1, len(profile.outcomes))
-    probability, standing, picked = np.empty(shape), [], []
+    probability, in_class, picked = np.empty(shape), [], []
     for day in range(days + 1):
-        probability[:, day], in_class, newly_ready = tally.day(day)
-        standing.append(in_class)
+        probability[:, day], counts, newly_ready = tally.day(day)
+        in_class.append(counts)
         picked.append(newly_ready)
-    house, by_row = _counts(np.stack(standing, axis=2), level, rng)
+    house, by_row = _counts(np.stack(in_class, axis=2), level, rng)
     picks, row_picks = _counts(np.stack(picked, axis=2), level, rng)
     return Forecast(
         now,
@@ -310,7 +310,7 @@ def _check(days: int, draws: int, scale_sd: float, level: float) -> None:
 
 
 class _Tally:
-    """Counts classes day by day; remembers which fruit were ready before."""
+    """Counts classes day by day, and keeps which fruit were ready before."""
 
     def __init__(
         self,
@@ -333,7 +333,7 @@ class _Tally:
         self._ready = np.array([name in profile.pick for name in profile.outcomes])
         row = np.array([at[f.row] for f in fruit], np.int64)
         shape = lengths.unslowed_m.shape[1:]
-        # Each row's fruit are next to each other.
+        # The fruit of a row are contiguous.
         ends = np.searchsorted(row, np.arange(len(self.rows) + 1)).tolist()
         self._spans = [slice(*span) for span in pairwise(ends)]
         self._before = np.zeros(shape, bool)
@@ -352,12 +352,12 @@ class _Tally:
         self._before |= now
         each = [found == k for k in range(classes + 2)]
         share = [np.add.reduce(one, axis=0, dtype=np.int32) / len(found) for one in each]
-        standing = [self._count(one) for one in each]
+        in_class = [self._count(one) for one in each]
         ready = [self._count(one & now) for one in each]
-        return np.stack(share, axis=-1), np.stack(standing, axis=-1), np.stack(ready, axis=-1)
+        return np.stack(share, axis=-1), np.stack(in_class, axis=-1), np.stack(ready, axis=-1)
 
     def _count(self, which: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return how many fruit the chosen ones stand for, (draws, R)."""
+        """Return the weighted number of the chosen fruit, (draws, R)."""
         weighed = which if self._weights is None else which * self._weights
         counts = np.zeros((len(which), len(self._spans)))
         for row, span in enumerate(self._spans):
@@ -368,11 +368,11 @@ class _Tally:
 def _weights(
     shape: tuple[int, ...], detection: DetectionRates, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
-    """Draw how many fruit each found one stands for, shape (draws, N); None where each for itself.
+    """Draw a weight for each detected fruit, shape (draws, N); None if all weights are 1.
 
-    A false positive for none; a real one for itself and for missed ones: of fruit that are found
-    with probability q, the missed ones before each found one are geometric, so that a found one
-    stands for 1 / q on average.
+    A false positive has weight 0; a real fruit has weight 1 plus missed ones. If fruit are found
+    with probability q, the number of missed fruit per found one is geometric, so the mean weight is
+    1 / q.
     """
     if detection == DetectionRates():
         return None
@@ -392,13 +392,15 @@ def _counts(
     ends = [0.5 - level / 2, 0.5 + level / 2]
     found = []
     for counts in (drawn.sum(axis=1), drawn):
-        # Half a fruit to and fro: whole numbers between these ends then hold `level` on average,
-        # where plain quantiles of small counts would hold far more.
+        # Jitter by half a fruit: the whole numbers in the interval then cover `level` on average,
+        # where plain quantiles of small counts would cover far more.
         jitter = rng.uniform(-0.5, 0.5, (counts.shape[-2], *counts.shape[:-2], counts.shape[-1]))
-        spread = counts + np.moveaxis(jitter, 0, -2)  # today's first, however many days follow
+        spread = counts + np.moveaxis(
+            jitter, 0, -2
+        )  # today first, independent of the number of days
         low, high = np.quantile(spread, ends, axis=0)
         mean = counts.mean(axis=0)
-        # Whole numbers, that have the mean between them.
+        # Round to whole numbers around the mean.
         low, high = np.minimum(np.ceil(low), np.floor(mean)), np.maximum(high, mean)
         high = np.maximum(np.floor(high), np.ceil(mean))
         found.append(Counts(mean, low + 0.0, high))
@@ -412,5 +414,5 @@ def _complete(lengths: LengthDraws, growth: Growth, profile: CropProfile) -> NDA
     entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
     reach = [(grown >= unslowed(entry)).mean(axis=1) for entry in entries]
     complete = np.stack(reach, axis=1) <= _SURELY_COMPLETE
-    complete[1:, len(profile.classes)] = False  # 'too short' grows by new fruit every day
+    complete[1:, len(profile.classes)] = False  # new fruit join 'too short' every day
     return complete

@@ -1,4 +1,4 @@
-"""The grade of one fruit, and the rules that led to it, in plain words."""
+"""The grade of one fruit, and the rules behind it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,12 @@ _INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_hi
 
 @dataclass(frozen=True)
 class LengthBelief:
-    """What is known of one fruit's length: two half normals of its logarithm.
+    """The distribution of one fruit's length: two half normals of its logarithm.
 
-    The intervals are conformal, with half of 1 - level missed on either side, and may be longer
-    on one side. Their ends are taken as quantiles, the measured length as the median (the
-    interval's geometric middle where it lies outside), and either side as half a normal
-    distribution of the logarithm. Ends and median are then exact, the shape between them is an
-    assumption.
+    The intervals are conformal, with a miss rate of (1 - level) / 2 on either side, and may be
+    asymmetric. Their ends are taken as quantiles, the measured length as the median (the interval's
+    geometric middle if it lies outside), and each side as half a normal distribution of the
+    logarithm. Ends and median are exact; the shape between them is an assumption.
 
     Parameters
     ----------
@@ -64,12 +63,12 @@ class LengthBelief:
         low_m, high_m : float
             Its interval.
         level : float
-            The share of true lengths that such intervals hold.
+            Coverage of the interval.
 
         Raises
         ------
         ForecastError
-            If the interval is none.
+            If the interval is invalid.
         """
         if not (0 < low_m <= high_m < np.inf and 0 < level < 1 and length_m > 0):
             raise ForecastError(
@@ -82,17 +81,17 @@ class LengthBelief:
 
     @property
     def sd_m(self) -> float:
-        """Standard deviation, metres: the root mean square of both sides, as the forecast uses."""
+        """Standard deviation, metres: the root mean square of both sides."""
         return self.median_m * float(np.sqrt((self.low_sd**2 + self.high_sd**2) / 2))
 
     def below(self, limit_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the probability to be shorter than each limit in metres, float64."""
+        """Return the probability that the length is below each limit in metres, float64."""
         from scipy.special import ndtr
 
         limit = np.asarray(limit_m, np.float64)
         gap = np.log(np.maximum(limit, 1e-12) / self.median_m)
         sd = np.where(gap < 0, self.low_sd, self.high_sd)
-        # A side without spread ends at the median: a limit on it has nothing below.
+        # A side without spread ends at the median: nothing is below a limit there.
         z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
         return np.asarray(ndtr(z), np.float64)
 
@@ -106,11 +105,11 @@ def _z_of(level: float) -> float:
 
 OUT_OF_GRADE = "out of grade"
 
-BORDERLINE = 0.80  # a class less probable than this is no more than the likeliest
+BORDERLINE = 0.80  # below this probability of the likeliest class a grade is borderline
 
 
 class Verdict(StrEnum):
-    """What a grade amounts to; stable codes for tables."""
+    """Status of a grade; stable codes for tables."""
 
     IN_CLASS = "in-class"
     OUT = "out-of-grade"
@@ -121,16 +120,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class GradingTraits:
-    """What is known of a fruit; None where it is not.
+    """The traits of a fruit that grading uses; None if unknown.
 
     Parameters
     ----------
     thread_m, centreline_m, chord_m : float, optional
         The three lengths of a fitted tube, metres.
     belief : LengthBelief, optional
-        How sure the length is that `belief_of` names.
+        Distribution of the length named by `belief_of`.
     belief_of : LengthDefinition, optional
-        The length that `belief` is about.
+        The length that `belief` describes.
     inner_arc_mm_per_10cm : float, optional
         Inner arc height in mm for each 10 cm of chord.
     diameter_max_m : float, optional
@@ -178,7 +177,7 @@ class GradingTraits:
 
     @classmethod
     def from_si(cls, values: Mapping[str, Any]) -> GradingTraits:
-        """Read a measurement's values in metres by the names of the store's records.
+        """Read a measurement with the field names of the store, in metres.
 
         Parameters
         ----------
@@ -200,7 +199,7 @@ class GradingTraits:
         if arc_mm is None and values.get("inner_arc_m") is not None and lengths["chord"]:
             arc_mm = 100 * values["inner_arc_m"] / lengths["chord"]
         if values.get("length_kind") in lengths and values.get("length_m"):
-            # A site's calibration corrects this length alone.
+            # A site's calibration corrects only this length.
             lengths[values["length_kind"]] = values["length_m"]
         about, low, high = (values.get(f"interval_{end}") for end in ("of", "low_m", "high_m"))
         measured = lengths.get(about or "")
@@ -226,19 +225,19 @@ class Grade:
     Parameters
     ----------
     verdict : Verdict
-        What it amounts to.
+        Its status.
     name : str
-        The likeliest class or 'out of grade'; empty where refused or missing.
+        The likeliest class or 'out of grade'; empty if rejected or missing.
     rules : tuple of str
-        The rules that led there, in plain words, the deciding one first.
+        Explanations, the deciding rule first.
     probabilities : dict of str to float
-        Of each class and of 'out of grade'; empty where the length has no interval.
+        Of each class and of 'out of grade'; empty if the length has no interval.
     missing : tuple of str
-        What would have to be known and is not.
+        Traits that are needed and unknown.
     best_class : str
-        The best class that the fruit's shape allows; what a forecast needs to know.
+        The best class that the fruit's shape allows, for the forecast.
     shape, weight_class, diameter_class : str
-        Further classes; empty where the profile has none or a trait is missing.
+        Further classes; empty if the profile has none or a trait is missing.
     mass_g : float, optional
         Volume times the profile's density.
     """
@@ -257,7 +256,7 @@ class Grade:
 
 @dataclass(frozen=True)
 class _Check:
-    """One rule beside the length: what it finds, and the classes that it forbids."""
+    """Result of one rule other than length, with the classes that it forbids."""
 
     name: str = ""
     forbidden: frozenset[str] = frozenset()
@@ -265,26 +264,26 @@ class _Check:
     missing: str = ""
 
     def as_remark(self) -> _Check:
-        said = f"remark: {self.rule}" if self.rule else ""
-        return replace(self, forbidden=frozenset(), rule=said)
+        text = f"remark: {self.rule}" if self.rule else ""
+        return replace(self, forbidden=frozenset(), rule=text)
 
 
 def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
-    """Grade a fruit by its length, and lower the class where shape, weight or width ask for it.
+    """Grade a fruit by its length, and lower the class by the rules for shape, weight and width.
 
     Parameters
     ----------
     fruit : GradingTraits
-        What is known.
+        The fruit's traits.
     profile : CropProfile
         The crop.
 
     Returns
     -------
     Grade
-        Where a rule forbids the class that the length gives, the next worse one that is allowed,
-        or none. Only the length's error is in the probabilities: shape, mass and diameter count
-        as exact. Borderline where no class and not 'out of grade' is above 80 % probable.
+        If a rule forbids the class given by the length, the next worse allowed one, or none. The
+        probabilities include only the error of the length: shape, mass and diameter count as exact.
+        Borderline if neither a class nor 'out of grade' is more than 80 % probable.
 
     Examples
     --------
@@ -324,8 +323,8 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     if chances and chances[name] <= BORDERLINE:
         verdict = Verdict.BORDERLINE
         likeliest = sorted(chances.items(), key=lambda item: -item[1])[:2]
-        said = ", ".join(f"{what} {100 * share:.0f} %" for what, share in likeliest)
-        rules = (f"borderline: {said}", *rules)
+        text = ", ".join(f"{what} {100 * share:.0f} %" for what, share in likeliest)
+        rules = (f"borderline: {text}", *rules)
     missing = tuple(c.missing for c in checks if c.missing)
     if not chances:
         missing += (f"interval of the {profile.length} length: no probabilities",)
@@ -336,7 +335,7 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
 
 
 def best_class(fruit: GradingTraits, profile: CropProfile) -> str:
-    """Return the best class that a fruit's shape allows, as `Grade.best_class` says it."""
+    """Return the best class that a fruit's shape allows, as in `Grade.best_class`."""
     length = fruit.length_m(profile.length)
     limits = profile.acceptance
     if length is None or not limits.min_cm <= round(100 * length, 6) <= limits.max_cm:
@@ -370,14 +369,14 @@ def _chances(fruit: GradingTraits, profile: CropProfile, by_bin: list[str]) -> d
 
 def _length_rule(profile: CropProfile, length_cm: float, at: int) -> str:
     edges = profile.edges_m * 100
-    said = f"{profile.length} length {length_cm:.1f} cm is"
+    text = f"{profile.length} length {length_cm:.1f} cm is"
     why = _why(profile, "classes")
     if at == 0:
-        return f"{OUT_OF_GRADE}: {said} under {edges[0]:g}{why}"
+        return f"{OUT_OF_GRADE}: {text} under {edges[0]:g}{why}"
     if at == len(edges):
-        return f"{OUT_OF_GRADE}: {said} {edges[-1]:g} or more{why}"
+        return f"{OUT_OF_GRADE}: {text} {edges[-1]:g} or more{why}"
     name = profile.classes[profile.outcome_of_bin[at]].name
-    return f"class {name}: {said} in [{edges[at - 1]:g}, {edges[at]:g}){why}"
+    return f"class {name}: {text} in [{edges[at - 1]:g}, {edges[at]:g}){why}"
 
 
 def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
@@ -391,8 +390,8 @@ def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
         profile.shape[-1],
     )
     better = frozenset(names[: names.index(band.best_class)])
-    said = f"{band.name}: inner arc {arc_mm:.1f} mm for each 10 cm of chord"
-    rule = f"at best class {band.best_class}, {said}{_why(profile, 'shape')}" if better else ""
+    text = f"{band.name}: inner arc {arc_mm:.1f} mm for each 10 cm of chord"
+    rule = f"at best class {band.best_class}, {text}{_why(profile, 'shape')}" if better else ""
     return _Check(band.name, better, rule)
 
 
@@ -403,8 +402,8 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         return _Check(missing="volume: no weight class")
     everything = frozenset(c.name for c in profile.classes)
     if profile.minimum_g is not None and mass_g < profile.minimum_g:
-        said = f"too light: about {mass_g:.0f} g, at least {profile.minimum_g:g} g are asked for"
-        return _Check("", everything, f"{said}{_why(profile, 'minimum_g')}")
+        text = f"too light: about {mass_g:.0f} g, at least {profile.minimum_g:g} g required"
+        return _Check("", everything, f"{text}{_why(profile, 'minimum_g')}")
     band = next(
         (b for b in profile.weights if b.min_g <= mass_g and (b.max_g or np.inf) > mass_g), None
     )
@@ -414,8 +413,8 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         return _Check(band.name, missing="chord: not compared with the weight")
     if round(100 * chord_m, 6) >= band.shortest_cm:
         return _Check(band.name)
-    said = f"chord {100 * chord_m:.1f} cm, {band.name} must be {band.shortest_cm:g} cm long"
-    rule = f"not class {' or '.join(band.shortest_for)}: {said}{_why(profile, 'weights')}"
+    text = f"chord {100 * chord_m:.1f} cm, {band.name} must be {band.shortest_cm:g} cm long"
+    rule = f"not class {' or '.join(band.shortest_for)}: {text}{_why(profile, 'weights')}"
     return _Check(band.name, frozenset(band.shortest_for), rule)
 
 
@@ -427,9 +426,9 @@ def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
         return _Check(missing="largest diameter: no width class")
     width_mm = round(1000 * diameter_m, 6)
     if least is not None and width_mm < least:
-        said = f"too thin: {width_mm:.1f} mm, at least {least:g} mm are asked for"
+        text = f"too thin: {width_mm:.1f} mm, at least {least:g} mm required"
         everything = frozenset(c.name for c in profile.classes)
-        return _Check("", everything, f"{said}{_why(profile, 'minimum_diameter_mm')}")
+        return _Check("", everything, f"{text}{_why(profile, 'minimum_diameter_mm')}")
     bands = (b.name for b in profile.diameters if b.max_mm is None or width_mm <= b.max_mm)
     return _Check(next(bands, ""))
 

@@ -1,10 +1,10 @@
-"""Growth of this house, its rows and its fruit, learnt from fruit linked between days.
+"""Growth of a house, its rows and its fruit, learnt from fruit linked between days.
 
-The model is in `histories`. Beta = (house, rows, days) has a normal prior, hence a normal
+The model is in `kalman`. Beta = (house, rows, days) has a normal prior, hence a normal
 posterior for given spreads (Bayesian linear regression on the filter's whitened innovations). The
 five spreads have log-normal priors about the profile's figures; their posterior is approximated by
-a normal one of their logarithms at its mode (Laplace). With no link at all, both are the prior.
-Whether growth slows with length is decided by the likelihood of the links: see `curve`.
+a normal one of their logarithms at its mode (Laplace). Without links, both are the prior. The
+likelihood of the links decides whether growth slows with length: see `curve`.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.kalman import Histories
     from cucumbervision.agronomy.profiles import CropProfile
 
-_NEARLY_FULL = 0.98  # nearer to its full length a fruit's age cannot be derived from its length
+_NEARLY_FULL = 0.98  # beyond this share of the full length, age cannot be inferred from length
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Growth that falls linearly with length, from half of `full_m` on, to nothing there.
+    """Growth that falls linearly with length, from half of `full_m` to zero at `full_m`.
 
     With dL/dt = rate s(L) and s = min(1, 2 (1 - L / full)), the *unslowed* length u, for which
-    du = dL / s(L), grows linearly whatever the length. The whole model is in u: lengths are turned
-    into it, and class limits with them.
+    du = dL / s(L), grows linearly whatever the length. The whole model is in u: lengths and class
+    limits are transformed.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Curve:
     full_m: float = float("inf")
 
     def rate_share(self, length_m: ArrayLike) -> NDArray[np.float64]:
-        """Return s(L), the share of its rate that a fruit of this length grows by, float64."""
+        """Return s(L), the share of the full rate at this length, float64."""
         length = np.asarray(length_m, np.float64)
         if np.isinf(self.full_m):
             return np.ones_like(length)
@@ -68,27 +68,27 @@ class Curve:
         if np.isinf(self.full_m):
             return length
         half = self.full_m / 2
-        # Below half the rate_share is 1, and its logarithm nothing.
+        # Below half of the full length `rate_share` is 1 and its logarithm 0.
         return np.asarray(np.minimum(length, half) - half * np.log(self.rate_share(length)))
 
     def points(
         self, measured: Sequence[tuple[float, float, float]], pace_m: float
     ) -> list[tuple[float, float, float]]:
-        """Turn one fruit's measurements into points of the linear model.
+        """Transform one fruit's measurements into points of the linear model.
 
         Parameters
         ----------
         measured : sequence of (day, length_m, sd_m)
             In order of days.
         pace_m : float
-            About what a fruit that is not slowed grows by, metres a day.
+            Approximate unslowed growth, metres a day.
 
         Returns
         -------
         list of (day, unslowed length in m, its variance)
-            An error of the length is one of 1 / s times that in u, with s at the length that was
-            to be expected after the point before: at the measured one, long readings would count
-            less than short ones.
+            An error of the length is 1 / s times as large in u, with s at the length predicted from
+            the previous point; at the measured length, long readings would weigh less than short
+            ones.
         """
         if np.isinf(self.full_m):
             return [(day, length, sd**2) for day, length, sd in measured]
@@ -129,11 +129,11 @@ class Link:
     Parameters
     ----------
     fruit_id : str
-        The fruit; several links of it (day 1 to 2, 2 to 3, or 1 to 3) are one history.
+        Fruit identifier; its links (day 1 to 2, 2 to 3, or 1 to 3) form one history.
     row : str
         Its row.
     day0, day1 : float
-        Days of the two measurements, on one count of days, the later one second.
+        Days of the two measurements, the later one second.
     length0_m, length1_m : float
         The lengths, metres.
     sd0_m, sd1_m : float
@@ -142,7 +142,7 @@ class Link:
     Raises
     ------
     ForecastError
-        If a figure is none, or the days are not in order.
+        If a figure is invalid, or the days are not in order.
     """
 
     fruit_id: str
@@ -167,16 +167,17 @@ class Link:
 
 @dataclass(frozen=True)
 class GrowthPrior:
-    """What is believed of growth before any link.
+    """Prior of growth.
 
     Parameters
     ----------
     mean_m : float
         Mean growth, metres a day.
     spreads : Spreads
-        How far houses, rows, fruit and days lie from it.
+        Standard deviations of houses, rows, fruit and days.
     curves : tuple of Curve
-        How growth may depend on length; the first stands unless the links clearly favour another.
+        Candidate dependences of growth on length; the first is used unless the links clearly favour
+        another.
     """
 
     mean_m: float
@@ -209,21 +210,21 @@ class Growth:
     Parameters
     ----------
     prior : GrowthPrior
-        What was believed before.
+        The prior.
     basis : Basis
         Of the coefficients.
     links : tuple of Link
-        What it was learnt from.
+        The links.
     curve : Curve
-        How growth depends on length: rates are those of fruit that are not slowed.
+        Dependence of growth on length; rates are unslowed.
     pace_m : float
-        Median growth of the links, not slowed, metres a day: where `curve` needs a rough figure.
+        Median unslowed growth of the links, metres a day, an approximation for `curve`.
     spreads : tuple of Spreads, length H
         Draws from the spreads' posterior.
     mean : ndarray of float64, shape (H, p)
-        For each of them the coefficients' posterior mean, metres a day.
+        Posterior mean of the coefficients for each draw, metres a day.
     root : ndarray of float64, shape (H, p, p)
-        And a square root of their covariance.
+        A square root of their covariance.
     """
 
     prior: GrowthPrior
@@ -243,9 +244,9 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     Parameters
     ----------
     links : sequence of Link
-        May be empty: then the prior stands.
+        May be empty: then the result is the prior.
     prior : GrowthPrior
-        What is believed beforehand.
+        The prior.
     seed : int
         Of the draws from the spreads' posterior.
 
@@ -255,8 +256,8 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
 
     Notes
     -----
-    The errors of two measurements are taken as independent. An error that all lengths of a camera
-    share, such as its depth scale, leaves growth wrong by that share and no more.
+    The errors of two measurements are taken as independent. An error common to all lengths, such as
+    the camera's depth scale, changes growth by the same share.
 
     Examples
     --------
@@ -278,7 +279,7 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior, seed: int = 0) -> Grow
     problems = [_Problem.of(curve, series, rows_of, basis, prior) for curve in prior.curves]
     best = problems[0]
     mode, root = best.fit()
-    # A curve that helps does so with the first one's spreads too.
+    # A better curve is better with the first one's spreads too.
     scores = [problem.log_posterior(mode) for problem in problems]
     if max(scores) > scores[0] + _PLAINLY_BETTER:
         best = problems[int(np.argmax(scores))]
@@ -299,7 +300,7 @@ def measured_points(links: Sequence[Link]) -> list[tuple[float, float, float]]:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The links under one curve; log(spread / prior's) is what is to be found."""
+    """The links under one curve, as a function of log(spread / prior's)."""
 
     prior: GrowthPrior
     curve: Curve
@@ -329,7 +330,7 @@ class _Problem:
         spreads = Spreads(*(centre * np.exp(logs)).tolist())
         prior_term = 0.5 * float(((logs / SPREAD_LOG_SD) ** 2).sum())
         found = _coefficients(self.histories, self.prior, spreads)[2]
-        # The likelihood of lengths, not of unslowed ones: the slope between them belongs to it.
+        # The likelihood of lengths, not of unslowed lengths, includes the derivative between them.
         return found - self.log_slope - prior_term
 
     def fit(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -387,6 +388,6 @@ def _laplace(
             ]
             curvature[i, j] = curvature[j, i] = sum(corners) / (4 * _STEP**2)
     values, vectors = np.linalg.eigh(curvature)
-    # The data never make the spreads less sure than the prior did.
+    # The posterior of the spreads is never wider than the prior.
     values = np.maximum(values, SPREAD_LOG_SD.max() ** -2)
     return mode, vectors / np.sqrt(values)

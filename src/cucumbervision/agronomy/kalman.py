@@ -1,4 +1,4 @@
-"""A Kalman filter along the lengths that were measured of each fruit.
+"""A Kalman filter for the measured lengths of each fruit.
 
 Growth is linear with day-to-day variability. For fruit i in row r on day t
 
@@ -39,7 +39,7 @@ class Spreads:
 
 @dataclass(frozen=True)
 class Basis:
-    """What beta stands for: the house, its rows, and the whole days that links span."""
+    """The coefficients of beta: the house, its rows, and the days that the links span."""
 
     rows: tuple[str, ...]
     first_day: int
@@ -51,7 +51,7 @@ class Basis:
         return 1 + len(self.rows) + self.days
 
     def overlap(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how much of each whole day lies between `start` and `end`, shape (N, days)."""
+        """Return the share of each day between `start` and `end`, shape (N, days)."""
         days = self.first_day + np.arange(self.days)
         upper = np.minimum(end[:, None], days + 1)
         return np.asarray(np.maximum(upper - np.maximum(start[:, None], days), 0.0))
@@ -59,9 +59,9 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """The k-th point of every fruit that has one.
+    """The k-th point of each fruit.
 
-    `length_m` and `variance_m2` are NaN where the step only carries the state on.
+    `length_m` and `variance_m2` are NaN for a prediction without a measurement.
     """
 
     fruit: NDArray[np.intp]
@@ -117,7 +117,7 @@ def measured_histories(
     basis : Basis
         Of the coefficients.
     until : float, optional
-        A day up to which every fruit is carried on from its last point.
+        A day to which every fruit is extrapolated from its last point.
     """
     known = {name: k for k, name in enumerate(basis.rows)}
     series = [sorted(set(p)) for p in points]
@@ -146,8 +146,8 @@ def measured_histories(
 def kalman_filter(histories: Histories, spreads: Spreads) -> FilteredStates:
     """Run a Kalman filter along the points of every fruit, all fruit at once.
 
-    The length before the first point is unknown (flat), so that the first point starts the state
-    and says nothing of growth.
+    The prior of the length is flat, so the first point starts the state and has no information on
+    growth.
 
     Examples
     --------
@@ -200,7 +200,7 @@ def _carried(
 
 def _carried_cov(step: _Step, cov: NDArray[np.float64], spreads: Spreads) -> NDArray[np.float64]:
     elapsed = step.elapsed
-    # Days outside the basis have no coefficient: each fruit then bears them by itself.
+    # Days outside the basis have no coefficient and count as variance of each fruit.
     outside = elapsed - step.overlap.sum(axis=1)
     noise = elapsed * spreads.fruit_day**2 + outside * spreads.day**2
     x = cov[:, 0] + 2 * elapsed * cov[:, 1] + elapsed**2 * cov[:, 2] + noise

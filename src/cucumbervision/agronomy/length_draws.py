@@ -1,8 +1,8 @@
-"""Draws of the lengths that fruit will have on the next days, from the posterior of growth.
+"""Draw the lengths of fruit on the next days from the posterior of growth.
 
-Each draw takes spreads, a house, its rows and the days to come, which all fruit share, and each
-fruit's own length, growth and luck. Counts of a row or house are hence as uncertain as what their
-fruit have in common makes them, not only as the sum of single fruit.
+Each draw samples the spreads, the house, the rows and the next days, which all fruit share, and
+each fruit's own length, growth and noise. The uncertainty of counts therefore includes the effects
+that fruit share.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class LengthDraws:
     unslowed_m : ndarray of float32, shape (D, S, N)
         Unslowed lengths (`curve`) of N fruit on D days in S draws, metres.
     newcomer_m : ndarray of float64, shape (D, S)
-        What a fruit of an unknown row that is not slowed grows by from today on, metres.
+        Unslowed growth from today on of a fruit in an unknown row, metres.
     """
 
     unslowed_m: NDArray[np.float32]
@@ -60,18 +60,18 @@ def draw_lengths(
     growth : Growth
         The posterior.
     today : float
-        Day 0; every fruit is carried on to it.
+        Day 0; every fruit is extrapolated to it.
     days, draws : int
-        Days ahead, and draws: rounded up to a multiple of the posterior's.
+        Days ahead, and number of draws, rounded up to a multiple of the posterior's.
     scale_sd : float
-        Relative standard deviation of an error that all lengths share.
+        Relative standard deviation of an error common to all lengths.
     rng : numpy.random.Generator
-        Its state decides the draws.
+        Random generator.
 
     Raises
     ------
     ForecastError
-        If a fruit has links that end after its day, or was measured after `today`.
+        If a fruit has links after its day, or was measured after `today`.
     """
     if late := [one for one in fruit if one.day > today]:
         raise ForecastError(
@@ -84,7 +84,7 @@ def draw_lengths(
     total = each * len(growth.spreads)
     unslowed = np.empty((days + 1, total, len(fruit)), np.float32)
     newcomers = np.zeros((days + 1, total))
-    [later] = rng.spawn(1)  # today is the same however many days follow it
+    [later] = rng.spawn(1)  # today's draws do not depend on the number of days
     for h, spreads in enumerate(growth.spreads):
         z = rng.standard_normal((each, growth.basis.size))
         beta = growth.mean[h] + z @ growth.root[h].T
@@ -111,7 +111,7 @@ def draw_lengths(
 def _histories(
     fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
 ) -> Histories:
-    """Lay out each fruit's points; rows without links come after those of the posterior."""
+    """Arrange each fruit's points; rows without links follow those of the posterior."""
     links: dict[str, list[Link]] = {}
     for link in growth.links:
         links.setdefault(link.fruit_id, []).append(link)
@@ -134,7 +134,7 @@ def _histories(
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """What fruit share in s draws: coefficients (s, p) of `rows` rows, and days to come (D, s)."""
+    """Effects shared in s draws: coefficients (s, p) of `rows` rows, next days (D, s)."""
 
     beta: NDArray[np.float64]
     days: NDArray[np.float64]
@@ -179,7 +179,7 @@ def _fill(
 def _affine(columns: NDArray[np.float64], beta: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return first column + others times beta for every draw, shape (s, N)."""
     result = np.repeat(columns[None, :, 0].astype(np.float32), len(beta), axis=0)
-    # Only fruit with a past depend on beta. No BLAS: its threads cost more than they give here.
+    # Only fruit with several points depend on beta. No BLAS: its threads cost more than they save.
     past = np.flatnonzero(columns[:, 1:].any(axis=1))
     weights = columns[past, 1:].astype(np.float32)
     result[:, past] += np.einsum("sp,np->sn", beta.astype(np.float32), weights)

@@ -1,4 +1,4 @@
-"""What to pick today, in walking order, and the hours and crates that each day's picking takes."""
+"""Today's pick list in walking order, and hours and crates for each day's picking."""
 
 from __future__ import annotations
 
@@ -29,10 +29,9 @@ class Pick:
     fruit : FruitState
         Row, side, position and length.
     name : str
-        The likeliest of the classes that are picked, or 'too long': to be taken off before it
-        costs others growth.
+        The likeliest of the classes that are picked, or 'too long': remove it so that others grow.
     ready : float
-        Probability to be in a class that is picked.
+        Probability of a class that is picked.
     """
 
     fruit: FruitState
@@ -43,15 +42,15 @@ class Pick:
 def pick_list(forecast: Forecast, threshold: float = 0.5) -> tuple[Pick, ...]:
     """Return today's ready fruit by row and position.
 
-    Every second row is walked from its far end, so that no way is walked twice. A row's sides are
-    walked together, as fruit of both hang along one path.
+    Every second row is walked from its far end, to avoid walking a row twice. Both sides of a row
+    are walked together, since they share one path.
 
     Parameters
     ----------
     forecast : Forecast
-        Whose day 0 is today; fruit marked picked are not in it.
+        Its day 0 is today; picked fruit are excluded.
     threshold : float
-        Fruit at least this probable to be ready, or to be too long, are listed.
+        Least probability that a listed fruit is ready or too long.
 
     Examples
     --------
@@ -88,14 +87,14 @@ def _best(forecast: Forecast, chances: NDArray[np.float64]) -> str:
 
 @dataclass(frozen=True)
 class Rates:
-    """How fast people pick, and what a crate holds. The defaults are examples, not measured.
+    """Picking rates and crate size. The defaults are examples, not measurements.
 
     Parameters
     ----------
     fruit_per_hour : float
-        Fruit that one person picks in an hour.
+        Fruit per person and hour.
     minutes_per_row : float
-        Walking and turning for each row that has fruit to pick.
+        Walking and turning time per row with fruit to pick.
     fruit_per_crate : int
         Fruit in a crate.
     """
@@ -107,7 +106,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Span:
-    """A figure: what is expected, and its interval."""
+    """An expected value with its interval."""
 
     expected: float
     low: float
@@ -123,11 +122,11 @@ class DayWork:
     day : int
         Days from today.
     fruit, hours : Span
-        Fruit to pick, and hours of work for one person.
+        Fruit to pick, and hours for one person.
     crates : dict of str to Span
-        Crates by class, whole ones.
+        Whole crates by class.
     complete : bool
-        Whether fruit too small to be measured today can add nothing.
+        Whether fruit that are too small to be measured today cannot add to it.
     """
 
     day: int
@@ -139,18 +138,18 @@ class DayWork:
 
 @dataclass(frozen=True)
 class PickWork:
-    """What is ready of a pick list, and the work of picking it.
+    """The ready fruit of a pick list, and the work of picking them.
 
     Parameters
     ----------
     fruit : int
-        Fruit of a class that is picked.
+        Fruit of classes that are picked.
     by_class : dict of str to int
-        The same, class by class.
+        Fruit by class.
     hours : float
         For one person.
     crates : dict of str to int
-        By class, whole ones.
+        Whole crates by class.
     """
 
     fruit: int
@@ -160,12 +159,12 @@ class PickWork:
 
 
 def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
-    """Return what is ready of a pick list, and the work of picking it; too long ones count not.
+    """Return the ready fruit of a pick list, without too long ones, and the work of picking.
 
     Parameters
     ----------
     picks : iterable of Pick
-        Those that are still to be picked.
+        Fruit still to be picked.
     rates : Rates, optional
         The user's own.
 
@@ -187,7 +186,7 @@ def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
 
 
 def hours_words(hours: float) -> str:
-    """Return hours of work as people say them: few of them in minutes.
+    """Format hours of work; less than 1.5 hours as minutes.
 
     Examples
     --------
@@ -209,9 +208,9 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
 
     Notes
     -----
-    The ends of the intervals are those of the counts, class by class; where several classes are
-    picked, their sum holds at least the level. Today is what the pick list holds (`work_of`), so
-    that it is one number everywhere; its interval allows for missed fruit and false positives.
+    The intervals are those of the counts by class; if several classes are picked, the interval of
+    their sum covers at least the level. Today's count is that of the pick list (`work_of`), so that
+    every page shows the same number; its interval allows for missed fruit and false positives.
 
     Examples
     --------
@@ -234,7 +233,7 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
             listed = np.array([today.by_class.get(name, 0) for name in forecast.pick], np.float64)
             counts = [listed, np.minimum(counts[1], listed), np.maximum(counts[2], listed)]
         rows = forecast.row_picks.expected[:, day][:, chosen].sum(axis=1)
-        # A row with half a fruit expected is walked about half of the time.
+        # A row with 0.5 expected fruit is walked about half of the time.
         walking = rates.minutes_per_row / 60 * float(np.minimum(rows, 1.0).sum())
         fruit = [float(number.sum()) for number in counts]
         if day == 0:

@@ -1,4 +1,4 @@
-"""Crop profiles on disk: the shipped ones, and the user's own beside them."""
+"""Crop profiles: the shipped ones and the user's own."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Strict(BaseModel):
 
 
 class LengthLimits(_Strict):
-    """Lengths in cm that this crop can have; anything else is a measuring error."""
+    """Plausible lengths of this crop in cm; others are measurement errors."""
 
     min_cm: Positive
     max_cm: Positive
@@ -54,10 +54,10 @@ class LengthClass(_Strict):
 
 
 class ShapeBand(_Strict):
-    """How crooked, by the inner arc's height in mm for each 10 cm of chord.
+    """A shape class, by the inner arc's height in mm per 10 cm of chord.
 
-    Up to `max_mm_per_10cm`, inclusive (the last band has none), and the best class that such a
-    fruit may still have.
+    Up to `max_mm_per_10cm`, inclusive (the last band has no limit); `best_class` is the best class
+    that such a fruit may have.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -68,8 +68,7 @@ class ShapeBand(_Strict):
 class WeightBand(_Strict):
     """A weight class in grams: from `min_g`, inclusive, to `max_g`, exclusive.
 
-    `shortest_cm` is the chord that a fruit of this weight must have for any class that
-    `shortest_for` names.
+    `shortest_cm` is the least chord of a fruit of this weight for the classes in `shortest_for`.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -87,27 +86,27 @@ class DiameterBand(_Strict):
 
 
 class Density(_Strict):
-    """Mass for each volume of fruit, and where the figure is from."""
+    """Density of the fruit, with its source."""
 
     kg_m3: Annotated[float, Field(ge=200, le=1400)]
     source: Annotated[str, Field(min_length=1)]
 
 
 class GrowthFigures(_Strict):
-    """What is believed of growth before this house was seen, in cm a day.
+    """Prior of growth for a house without data, in cm a day.
 
     Parameters
     ----------
     mean, house_sd : float
-        Mean growth, and how far the mean of one house may lie from it.
+        Mean growth, and the standard deviation between houses.
     row_sd, fruit_sd : float
         Between the rows of a house, and between the fruit of a row.
     day_sd, fruit_day_sd : float
-        Between days, for all fruit of a house together (weather) and for each by itself.
+        Between days, for all fruit of a house together (weather) and for each fruit.
     full_cm : float, optional
-        The length at which growth stops, where it is known; left out, links decide (`curve`).
+        The length at which growth stops, if known; otherwise the links decide (`curve`).
     source : str
-        Where the figures are from.
+        Source of the figures.
     """
 
     mean: Positive
@@ -121,35 +120,35 @@ class GrowthFigures(_Strict):
 
 
 class CropProfile(_Strict):
-    """One crop, as its TOML file says it.
+    """One crop profile, as in its TOML file.
 
     Parameters
     ----------
     title : str
-        The crop, as people call it.
+        Name of the crop.
     length : {'thread', 'centreline', 'chord'}
-        Which length the classes are about.
+        The length that the classes use.
     acceptance : LengthLimits
-        Lengths that can be.
+        Plausible lengths.
     classes : tuple of LengthClass
-        Best first; together without gap or overlap.
+        Best first, without gaps or overlaps.
     pick : tuple of str
         The classes that are ready to be picked.
     shape : tuple of ShapeBand
-        Straightest first; empty where the crop has no such rule.
+        Straightest first; empty if the crop has no such rule.
     size_rules : {'remark', 'decide'}
-        Whether the rules on weight and diameter are only said beside a class, or decide on it.
+        Whether the rules on weight and diameter only add a remark, or decide the class.
     minimum_g, minimum_diameter_mm : float, optional
         Lightest and thinnest fruit that may be sold.
     weights, diameters : tuple
-        Further classes; empty where the crop has none.
+        Further classes; empty if the crop has none.
     density : Density
         For the mass from the fitted volume.
     growth : GrowthFigures
-        What is believed of growth beforehand.
+        Prior of growth.
     rules : dict of str to str
         The rule or assumption behind 'classes', 'shape', 'minimum_g', 'minimum_diameter_mm',
-        'weights' and 'diameters': a grade quotes it.
+        'weights' and 'diameters', quoted by a grade.
     """
 
     title: Annotated[str, Field(min_length=1)]
@@ -196,7 +195,7 @@ class CropProfile(_Strict):
 
     @property
     def accepted_m(self) -> tuple[float, float]:
-        """Shortest and longest fruit that can be, metres."""
+        """Shortest and longest plausible length, metres."""
         return self.acceptance.min_cm / 100, self.acceptance.max_cm / 100
 
     def mass_g(self, volume_m3: float) -> float:
@@ -205,18 +204,18 @@ class CropProfile(_Strict):
 
     @property
     def edges_m(self) -> NDArray[np.float64]:
-        """Where one class ends and the next begins, metres, ascending, float64."""
+        """Limits between classes, metres, ascending, float64."""
         cuts = {c.min_cm for c in self.classes} | {c.max_cm for c in self.classes}
         return np.array(sorted(cuts)) / 100
 
     @property
     def outcomes(self) -> tuple[str, ...]:
-        """The classes, best first, then the two ways to be out of grade."""
+        """The classes, best first, followed by 'too short' and 'too long'."""
         return (*(c.name for c in self.classes), _TOO_SHORT, TOO_LONG)
 
     @property
     def outcome_of_bin(self) -> tuple[int, ...]:
-        """Index into `outcomes` of the bins between `edges_m`, the outer two included."""
+        """Index into `outcomes` of each bin between `edges_m`, including the outer two."""
         by_length = sorted(range(len(self.classes)), key=lambda k: self.classes[k].min_cm)
         return (len(self.classes), *by_length, len(self.classes) + 1)
 
@@ -232,7 +231,7 @@ _SHIPPED = Path(__file__).parent / "crops"
 
 @dataclass(frozen=True)
 class ProfileEntry:
-    """One profile that can be named.
+    """One available profile.
 
     Parameters
     ----------
@@ -241,9 +240,9 @@ class ProfileEntry:
     path : Path
         The file.
     shipped : bool
-        Whether it came with the package.
+        Whether it is part of the package.
     profile : CropProfile, optional
-        What it says; None where it cannot be read.
+        The profile; None if it cannot be read.
     fault : str
         Why not.
     """
@@ -256,7 +255,7 @@ class ProfileEntry:
 
 
 def profiles_folder() -> Path:
-    """Return the folder of the user's own: `CUCUMBERVISION_PROFILES`, or the user's settings."""
+    """Return the user's profile folder: `CUCUMBERVISION_PROFILES`, or in the user's settings."""
     if chosen := os.environ.get("CUCUMBERVISION_PROFILES"):
         return Path(chosen)
     import platformdirs
@@ -265,12 +264,12 @@ def profiles_folder() -> Path:
 
 
 def profiles() -> tuple[ProfileEntry, ...]:
-    """Return every profile, the user's own first; one of a shipped name takes its place.
+    """Return all profiles, the user's own first; they replace shipped ones of the same name.
 
     Returns
     -------
     tuple of ProfileEntry
-        A file that cannot be read is listed with its fault, and hides no other.
+        An unreadable file is listed with its fault.
 
     Examples
     --------
@@ -294,7 +293,7 @@ def load_profile(name_or_path: str | Path) -> CropProfile:
     Raises
     ------
     ProfileError
-        If no profile has that name, or the file's fault and remedy.
+        If no profile has that name, or the file is invalid.
 
     Examples
     --------

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.ends import STRIP_PX, EndTeller, orient
+from cucumbervision.perception.ends import STRIP_PX, EndClassifier, orient
 from cucumbervision.perception.instances import Instance, each_once, with_keypoints
 from cucumbervision.perception.masks import box_of_mask
 
@@ -95,31 +95,33 @@ def fruit_at(points: NDArray[np.float64]) -> Instance:
 
 
 def test_points_run_to_the_stem_whichever_way_they_came(redness: Path) -> None:
-    teller = EndTeller(redness)
+    classifier = EndClassifier(redness)
     picture, points = bar(120)
     without = Instance(np.array([0.0, 0, 10, 10]))
-    told = teller.tell(picture, [fruit_at(points), without, fruit_at(points[::-1])])
-    assert told[1] is without
-    for one, seen_at_stem in ((told[0], 1.0), (told[2], 0.2)):
+    ordered = classifier.order_ends(picture, [fruit_at(points), without, fruit_at(points[::-1])])
+    assert ordered[1] is without
+    for one, seen_at_stem in ((ordered[0], 1.0), (ordered[2], 0.2)):
         assert one.keypoints is not None
         assert one.keypoints[-1, :2] == pytest.approx(points[-1])
         assert one.keypoints[-1, 2] == seen_at_stem
         assert one.end_confidence is not None
         assert one.end_confidence > 0.9
-    assert teller.tell(picture, []) == ()
+    assert classifier.order_ends(picture, []) == ()
 
 
 def test_a_fruit_of_one_colour_is_unsure(redness: Path) -> None:
     _, points = bar(0)
-    (told,) = EndTeller(redness).tell(np.full((240, 240, 3), 90, np.uint8), [fruit_at(points)])
-    assert told.end_confidence == pytest.approx(0.5, abs=0.01)
+    (ordered,) = EndClassifier(redness).order_ends(
+        np.full((240, 240, 3), 90, np.uint8), [fruit_at(points)]
+    )
+    assert ordered.end_confidence == pytest.approx(0.5, abs=0.01)
 
 
 def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
     picture, points = bar(0)
     mask = np.zeros((240, 240), bool)
     mask[105:136, 60:181] = True
-    (posed,) = EndTeller(redness).tell(picture, [fruit_at(points)])
+    (posed,) = EndClassifier(redness).order_ends(picture, [fruit_at(points)])
     found = Instance(box_of_mask(mask), detector_mask=mask)
     for (one,) in (with_keypoints([found], [posed]), each_once([found], [posed])):
         assert one.end_confidence == posed.end_confidence
@@ -138,4 +140,4 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
     model.ir_version = 8
     onnx.save(model, tmp_path / "other.onnx")
     with pytest.raises(ModelError, match="laid level"):
-        EndTeller(tmp_path / "other.onnx")
+        EndClassifier(tmp_path / "other.onnx")

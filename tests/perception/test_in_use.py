@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cucumbervision.cli.models import app
 from cucumbervision.errors import ModelError
-from cucumbervision.perception.in_use import JUDGEMENT, use_back, use_network, use_shipped
+from cucumbervision.perception.in_use import JUDGEMENT, undo_use, use_network, use_shipped
 from cucumbervision.perception.networks import NetworkLoader
 from cucumbervision.perception.registry import IN_USE, file_sha256, load_registry
 
@@ -51,11 +51,11 @@ def test_a_better_network_takes_the_place_of_the_shipped_one_and_gives_it_back(
     assert loader.detectors().labels == ("cucumber",)
     assert next((one["name"], one["sha256"]) for one in loader.models) == (model.name, SHA256)
     assert load_registry().resolve(model.name)["network"].is_relative_to(folder)
-    back = use_back()
+    back = undo_use()
     assert back is not None
     assert back.name == in_use() == "cucumber-seg"
     with pytest.raises(ModelError, match="the package's own network is in use"):
-        use_back()
+        undo_use()
 
 
 def test_back_leads_to_the_one_before_and_shipped_to_the_package(
@@ -65,7 +65,7 @@ def test_back_leads_to_the_one_before_and_shipped_to_the_package(
     second = use_network(make_run(tmp_path, "second"))
     again = use_network(tmp_path / "first")  # no second place in the row
     assert in_use() == again.name == first.name
-    use_back()
+    undo_use()
     assert in_use() == second.name
     use_shipped()
     assert in_use() == "cucumber-seg"

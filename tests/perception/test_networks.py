@@ -113,18 +113,18 @@ def fruit_at(x: float, confidence: float, width: float = 10.0) -> Instance:
 
 def test_a_segmenter_that_was_begun_is_loaded_once_and_noted_when_it_is_asked_for() -> None:
     loader = NetworkLoader(runtime="onnxruntime")
-    loader.begin_segmenter("mobile-sam")
-    loader.begin_segmenter("mobile-sam")
+    loader.preload_segmenter("mobile-sam")
+    loader.preload_segmenter("mobile-sam")
     assert loader.models == []
     segmenter = loader.segmenter("mobile-sam")
-    loader.begin_segmenter("mobile-sam")
+    loader.preload_segmenter("mobile-sam")
     assert loader.segmenter("mobile-sam") is segmenter
     assert [model["name"] for model in loader.models] == ["mobile-sam"]
 
 
 def test_a_segmenter_that_could_not_be_begun_says_so_when_it_is_asked_for() -> None:
     loader = NetworkLoader()
-    loader.begin_segmenter("no-such-sam")
+    loader.preload_segmenter("no-such-sam")
     for _ in range(2):
         with pytest.raises(ModelError, match="no-such-sam"):
             loader.segmenter("no-such-sam")

@@ -82,7 +82,7 @@ def use(
     from rich.console import Console
 
     from cucumbervision.errors import ModelError
-    from cucumbervision.perception.in_use import use_back, use_network, use_shipped
+    from cucumbervision.perception.in_use import undo_use, use_network, use_shipped
 
     if (given is not None) + back + shipped != 1:
         raise ModelError(
@@ -91,7 +91,7 @@ def use(
     if given is not None:
         model: Model | None = use_network(given, anyway=anyway)
     else:
-        model = use_back(task) if back else use_shipped(task)
+        model = undo_use(task) if back else use_shipped(task)
     name = "no network" if model is None else f"{model.name} ({model.task})"
     Console(highlight=False).print(f"In use now: {name}", soft_wrap=True, markup=False)
 

@@ -24,7 +24,7 @@ from cucumbervision.measurement.result import (
     Method,
     Selector,
 )
-from cucumbervision.perception.ends import SURE
+from cucumbervision.perception.ends import LEAST_END_CONFIDENCE
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import mask_pixels
 
@@ -271,7 +271,7 @@ def measure_fruit(
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
-    if instance.end_confidence is not None and instance.end_confidence < SURE:
+    if instance.end_confidence is not None and instance.end_confidence < LEAST_END_CONFIDENCE:
         flags.append(Flag.ENDS_UNSURE)
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 STRIP_PX = (64, 192)
 """Height and width of a strip."""
 
-SURE = 0.9
+LEAST_END_CONFIDENCE = 0.9
 """Least probability at which a fruit's ends count as known."""
 
 _BEYOND = 0.25  # of the fruit's length, shown beyond each end for the stalk
@@ -113,7 +113,7 @@ def _near(
     return part, low.astype(np.float64), after / before
 
 
-class EndTeller:
+class EndClassifier:
     """Classifies which end of a fruit is the stem's.
 
     Parameters
@@ -145,7 +145,7 @@ class EndTeller:
         """What runs it, as `Network.runtime`."""
         return self._network.runtime
 
-    def tell(
+    def order_ends(
         self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
     ) -> tuple[Instance, ...]:
         """Order every fruit's keypoints from blossom end to stem end.

@@ -83,7 +83,7 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
     return model
 
 
-def use_back(task: str = "segment", registry: Registry | None = None) -> Model | None:
+def undo_use(task: str = "segment", registry: Registry | None = None) -> Model | None:
     """Remove the user's newest network, and return the one in use for its task now.
 
     Raises

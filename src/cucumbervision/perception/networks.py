@@ -12,7 +12,7 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
-from cucumbervision.perception.ends import EndTeller
+from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, each_once, merge_instances
 from cucumbervision.perception.pieces import join_across
@@ -170,7 +170,7 @@ class Segmenter(Protocol):
 
     A class with these methods becomes available by an entry in `models.toml` whose `segmenter`
     names it. It is called with the entry's files by role, and with `runtime`, `prompt`,
-    `full_precision` and `vouched`.
+    `full_precision` and `verified`.
     """
 
     prompt: str
@@ -236,7 +236,7 @@ def open_segmenter(
         runtime=runtime,
         prompt=prompt,
         full_precision=full_precision,
-        vouched=True,
+        verified=True,
     )
     return cast("Segmenter", opened)
 
@@ -324,7 +324,7 @@ class NetworkLoader:
             full_precision=self._full_precision,
             most=self._most,
             input_sizes=self._input_sizes,
-            vouched=isinstance(chosen, str),
+            verified=isinstance(chosen, str),
         )
         if isinstance(chosen, str):
             self._note(chosen, network.task, self.registry.hashes(chosen)[path.name], network)
@@ -333,7 +333,7 @@ class NetworkLoader:
         own = self.registry.default("ends") if network.by_place else None
         if own is not None:
             path = self.verify(own.name)["network"]
-            network.ends = EndTeller(path)
+            network.ends = EndClassifier(path)
             self._note(own.name, own.task, self.registry.hashes(own.name)[path.name], network.ends)
         return network
 
@@ -393,7 +393,7 @@ class NetworkLoader:
             pose = self.pose(pose)
         return Detectors(detector, pose, self._confidence)
 
-    def begin_segmenter(self, name: str | None = None) -> None:
+    def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.
 
         Runtimes compile mostly on one core, so another network can load meanwhile.

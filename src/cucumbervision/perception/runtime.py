@@ -143,7 +143,7 @@ def open_network(
     full_precision: bool = False,
     threads: int | None = None,
     name: str = "",
-    vouched: bool = False,
+    verified: bool = False,
 ) -> Network:
     """Load an ONNX file.
 
@@ -162,7 +162,7 @@ def open_network(
         choice.
     name : str
         Name in errors of a network given as bytes.
-    vouched : bool
+    verified : bool
         Whether its hash was verified. Other files are first checked by ONNX Runtime, which rejects
         a broken graph: OpenVINO crashes at a node without its inputs.
 
@@ -189,7 +189,7 @@ def open_network(
             raise ModelError("there is no such file", source=source, remedy="check the path")
     _check_kind(path, source)
     for_openvino = runtime in ("auto", "openvino") and importlib.util.find_spec("openvino")
-    if for_openvino and not vouched:
+    if for_openvino and not verified:
         _check_graph(path, source)
     if runtime == "openvino":
         return _open_openvino(path, source, full_precision, threads)

@@ -73,7 +73,7 @@ class Sam:
         One of `PROMPTS`.
     full_precision : bool
         Compute in float32 for reproducible results.
-    vouched : bool
+    verified : bool
         As for `open_network`.
 
     Raises
@@ -89,7 +89,7 @@ class Sam:
         prompt: str = "box+point",
         *,
         full_precision: bool = False,
-        vouched: bool = False,
+        verified: bool = False,
     ) -> None:
         if prompt not in PROMPTS:
             raise ModelError(
@@ -97,7 +97,7 @@ class Sam:
             )
         self.prompt = prompt
         self._encoder = open_network(
-            files["encoder"], runtime, full_precision=full_precision, vouched=vouched
+            files["encoder"], runtime, full_precision=full_precision, verified=verified
         )
         # The decoder takes coordinates: in bfloat16 they are off by pixels, and one mask in
         # twenty changes. In float32 ONNX Runtime is the faster one.
@@ -105,7 +105,7 @@ class Sam:
             files["decoder"],
             "onnxruntime" if runtime == "auto" else runtime,
             full_precision=True,
-            vouched=vouched,
+            verified=verified,
         )
         self._encoded: tuple[object, NDArray[np.float32] | None] = (None, None)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.perception.ends import EndTeller
+    from cucumbervision.perception.ends import EndClassifier
     from cucumbervision.perception.runtime import Network, TensorInfo
 
 ONE_TO_ONE_KEY = "one2one"
@@ -342,7 +342,7 @@ class YoloDetector:
         A detection's score must exceed it, 0 to 1.
     full_precision : bool
         As for `open_network`.
-    ends : EndTeller, optional
+    ends : EndClassifier, optional
         Finds the stem end if the file orders keypoints by position. Without it such keypoints keep
         their order.
     most : int, optional
@@ -351,7 +351,7 @@ class YoloDetector:
     input_sizes : tuple of int
         Input sizes (long sides, pixels), multiples of the stride; detections at several are merged
         (`merge_sizes`). Empty for the file's default.
-    vouched : bool
+    verified : bool
         As for `open_network`.
 
     Raises
@@ -368,12 +368,14 @@ class YoloDetector:
         confidence: float = DEFAULT_CONFIDENCE,
         full_precision: bool = False,
         most: int | None = None,
-        ends: EndTeller | None = None,
+        ends: EndClassifier | None = None,
         input_sizes: tuple[int, ...] = (),
         *,
-        vouched: bool = False,
+        verified: bool = False,
     ) -> None:
-        self._network = open_network(path, runtime, full_precision=full_precision, vouched=vouched)
+        self._network = open_network(
+            path, runtime, full_precision=full_precision, verified=verified
+        )
         self._most, self.ends = most, ends
         self._layout = _read_layout(self._network)
         self._confidence = confidence
@@ -442,7 +444,7 @@ class YoloDetector:
             return found
         if self.ends is None:
             return tuple(replace(one, end_confidence=0.5) for one in found)
-        return self.ends.tell(color_rgb, found)
+        return self.ends.order_ends(color_rgb, found)
 
     def _check_sizes(self) -> None:
         layout = self._layout

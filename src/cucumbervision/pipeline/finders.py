@@ -176,7 +176,7 @@ class _Staged:
         What it finds is drawn next, so the segmenter begins to load meanwhile.
         """
         if self._segmenter != "none":
-            self._networks.begin_segmenter(self._segmenter)
+            self._networks.preload_segmenter(self._segmenter)
         with _noting(self._networks, self._by_stage, Stage.DETECTED):
             detectors = self._networks.detectors(file, pose, keypoints=keypoints)
         self._by_stage[Stage.DETECTED] += self._by_stage.get(Stage.POSED, [])

@@ -1,4 +1,4 @@
-"""The service's routes, who may use them, and what is counted."""
+"""The service's routes, access control and metrics."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from cucumbervision.service.server import ServiceSettings
 from cucumbervision.service.work import BusyError, DetectReply, Health, MeasureReply, Problem, Work
 
 _OPEN = frozenset({"/health"})
-_BODY_SLACK = 1_000_000  # heads of the parts of a body of many files
+_BODY_SLACK = 1_000_000  # part headers of a body with many files
 
 _REFUSED = {
     400: "The body cannot be parsed.",
     401: "No token, or a wrong one.",
-    413: "The body is larger than the service takes.",
-    422: "The request has no files, or nothing can be taken of it.",
+    413: "The body is larger than the limit.",
+    422: "The request has no usable files.",
     500: "A defect of the software, a full disk, or a network that cannot be loaded.",
     503: "Too many requests wait, or there is no memory.",
 }
@@ -55,7 +55,7 @@ Files = Annotated[
 
 
 class _Metrics:
-    """The metrics for Prometheus."""
+    """The Prometheus metrics."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
@@ -115,7 +115,7 @@ def create_app(
         RequestBodyLimitMiddleware, max_body_size=settings.limits.total_bytes + _BODY_SLACK
     )
 
-    # The last that is added comes first: nobody's body is read before the token is.
+    # The middleware added last runs first: the token is checked before the body is read.
     @app.middleware("http")
     async def guard(request: Request, answer: Callable[[Request], Awaitable[Response]]) -> Response:
         began_s = time.perf_counter()
@@ -167,7 +167,7 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
 
     @routes.get("/health", response_model=Health)
     def health() -> Health:
-        """Say that the service works, what it is, and where its source is; needs no token."""
+        """Return the service's status, version and source; needs no token."""
         names = [str(one["name"]) for one in work.measurer.models]
         about = software()
         return Health(
@@ -180,7 +180,7 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
 
     @routes.get("/metrics", response_class=Response, **_only(secured, 401))
     def tell_metrics() -> Response:
-        """Tell Prometheus what was done."""
+        """Return the metrics for Prometheus."""
         return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
 
     return routes
@@ -200,7 +200,7 @@ def _problem(status: int, error: str, message: str) -> JSONResponse:
 
 
 def _answer_errors(app: FastAPI) -> None:
-    """Answer whatever is raised with a `Problem`."""
+    """Answer every exception with a `Problem`."""
 
     @app.exception_handler(HTTPException)
     async def refused(_: Request, error: HTTPException) -> Response:

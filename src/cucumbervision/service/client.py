@@ -1,4 +1,4 @@
-"""A client of the service, for robots and scripts; needs nothing beyond the package itself."""
+"""A client of the service for robots and scripts; needs no extra."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ if TYPE_CHECKING:
 
 
 class ServiceError(CucumberVisionError):
-    """The service cannot be reached, or refuses a request.
+    """The service cannot be reached, or rejects a request.
 
-    `status` is that of HTTP; 0 without an answer.
+    `status` is the HTTP status; 0 without an answer.
     """
 
     status = 0
 
 
 class Client:
-    """Sends captures and pictures to a service, and takes its rows.
+    """Sends captures and pictures to a service, and returns the results.
 
     Parameters
     ----------
     url : str
-        Where it is: 'http://127.0.0.1:8600'.
+        Address of the service, such as 'http://127.0.0.1:8600'.
     token : str
-        The service's token, where it has one.
+        The service's token, if it has one.
     timeout_s : float
-        How long to wait for an answer.
+        Timeout for an answer.
     """
 
     def __init__(self, url: str, token: str = "", timeout_s: float = 60.0) -> None:
@@ -54,7 +54,7 @@ class Client:
         self._url, self._token, self._timeout_s = url.rstrip("/"), token, timeout_s
 
     def health(self) -> dict[str, Any]:
-        """Return whether the service works, and what it is."""
+        """Return the service's status and version."""
         return self._ask("/health")
 
     def measure(self, *given: Capture | Path) -> dict[str, Any]:
@@ -68,7 +68,7 @@ class Client:
         Raises
         ------
         ServiceError
-            If the service cannot be reached, or refuses the request.
+            If the service cannot be reached, or rejects the request.
         CaptureError
             If a file or folder cannot be read.
         """
@@ -128,10 +128,10 @@ class Client:
 
 
 class _Refusable:
-    """A connection whose other end may refuse, and hang up, while the body is still being sent."""
+    """A connection that the server may close with an answer while the body is being sent."""
 
     def send(self, data: Any) -> None:
-        # What it answered before it hung up can still be read, and says why.
+        # The answer sent before closing can still be read, and has the reason.
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             super().send(data)  # type: ignore[misc]
 
@@ -156,7 +156,7 @@ _OPENER = urllib.request.build_opener(_Handler)
 
 
 def packed(capture: Capture) -> tuple[str, bytes]:
-    """Return a capture as a file to send: its native folder, zipped.
+    """Return a capture as a file to send: its zipped native folder.
 
     Examples
     --------

@@ -24,23 +24,23 @@ _MB = 1_000_000
 
 
 def request_limits(most_mb: int = 200) -> Limits:
-    """Return what one request may hold; zips may be four times as large when unpacked."""
+    """Return the limits of one request; zips may be four times as large when unpacked."""
     most = most_mb * _MB
     return Limits(files=200, file_bytes=most, total_bytes=most, unpacked_bytes=4 * most)
 
 
 @dataclass(frozen=True)
 class ServiceSettings:
-    """How a service guards itself.
+    """Access and limits of a service.
 
     Parameters
     ----------
     token : str
-        What every request but `GET /health` must carry; empty lets everyone in.
+        Required by every request except `GET /health`; empty disables the check.
     limits : Limits
-        What one request may hold; `total_bytes` is that of its whole body.
+        Limits of one request; `total_bytes` applies to its whole body.
     waiting : int
-        Requests that may wait for the one that is measured; more are refused with 503.
+        Requests that may wait for the current one; more are rejected with 503.
     burst : int
         Frames of a recording fused to one capture.
     """
@@ -51,7 +51,7 @@ class ServiceSettings:
     burst: int = 5
 
     def admits(self, given: str) -> bool:
-        """Return whether a token is the right one, in a time that tells nothing of it.
+        """Return whether a token is correct, in constant time.
 
         Examples
         --------
@@ -62,7 +62,7 @@ class ServiceSettings:
 
 
 def check_access(address: str, token: str) -> None:
-    """Refuse to serve other machines without a token, and tokens that are guessed.
+    """Check that other machines need a token, and that it is long enough.
 
     Raises
     ------
@@ -89,9 +89,9 @@ def check_access(address: str, token: str) -> None:
 
 
 def is_loopback(address: str) -> bool:
-    """Return whether an address to bind to is reached from this machine alone.
+    """Return whether an address to bind to is reachable only from this machine.
 
-    An empty address means all of a machine's, and a name other than localhost may be anything.
+    An empty address means all interfaces; names other than localhost are not resolved.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def serve(
     port: int = 8600,
     ready: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve until it is interrupted; what is being measured then is answered first.
+    """Serve until interrupted; the current request is answered first.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def serve(
     port : int
         TCP port.
     ready : callable
-        Called when the networks are loaded, before it listens.
+        Called after the networks are loaded, before listening.
 
     Raises
     ------

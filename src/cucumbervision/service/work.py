@@ -39,7 +39,7 @@ FruitRow: Any = create_model("FruitRow", **_COLUMNS)
 
 
 class NotRead(BaseModel):
-    """What could not be read or measured: the sender's name for it, and why."""
+    """A file or capture that could not be read or measured."""
 
     name: str
     error: str = Field(description="Stable name, a class of cucumbervision.errors.")
@@ -57,7 +57,7 @@ class MeasuredCapture(BaseModel):
 
 
 class MeasureReply(BaseModel):
-    """What was measured of one request."""
+    """The results of one request."""
 
     captures: list[MeasuredCapture]
     failures: list[NotRead]
@@ -77,14 +77,14 @@ class SeenPicture(BaseModel):
 
 
 class DetectReply(BaseModel):
-    """What was found in the pictures of one request."""
+    """The detections in the pictures of one request."""
 
     pictures: list[SeenPicture]
     failures: list[NotRead]
 
 
 class Health(BaseModel):
-    """Whether the service works, and what it is."""
+    """Status and version of the service."""
 
     status: str
     software: str
@@ -94,14 +94,14 @@ class Health(BaseModel):
 
 
 class Problem(BaseModel):
-    """Why a request was refused."""
+    """Why a request was rejected."""
 
     error: str
     message: str
 
 
 def measured_capture(result: CaptureResult) -> MeasuredCapture:
-    """Return one capture of an answer."""
+    """Return a result as a capture of a reply."""
     capture = result.capture
     return MeasuredCapture(
         name=capture.name,
@@ -113,22 +113,22 @@ def measured_capture(result: CaptureResult) -> MeasuredCapture:
 
 
 def not_read(failure: Failure) -> NotRead:
-    """Return one failure of an answer."""
+    """Return a failure of a reply."""
     name = failure.capture or failure.input
     return NotRead(name=name, error=failure.error, message=failure.message)
 
 
 class BusyError(CucumberVisionError):
-    """More requests wait than the service takes."""
+    """Too many requests are waiting."""
 
 
 class Work:
-    """The one measurer behind all requests: they wait for each other.
+    """The measurer of all requests, used by one at a time.
 
     Parameters
     ----------
     measurer : Measurer
-        What measures; loaded with the first request that needs it.
+        The measurer; loaded with the first request that needs it.
     settings : ServiceSettings
         Limits.
     """
@@ -145,7 +145,7 @@ class Work:
         Raises
         ------
         BusyError
-            If too many wait already.
+            If too many requests are waiting.
         """
         if not self._room.acquire(blocking=False):
             raise BusyError("too many requests are waiting", remedy="send it again later")
@@ -161,7 +161,7 @@ class Work:
         Raises
         ------
         CucumberVisionError
-            If nothing can be taken at all: too many files, a full disk, no networks.
+            If no file can be processed: too many files, a full disk, no networks.
         """
         settings = self.settings
         results: list[CaptureResult] = []
@@ -187,7 +187,7 @@ class Work:
         )
 
     def detect(self, files: Sequence[tuple[str, BinaryIO]]) -> DetectReply:
-        """Find the fruit of uploaded pictures; no lengths.
+        """Find the fruit in uploaded pictures, without lengths.
 
         Raises
         ------
@@ -226,7 +226,7 @@ class Work:
         finally:
             path.unlink()
         height, width = color.shape[:2]
-        # Without a reading and with any lens: who finds fruit looks at the colours.
+        # Empty depth and placeholder intrinsics: detection uses colour only.
         nowhere = np.zeros((height, width), np.float32)
         lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
         found = self.measurer.detect(Capture(color, nowhere, lens, shown)).found

@@ -1,1 +1,1 @@
-"""Frames as they come: the newest first, the same fruit from frame to frame, smoothed lengths."""
+"""Live measurement: sources of frames, tracking of fruit, lengths from all frames."""

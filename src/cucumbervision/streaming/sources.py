@@ -31,16 +31,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Arrival(Generic[T]):
-    """Something that came, and when.
+    """An item of a stream and its time of arrival.
 
     Parameters
     ----------
     item : object
-        What came.
+        The item.
     received_s : float
-        When, by `time.monotonic`.
+        Time of arrival by `time.monotonic`.
     dropped : int
-        How many older ones were dropped since the one that was taken before it.
+        Number of older items dropped since the previous one.
     """
 
     item: T
@@ -49,7 +49,7 @@ class Arrival(Generic[T]):
 
 
 def in_order(items: Iterable[T]) -> Iterator[Arrival[T]]:
-    """Yield everything, one after the other: for what waits.
+    """Yield every item in order; for sources that wait.
 
     Examples
     --------
@@ -61,15 +61,15 @@ def in_order(items: Iterable[T]) -> Iterator[Arrival[T]]:
 
 
 def newest_first(items: Iterable[T]) -> Iterator[Arrival[T]]:
-    """Yield the newest of what comes; what came before it unseen is dropped and counted.
+    """Yield the newest item; older ones that were not taken are dropped and counted.
 
-    A thread takes every item as it comes. It ends with the items, or with the next item after the
-    iterator was closed. What the items raise is raised here, after the last that came.
+    A thread takes every item on arrival. It ends with the items, or with the first item after the
+    iterator is closed. An exception of the source is raised here, after its last item.
 
     Parameters
     ----------
     items : iterable
-        What comes by itself: a camera's frames.
+        A source that does not wait, such as a camera's frames.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def newest_first(items: Iterable[T]) -> Iterator[Arrival[T]]:
 
 
 class _Inbox(Generic[T]):
-    """Room for the newest item."""
+    """Holds the newest item."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -111,12 +111,12 @@ class _Inbox(Generic[T]):
                 if self._put(Arrival(item, time.monotonic())):
                     break
         except BaseException as error:
-            # Whatever it is belongs to who takes the items: this thread has nobody to tell.
+            # Raised in the consumer's thread.
             self._error = error
         finally:
             close = getattr(items, "close", None)
             if close is not None:
-                close()  # lets a camera go in the thread that used it
+                close()  # releases a camera in the thread that used it
             with self._changed:
                 self._ended = True
                 self._changed.notify_all()
@@ -148,14 +148,14 @@ def paced(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[T]:
-    """Yield captures no sooner after the first than they were taken: a recording as a camera.
+    """Yield captures at the pace at which they were taken, like a camera.
 
     Parameters
     ----------
     captures : iterable
-        What is no `Capture`, or has no time, is not waited for.
+        Captures; other items, and captures without a time, are yielded at once.
     clock, sleep : callable
-        Seconds that run on, and how to wait for some.
+        Clock in seconds, and the function that waits.
 
     Examples
     --------
@@ -168,7 +168,7 @@ def paced(
         if taken_s is not None:
             begun = begun or (clock(), taken_s)
             wait_s = (taken_s - begun[1]) - (clock() - begun[0])
-            # A clock that was set back has no pace to follow.
+            # The recording's clock may have been set back.
             if wait_s > 0:
                 sleep(min(wait_s, _LONGEST_WAIT_S))
         yield capture
@@ -183,32 +183,32 @@ def open_stream(
     follow: bool = False,
     retries: int = 0,
 ) -> Iterator[Arrival[Capture | Failure]]:
-    """Open what frames come from.
+    """Open a source of frames.
 
-    A camera does not wait: who is slow gets its newest frame, and those before are dropped and
-    counted. A recording is played in a camera's place, at its own pace. The captures of a folder
-    wait, so that each is given in turn; a folder that is followed is a camera again.
+    A camera does not wait: a slow consumer gets its newest frame, and older ones are dropped and
+    counted. A recording is played like a camera, at its own pace. The captures of a folder are
+    given in order; a followed folder behaves like a camera.
 
     Parameters
     ----------
     source : str or Path
         'camera', or a recording or folder as `open_source` takes it.
     reading : ReadOptions, optional
-        What is said of recording or folder.
+        How to read a recording or folder.
     config : CameraConfig, optional
-        Of the camera: serial number, size, rate.
+        The camera's serial number, size and rate.
     every : bool
-        Give every frame of a recording or of a followed folder, however late.
+        Yield every frame of a recording or followed folder; drop none.
     follow : bool
-        Wait for what comes into a folder; what is there already is passed over.
+        Wait for new files in a folder; existing ones are skipped.
     retries : int
-        How often a camera that is gone is opened again.
+        How often to reopen a disconnected camera.
 
     Raises
     ------
     CucumberVisionError
-        When the first frame is asked for: if the source cannot be opened. A camera that is gone
-        raises after its last frame.
+        On the first frame, if the source cannot be opened; after the last one, if a camera is
+        disconnected.
 
     Examples
     --------
@@ -231,16 +231,16 @@ def open_stream(
 def stream_camera(
     open_camera: Callable[[], RgbdCamera], retries: int = 0, *, every: bool = False
 ) -> Iterator[Arrival[Capture | Failure]]:
-    """Open any camera as `open_stream` opens a RealSense.
+    """Open any camera as `open_stream` does a RealSense.
 
     Parameters
     ----------
     open_camera : callable
-        Makes the camera.
+        Opens the camera.
     retries : int
-        How often one that is gone is opened again.
+        How often to reopen a disconnected one.
     every : bool
-        Drop nothing.
+        Yield every frame; drop none.
     """
     items: Iterator[Capture | Failure] = (
         one if isinstance(one, Capture) else Failure.of(one, one.source)

@@ -1,9 +1,8 @@
-"""Fruit of frames as they come: each frame measured, its fruit known again, their lengths smoothed.
+"""Measure the fruit of a stream: detect, track, and combine lengths over frames.
 
-`FruitStream` takes one frame at a time and measures with the one `Measurer`. In its fast form the
-detector's masks are measured, no SAM and no pose network run, and of a frame's fruit only those are
-measured that gain most by it: frames from one place say nearly the same of a fruit
-(`track_length.FIXED`), so that one which was measured from there can wait.
+`FruitStream` measures one frame at a time with `Measurer`. Its fast form uses the detector's masks
+without SAM and pose network, and measures only the fruit of a frame that gain most: frames from one
+place add little information on a fruit (`track_length.FIXED`).
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ if TYPE_CHECKING:
 _FAST_SIZE_PX = 640
 _FAST_FITS = 1
 _LONGEST_GAP_S = 1.0
-_AGAIN_AFTER = 10  # frames: until then a fruit seen from the same place is not measured again
+_AGAIN_AFTER = 10  # frames before a fruit is measured again from the same place
 
 
 def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
     """Return options for speed: the detector's masks at 640 pixels, no SAM, no keypoints.
 
-    What the options say of runtime, confidence, calibration and reading stays.
+    Runtime, confidence, calibration and reading are kept.
 
     Examples
     --------
@@ -47,7 +46,7 @@ def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
     >>> fast.segmenter, fast.keypoints, fast.input_sizes, fast.full_precision
     ('none', False, (640,), False)
 
-    Of the methods M6 runs, and M5 and M3 where it gives nothing.
+    Of the methods M6 runs, with M5 and M3 as fallbacks.
     """
     options = options or MeasureOptions()
     return replace(
@@ -62,22 +61,22 @@ def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
 
 @dataclass(frozen=True, eq=False)
 class TrackedFruit(NumberedFruit):
-    """One fruit of one frame, and what all its frames say of it.
+    """One fruit of one frame, with the results of all its frames.
 
     Parameters
     ----------
     capture, number, fruit
-        As in `NumberedFruit`; a fruit that had to wait has no measurement in this frame.
+        As in `NumberedFruit`; a fruit that was not selected has no measurement in this frame.
     track : int
-        Its number, the same in all frames.
+        Number of the fruit, the same in all frames.
     seen : int
-        In how many frames it was seen, this one included.
+        Frames in which it was seen, including this one.
     length : Length, optional
-        Its length from all frames; None while the whole fruit was not measured.
+        Its length from all frames; None until the whole fruit was measured.
     at_least_m : float, optional
-        The longest lower bound, while that is all that is known.
+        The longest lower bound, while `length` is None.
     frames, places : int
-        How many frames, and from how many places, are in `length`.
+        Number of frames, and of places, that `length` is from.
     """
 
     track: int
@@ -98,7 +97,7 @@ TRACK_FIELDS = (
     Field("track_frames", "", "whole", "frames in that length", "frames"),
     Field("track_places", "", "whole", "places from which they were taken", "places"),
 )
-"""What a stream says of a fruit beyond the table of fruit."""
+"""Fields of a fruit in a stream, beside the table of fields."""
 
 _OF_CAPTURE = tuple(one for one in FIELDS if one.path.startswith("capture."))
 _OF_FRUIT = tuple(one for one in FIELDS if not one.path.startswith("capture."))
@@ -106,18 +105,18 @@ _OF_FRUIT = tuple(one for one in FIELDS if not one.path.startswith("capture."))
 
 @dataclass(frozen=True, eq=False)
 class StreamedFrame:
-    """What one frame of a stream gave.
+    """The result of one frame of a stream.
 
     Parameters
     ----------
     result : CaptureResult
-        The frame, its fruit as measured in it, and what failed.
+        The frame, the fruit measured in it, and failures.
     fruit : tuple of TrackedFruit
-        The same fruit with their numbers and smoothed lengths.
+        The same fruit with track numbers and combined lengths.
     latency_s : float
-        From the frame's arrival to now.
+        From the frame's arrival to its result.
     dropped : int
-        Older frames that were dropped before it.
+        Older frames dropped before it.
     """
 
     result: CaptureResult
@@ -131,7 +130,7 @@ class StreamedFrame:
         return self.result.capture
 
     def as_json(self) -> dict[str, Any]:
-        """Return the line of a stream: of the tables' fields those that have a value."""
+        """Return the frame as a JSON object with the fields that have a value."""
         values: dict[str, Any] = {
             **_cells((*_OF_CAPTURE, *FRAME_FIELDS), self),
             "fruit": [_cells((*TRACK_FIELDS, *_OF_FRUIT), one) for one in self.fruit],
@@ -145,7 +144,7 @@ FRAME_FIELDS = (
     Field("latency_s", "s", "number", "from the frame's arrival to its line", "latency_s", 4),
     Field("dropped", "", "whole", "older frames dropped before this one", "dropped"),
 )
-"""What a stream says of a frame beyond the table of fruit."""
+"""Fields of a frame in a stream, beside the table of fields."""
 
 
 def _cells(fields: tuple[Field, ...], line: Any) -> dict[str, Cell]:
@@ -155,7 +154,7 @@ def _cells(fields: tuple[Field, ...], line: Any) -> dict[str, Cell]:
 
 @dataclass
 class _Known:
-    """What a stream remembers of a fruit."""
+    """State of a tracked fruit."""
 
     length: TrackLength = field(default_factory=TrackLength)
     seen: int = 0
@@ -164,15 +163,15 @@ class _Known:
 
 
 class FruitStream:
-    """Measures frames one after the other and knows their fruit again.
+    """Measures frames in order and tracks their fruit.
 
     Parameters
     ----------
     measurer : Measurer, optional
-        What measures; loaded with the first frame.
+        The measurer; loaded with the first frame.
     fits : int, optional
-        How many fruit a frame are measured at most: those never measured first, then those seen
-        from a new place, then, every ten frames, the others. All of them if not given.
+        Largest number of fruit measured per frame: first those never measured, then those seen from
+        a new place, then, every ten frames, the others. All if not given.
 
     Examples
     --------
@@ -199,13 +198,13 @@ class FruitStream:
 
     @classmethod
     def fast(cls, options: MeasureOptions | None = None) -> FruitStream:
-        """Return a stream for speed: half precision, no SAM, one fruit measured a frame."""
+        """Return a fast stream: half precision, no SAM, one fruit measured per frame."""
         return cls(Measurer(_fast_options(options)), fits=_FAST_FITS)
 
     def follow(
         self, arrivals: Iterable[Arrival[Capture | Failure]]
     ) -> Iterator[StreamedFrame | Failure]:
-        """Yield what each frame gives.
+        """Yield the result of each frame.
 
         Parameters
         ----------
@@ -215,9 +214,9 @@ class FruitStream:
         Yields
         ------
         StreamedFrame or Failure
-            A frame, or why one could not be read or measured; the stream goes on.
+            A frame, or the failure to read or measure one; the stream continues.
         """
-        # Before the first frame is asked for: none is dropped while networks are loaded.
+        # Before the first frame, so that none is dropped while networks load.
         self.measurer.warm_up()
         for arrival in arrivals:
             item = arrival.item
@@ -244,14 +243,14 @@ class FruitStream:
         Parameters
         ----------
         capture : Capture
-            The frame; frames come in their order.
+            The frame; frames must be in order.
         at_s : float, optional
-            When it was taken; by default its own time, or where it has none by its arrival, at
-            most a second after the one before.
+            When it was taken; by default its own time, or its arrival if it has none, at most one
+            second after the previous one.
         received_s : float, optional
-            When it arrived, by `time.monotonic`; now by default.
+            Time of arrival by `time.monotonic`; now by default.
         dropped : int
-            Older frames that were dropped before it.
+            Older frames dropped before it.
 
         Raises
         ------
@@ -279,7 +278,7 @@ class FruitStream:
         return StreamedFrame(result, fruit, time.monotonic() - received_s, dropped)
 
     def _is_elsewhere(self, capture: Capture) -> bool:
-        """Return whether a frame shows another scene than the one before."""
+        """Return whether a frame shows another scene than the previous one."""
         before, self._before = self._before, capture
         if before is None:
             return False
@@ -287,13 +286,13 @@ class FruitStream:
             return True
         if before.timestamp_s is not None and capture.timestamp_s is not None:
             return False
-        # Nothing says how far the camera may have moved meanwhile, but the pictures do.
+        # Without times, only the pictures show how far the camera moved.
         return math.isinf(moved_px(before.color, [capture.color])[0])
 
     def _own_time(self, received_s: float) -> float:
-        """Return when a frame without a time was taken, by the arrivals.
+        """Return the time of a frame without one, from the arrivals.
 
-        A wait of more than a second says that this program was slow, not that much has moved.
+        A wait of more than a second is this program's delay, not movement.
         """
         before_s = received_s if self._received_s is None else self._received_s
         self._received_s = received_s
@@ -301,7 +300,7 @@ class FruitStream:
         return self._own_s
 
     def _choose(self, numbers: list[int], views: list[FrameView]) -> frozenset[int]:
-        """Return which detections are measured now."""
+        """Return the detections to measure now."""
         if self._fits is None:
             return frozenset(range(len(numbers)))
 

@@ -1,11 +1,10 @@
-"""The length of one fruit from all its frames: surer only as its views really differ.
+"""The length of one fruit from all its frames.
 
-Much of a depth camera's error stays where it is from frame to frame (`docs/results.md`), and so do
-an outline's error and what hides an end. A hundred frames from one place are therefore hardly more
-than one: they are first put together to one view, of whose variance `FIXED` stays however many
-they are. Views from different places are combined as a round combines its stops', by
-`rounds.row_fruit.combined_length`: there half of the variance stays, since they share a camera,
-and views that disagree widen the interval again.
+Much of a depth camera's error is the same in all frames from one place (`docs/results.md`), and so
+are errors of the outline and hidden ends. Frames from one place are therefore averaged to one view,
+which keeps the share `FIXED` of the variance of a single frame. Views from different places are
+combined like the stops of a round, by `rounds.row_fruit.combined_length`: half of the variance is
+common, since they share a camera, and views that disagree widen the interval.
 """
 
 from __future__ import annotations
@@ -24,21 +23,21 @@ if TYPE_CHECKING:
 
     from cucumbervision.measurement.result import LengthKind
 
-FIXED = 0.95  # of a length's variance: what stays in all frames from one place
-_SAME_PLACE = 0.10  # of the distance: a camera that moved less sees the fruit from one place
+FIXED = 0.95  # share of a length's variance common to all frames from one place
+_SAME_PLACE = 0.10  # of the distance: smaller movements of the camera count as one place
 _MOST_PLACES = 64
-_SURE_SD, _LEAST_APART = 4.0, 0.15  # standard deviations, and log lengths: then it is another fruit
+_SURE_SD, _LEAST_APART = 4.0, 0.15  # standard deviations, and log lengths: least difference
 LENGTH_Z = 1.6449  # of 90 % intervals
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
 
 
 def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
-    """Return whether a fruit was seen from one place.
+    """Return whether a fruit was seen twice from one place.
 
     Parameters
     ----------
     a_m, b_m : ndarray of float64, shape (3,)
-        The fruit's middle in camera coordinates, twice; unknown ones (NaN) are of one place.
+        The fruit's centre in camera coordinates, twice; unknown ones (NaN) count as one place.
 
     Examples
     --------
@@ -52,7 +51,7 @@ def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
 
 @dataclass
 class _Place:
-    """What the frames from one place gave: running mean and scatter of their log lengths."""
+    """Running mean and scatter of the log lengths of frames from one place."""
 
     at_m: NDArray[np.float64]
     count: int = 0
@@ -61,7 +60,7 @@ class _Place:
     variance: float = 0.0
 
     def add(self, log: float, variance: float) -> None:
-        """Take one frame (Welford 1962)."""
+        """Add one frame (Welford 1962)."""
         self.count += 1
         off = log - self.mean
         self.mean += off / self.count
@@ -70,29 +69,29 @@ class _Place:
 
     @property
     def view_variance(self) -> float:
-        """The variance of the mean, whose fixed part no number of frames makes less."""
+        """Variance of the mean; its fixed part does not fall with the number of frames."""
         fresh = (1 - FIXED) * self.variance
-        if self.count > 2:  # an outline that flickers shows in the frames themselves
+        if self.count > 2:  # an unstable outline shows as scatter between frames
             fresh = max(fresh, self.scatter / (self.count - 1))
         return FIXED * self.variance + fresh / self.count
 
 
 @dataclass
 class TrackLength:
-    """What is known of one fruit's length while its frames come.
+    """Accumulates one fruit's length over its frames.
 
     Parameters
     ----------
     kind : LengthDefinition or LengthKind, optional
-        What `length` is the length of.
+        The kind of `length`.
     places : list
-        One for each place from which the whole fruit was measured.
+        One entry per place from which the whole fruit was measured.
     at_least_m : float, optional
-        The longest lower bound that was seen.
+        The longest lower bound.
     frames : int
-        Frames that are in `length`.
+        Number of frames in `length`.
     length : Length, optional
-        The length of all frames together; None while the whole fruit was not measured.
+        The length from all frames; None until the whole fruit was measured.
 
     Examples
     --------
@@ -123,19 +122,19 @@ class TrackLength:
         partial: bool = False,
         scale_known: bool = False,
     ) -> None:
-        """Take the length of one frame.
+        """Add the length of one frame.
 
         Parameters
         ----------
         length : Length
-            As measured. A fitted tube's goes before raw lengths of other methods, which are
-            another thing: the two are never mixed.
+            As measured. A fitted tube's length replaces raw lengths of other methods; the two are
+            never mixed.
         at_m : ndarray of float64, shape (3,)
-            The fruit's middle in camera coordinates.
+            The fruit's centre in camera coordinates.
         partial : bool
-            Whether it is a lower bound; counts only until the whole fruit was seen.
+            Whether it is a lower bound; used only until the whole fruit was seen.
         scale_known : bool
-            Whether the camera's depth scale was measured.
+            Whether the camera's depth scale was calibrated.
         """
         if partial:
             self.at_least_m = max(self.at_least_m or 0.0, length.value_m)
@@ -149,14 +148,14 @@ class TrackLength:
             return
         log, sd, shift = _log_length(length)
         scale = 0.0 if scale_known else SCALE_SD
-        # The depth scale's error is the same wherever the camera stands: added at the end.
+        # The depth scale's error is the same at every place and is added at the end.
         self._place(at_m).add(log, max(sd**2 - scale**2, _LEAST_SD**2))
         self.frames += 1
         self._shift += (shift - self._shift) / self.frames
         self.length = self._combined(length, scale)
 
     def contradicts(self, length: Length, *, partial: bool = False) -> bool:
-        """Return whether a length cannot be this fruit's: it must be another fruit.
+        """Return whether a length contradicts this fruit's, so that it must be another fruit.
 
         Parameters
         ----------
@@ -203,7 +202,7 @@ class TrackLength:
 
 
 def _log_length(length: Length) -> tuple[float, float, float]:
-    """Return a length's logarithm, its standard deviation, and where its interval's middle is."""
+    """Return the log length, its standard deviation, and the offset of its interval's middle."""
     log = float(np.log(length.value_m))
     if not (length.low_m and length.high_m):
         return log, _UNKNOWN_SD, 0.0

@@ -1,9 +1,8 @@
-"""Which fruit of a frame is which of the frames before: by place in space and by mask overlap.
+"""Track fruit from frame to frame by position in space and mask overlap.
 
-The rows of a round are merged in the same way, and its parts serve here: the likeness of two views
-is a log likelihood ratio (`rounds.row_views`), shifts of the camera between two frames are tried
-and the likeliest is taken, and views are assigned one to one. A frame has few fruit and comes soon
-after the last, so that one pass suffices: each frame is assigned once and for all.
+Rows of a round are merged in the same way: the similarity of two views is a log likelihood ratio
+(`rounds.row_views`), the likeliest shift of the camera is found by trial, and views are assigned
+one to one. Frames have few fruit and follow each other closely, so each frame is assigned once.
 """
 
 from __future__ import annotations
@@ -28,26 +27,29 @@ if TYPE_CHECKING:
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.perception.instances import Instance
 
-_STEP = 4  # every which pixel of masks is looked at
-_WALK_M_S = 1.0  # how fast a camera moves, at most, before anything is known of it
-_TURN_M_S = 0.5  # by how much that changes from one second to the next
-_DRIFT_M_S = 0.03  # how unsure a place becomes while its fruit is out of sight
+_STEP = 4  # pixels; the sampling step of masks
+_WALK_M_S = 1.0  # assumed speed of the camera before it is known
+_TURN_M_S = 0.5  # change of that speed per second
+_DRIFT_M_S = 0.03  # growth of a position's standard deviation while its fruit is out of sight
 _STILL_M = 0.005
-_HALF_OVERLAP, _LEAST_OVERLAP = 0.25, 0.03  # of masks: what speaks neither way, and what is added
+_HALF_OVERLAP, _LEAST_OVERLAP = (
+    0.25,
+    0.03,
+)  # of masks: neutral overlap, and the offset against log 0
 
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """One detection as it is compared with those of other frames.
+    """One detection, for comparison with those of other frames.
 
     Parameters
     ----------
     at_m : ndarray of float64, shape (3,)
-        Middle of what is seen of the fruit, camera coordinates in metres; NaN without depth.
+        Centre of the visible part, camera coordinates in metres; NaN without depth.
     top_px, left_px : int
-        Where the outline's window lies, pixels.
+        Position of the outline's window, pixels.
     outline : ndarray of bool, shape (h, w)
-        Every fourth pixel of the mask, or of the box where there is no mask.
+        Every fourth pixel of the mask, or of the box without a mask.
     """
 
     at_m: NDArray[np.float64]
@@ -56,7 +58,7 @@ class FrameView:
     outline: NDArray[np.bool_]
 
     def overlap(self, other: FrameView, shift_px: NDArray[np.float64]) -> float:
-        """Compute the intersection over union with another outline, when this one is shifted.
+        """Compute the intersection over union of this outline, shifted, with another.
 
         Examples
         --------
@@ -80,9 +82,9 @@ def _common(shift: int, own: int, other: int) -> tuple[int, int]:
 
 
 def frame_view(capture: Capture, instance: Instance) -> FrameView:
-    """Return what tracking looks at: outline and middle of one detection.
+    """Return outline and centre of one detection.
 
-    The middle of a mask's box at the median distance of its readings.
+    The centre is that of the mask's box, at the median of the depth readings.
     """
     mask = visible_mask(instance)
     window = None if mask is None else mask_window(mask)
@@ -106,7 +108,7 @@ def frame_view(capture: Capture, instance: Instance) -> FrameView:
 
 @dataclass(eq=False)
 class _Track:
-    """A fruit that was seen, and where it is now if the camera moved as it seems."""
+    """A tracked fruit, with its position after the estimated movement of the camera."""
 
     number: int
     view: FrameView
@@ -116,15 +118,15 @@ class _Track:
 
 
 class Tracker:
-    """Numbers the fruit of frames, the same fruit alike.
+    """Assigns a number to each fruit, the same in all frames.
 
-    The camera may move and the fruit may not: one shift for all is sought between two frames. A
-    camera that turns shifts what is near as what is far, and so does a small turn.
+    The camera may move, the fruit may not: one shift of all fruit is estimated between two frames.
+    It also approximates small rotations.
 
     Parameters
     ----------
     keep_s : float
-        How long a fruit that is out of sight is remembered, seconds.
+        How long a fruit out of sight is kept, seconds.
 
     Examples
     --------
@@ -152,15 +154,15 @@ class Tracker:
 
     @property
     def known(self) -> frozenset[int]:
-        """Numbers of the fruit that are remembered."""
+        """Numbers of the fruit that are tracked."""
         return frozenset(track.number for track in self._tracks)
 
     def forget(self) -> None:
-        """Forget all fruit: what comes next is another scene. No number is given again."""
+        """Forget all fruit, for a new scene. Numbers are not reused."""
         self._tracks, self._speed_m_s = [], None
 
     def split(self, number: int) -> int:
-        """Give a fruit that turned out to be another than before a number of its own."""
+        """Give a wrongly matched fruit a new number."""
         track = next(one for one in self._tracks if one.number == number)
         track.number, self._next = self._next, self._next + 1
         return track.number
@@ -173,9 +175,9 @@ class Tracker:
         views : sequence of FrameView
             The frame's detections.
         camera : Intrinsics
-            What the frame was taken with.
+            Intrinsics of the frame.
         now_s : float
-            When, in seconds that do not run back.
+            Time in seconds, not decreasing.
         """
         elapsed_s = max(now_s - self._at_s, 0.0) if self._at_s is not None else 0.0
         self._at_s = now_s
@@ -208,7 +210,7 @@ class Tracker:
     def _pair(
         self, views: Sequence[FrameView], camera: Intrinsics, elapsed_s: float
     ) -> NDArray[np.intp]:
-        """Return pairs of track and view, shape (K, 2), after moving the tracks along."""
+        """Return pairs of track and view, shape (K, 2), after shifting the tracks."""
         from scipy.optimize import linear_sum_assignment
 
         predicted = self._predicted(elapsed_s)
@@ -232,7 +234,7 @@ class Tracker:
         return pairs
 
     def _overlaps(self, views: Sequence[FrameView], camera: Intrinsics) -> NDArray[np.float64]:
-        """Return what the overlap of masks says for each pair, as a log ratio."""
+        """Return the log ratio from the mask overlap of each pair."""
         shares = np.zeros((len(self._tracks), len(views)))
         for i, track in enumerate(self._tracks):
             before = track.view.at_m
@@ -249,7 +251,7 @@ class Tracker:
 
 
 def _crowd(views: Sequence[FrameView], camera: Intrinsics) -> Crowd:
-    """Return how many other fruit a frame may show where one of them is."""
+    """Return the density of other fruit in a frame."""
     far = np.array([view.at_m[2] for view in views])
     far_m = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.6
     across_m, up_m = far_m * camera.width / camera.fx_px, far_m * camera.height / camera.fy_px
@@ -259,7 +261,7 @@ def _crowd(views: Sequence[FrameView], camera: Intrinsics) -> Crowd:
 def _place_ratio(
     gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd, unknown: float
 ) -> NDArray[np.float64]:
-    """Return the log ratio of places, `unknown` where one of the two has none."""
+    """Return the log ratio of positions; `unknown` where one of the two has none."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(gap_m).all(axis=-1))
     ratio = position_ratio(np.where(known[..., None], gap_m, 0.0), variance_m2, crowd)
     return np.asarray(np.where(known, ratio, unknown))
@@ -272,9 +274,9 @@ def _likeliest_shift(
     predicted_m: NDArray[np.float64],
     reach_m: float,
 ) -> NDArray[np.float64]:
-    """Return by how much all fruit moved, in camera coordinates, shape (3,).
+    """Return the shift of all fruit in camera coordinates, shape (3,).
 
-    Every pair's gap is tried, and the shift that the speed so far predicts.
+    Candidates are every pair's difference, and the shift predicted by the speed.
     """
     gaps = gap_m.reshape(-1, 3)
     tried = np.vstack([predicted_m, gaps[np.isfinite(gaps).all(axis=1)]])
@@ -284,6 +286,6 @@ def _likeliest_shift(
     gain = np.log1p(np.exp(np.clip(ratio, -50.0, 20.0)).sum(axis=1))
     score = gain.sum(axis=1) - 0.5 * np.square(off).sum(axis=1)
     best = tried[int(score.argmax())]
-    # The gaps that agree with it, by their mean: a single pair's has its own error.
+    # Average the agreeing differences: a single pair's has its own error.
     near = gaps[np.linalg.norm(gaps - best, axis=1) < 3 * SURFACE_DEPTH_SD_M]
     return np.asarray(near.mean(axis=0) if len(near) else best)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.files import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.perception.ends import STRIP_PX, SURE, orient
+from cucumbervision.perception.ends import LEAST_END_CONFIDENCE, STRIP_PX, orient
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, ticked
@@ -336,7 +336,7 @@ def _judged(
         some = seen == count
         if some.any():
             right[f"{count} ends in sight"] = float((logits[some] > 0).mean())
-    sure = 1 / (1 + np.exp(-np.abs(logits))) >= SURE
+    sure = 1 / (1 + np.exp(-np.abs(logits))) >= LEAST_END_CONFIDENCE
     share = float((logits[sure] > 0).mean()) if sure.any() else float("nan")
     return EndsResult(
         out, learnt // COPIES, len(logits) // COPIES, right, float(sure.mean()), share

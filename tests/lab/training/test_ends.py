@@ -12,7 +12,7 @@ pytest.importorskip("ultralytics")
 
 from cucumbervision.capture.files import write_png  # noqa: E402
 from cucumbervision.errors import TrainingError  # noqa: E402
-from cucumbervision.perception.ends import STRIP_PX, EndTeller  # noqa: E402
+from cucumbervision.perception.ends import STRIP_PX, EndClassifier  # noqa: E402
 from cucumbervision.perception.instances import Instance  # noqa: E402
 from cucumbervision.perception.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture  # noqa: E402
@@ -83,14 +83,16 @@ def test_it_learns_to_see_the_stalk_and_the_file_says_so_too(
     assert result.right["all"] > 0.9
     assert result.right["2 ends in sight"] == result.right["all"]
     assert (result.strips, result.judged) == (70, 10)
-    teller, rng = EndTeller(tmp_path / "ends.onnx"), np.random.default_rng(99)
+    classifier, rng = EndClassifier(tmp_path / "ends.onnx"), np.random.default_rng(99)
     right = 0
     for number in range(30):
         color, points = drawn(rng)
         given = points[::-1] if number % 2 else points
-        (told,) = teller.tell(color, [Instance(np.zeros(4), keypoints=np.c_[given, np.ones(5)])])
-        assert told.keypoints is not None
-        right += bool(np.allclose(told.keypoints[-1, :2], points[-1]))
+        (ordered,) = classifier.order_ends(
+            color, [Instance(np.zeros(4), keypoints=np.c_[given, np.ones(5)])]
+        )
+        assert ordered.keypoints is not None
+        right += bool(np.allclose(ordered.keypoints[-1, :2], points[-1]))
     assert right >= 26
     card = write_ends_card(result, "ends", epochs=25, seed=0, credits=("Ann",))
     again = read_card(tmp_path / "ends.json")

@@ -32,7 +32,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.row_fruit import LENGTH_Z, combined_length, one_tube_stands
+from cucumbervision.rounds.row_fruit import LENGTH_Z, combined_length, joint_tube_is_used
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -147,7 +147,7 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
             "combined": (combined, combined / spread, combined * spread),
             "one tube": (one_m, *ends),
         }
-        stands = one_tube_stands((one_m, *ends), (combined, sd_m))
+        stands = joint_tube_is_used((one_m, *ends), (combined, sd_m))
         ways["as rounds"] = ways["one tube" if stands else "combined"]
         for way, (length, least, most) in ways.items():
             found[f"{way} {count}"] = 100 * (length / true_m - 1)

@@ -119,7 +119,7 @@ def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:
     with open_store(house) as store:
         first, *_ = views = store.detections(WALK)
     test = app("results", fruit=first.key)
-    label = "All other finds in this picture are right"
+    label = "Accept all other fruit in this picture"
     next(button for button in test.button if button.label == label).click().run()
     assert not test.exception
     with open_store(house) as store:
@@ -176,14 +176,14 @@ def test_the_row_map_tells_two_fruit_from_one_and_takes_that_back(house: Path) -
             return sum(view.best for view in store.detections(WALK))
 
     before = groups()
-    test.button(key=f"This one too_{second.key}").click().run()
+    test.button(key=f"Same fruit_{second.key}").click().run()
     assert groups() == before - 1
-    test.button(key=f"Not the same_{second.key}").click().run()
+    test.button(key=f"Different fruit_{second.key}").click().run()
     assert groups() == before
     for left in (before - 1, before):
         next(button for button in test.button if button.label == "Undo").click().run()
         assert groups() == left
-    next(button for button in test.button if button.label == "No fruit").click().run()
+    next(button for button in test.button if button.label == "Not a fruit").click().run()
     with open_store(house) as store:
         assert store.detection(first.key).view.verdict is Verdict.REJECTED
 
@@ -365,7 +365,7 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(house: Path) -> None:
         tap(test, "Delete this round")
         assert keys[0] in {one.earlier for one in store.shifts(keys[2])}
     back = test.run().button(key=f"back_{keys[1]}").label
-    assert back.startswith(r"Bring back: \!\[x\]\(http\://a\)")
+    assert back.startswith(r"Restore: \!\[x\]\(http\://a\)")
 
 
 def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:
@@ -383,7 +383,7 @@ def test_an_old_round_says_nothing_of_today(house: Path) -> None:
         stop = replace(template, key=new_key(), round_key=past.key, taken_s=past.started_s)
         store.save_stop(stop)
     test = app("today", round=past.key)
-    assert "it says nothing about today" in said(test)
+    assert "too old for today" in said(test)
     assert not test.metric
 
 
@@ -431,7 +431,7 @@ def test_the_absent_camera_is_told_and_the_replay_offered(
 def test_a_round_is_begun(house: Path) -> None:
     test = app("capture", source="replay")
     test.text_input(key="new_name").set_value("Evening").run()
-    next(b for b in test.button if b.label == "Begin this round").click().run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
     with open_store(house) as store:
         newest = store.rounds()[0]
         assert newest.record.name == "Evening"
@@ -441,7 +441,7 @@ def test_a_round_is_begun(house: Path) -> None:
 
 def test_a_round_is_written_as_files(house: Path) -> None:
     test = app("results")
-    next(b for b in test.button if b.label == "Make the files").click().run()
+    next(b for b in test.button if b.label == "Create the files").click().run()
     wait_for_jobs()
     test.run()
     assert not test.error

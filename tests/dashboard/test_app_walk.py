@@ -97,8 +97,8 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     tablet.get_by_role("button", name="New round").tap()
     field(tablet, "Name").fill("Monday")
     field(tablet, "Name").press("Enter")
-    tablet.get_by_role("button", name="Begin this round").tap()
-    tablet.get_by_text("This round has no stops yet: walk a row.").wait_for()
+    tablet.get_by_role("button", name="Start this round").tap()
+    tablet.get_by_text("This round has no stops yet. Start walking a row.").wait_for()
     shot(tablet, "start")
     tablet.get_by_role("dialog").wait_for(state="hidden")  # nothing lies over the page any more
     tablet.get_by_role("link", name="Capture").last.tap()
@@ -142,15 +142,15 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     tablet.get_by_text("Stop 7: row 3", exact=False).first.wait_for()
     shot(tablet, "capture")
 
-    # Count: the least sure fruit is one, and that is taken back.
+    # Count: the least certain fruit is one, and that is undone.
     tablet.goto(f"{address}/map")
     tablet.get_by_text("90 %").first.wait_for()
-    tablet.get_by_role("button", name="Look at the least sure").tap()
-    tablet.get_by_role("button", name="It is a fruit").tap()
-    tablet.get_by_text("Somebody said: accepted.").wait_for()
+    tablet.get_by_role("button", name="Show the least certain").tap()
+    tablet.get_by_role("button", name="This is a fruit").tap()
+    tablet.get_by_text("Checked: accepted.").wait_for()
     shot(tablet, "map")
     tablet.get_by_role("button", name="Undo").first.tap()
-    tablet.get_by_text("Somebody said: accepted.").wait_for(state="hidden")
+    tablet.get_by_text("Checked: accepted.").wait_for(state="hidden")
 
     # Pick: a tap on the tablet stands on the phone too.
     tablet.goto(address)
@@ -189,7 +189,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     for name in ("Parquet", "JSON"):
         tablet.get_by_test_id("stButtonGroup").get_by_text(name, exact=True).tap()
         tablet.get_by_role("button", name=name, exact=True, pressed=True).wait_for()
-    tablet.get_by_role("button", name="Make the files").tap()
+    tablet.get_by_role("button", name="Create the files").tap()
     load = tablet.get_by_role("button", name="Download", exact=True)
     load.wait_for()  # making them may take as long as the download is waited for
     with tablet.expect_download() as loading:

@@ -8,7 +8,7 @@ import pytest
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_context import around, least_sure_first
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
-from cucumbervision.rounds.row_fruit import FalseFinds
+from cucumbervision.rounds.row_fruit import FalseShare
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
@@ -98,12 +98,12 @@ def test_the_least_sure_are_looked_at_first_until_somebody_judged_them(store: St
 
 def test_what_people_say_of_a_house_is_what_is_believed_of_its_next_round(store: Store) -> None:
     views = store.detections(MONDAY.key)
-    assert read_round(store, TUESDAY.key).false == FalseFinds()
+    assert read_round(store, TUESDAY.key).false == FalseShare()
     store.set_verdict([views[0].key], Verdict.REJECTED)
     store.set_verdict([views[1].key], Verdict.ACCEPTED)
     content = read_round(store, TUESDAY.key)
-    assert content.false == FalseFinds.learnt(1, 4)
-    assert content.false.share > FalseFinds().share
+    assert content.false == FalseShare.learnt(1, 4)
+    assert content.false.share > FalseShare().share
     (row,) = row_reports(read_round(store, MONDAY.key))
     assert len(row.count.seen) == 3  # without the rejected one
     assert row.count.real.max() == 1.0  # the accepted one is a fruit

@@ -53,7 +53,7 @@ def merged(walked: Path, tmp_path: Path) -> Iterator[Store]:
         yield store
 
 
-def test_one_tube_stands_for_fruit_that_several_stops_show(merged: Store) -> None:
+def test_joint_tube_is_used_for_fruit_that_several_stops_show(merged: Store) -> None:
     before = {one.view.key: one for one in fruit_table(read_round(merged, MORNING))}
     told: list[tuple[int, int]] = []
     measured = measure_jointly(merged, MORNING, lambda *numbers: told.append(numbers)).fruit
@@ -74,7 +74,7 @@ def test_one_tube_stands_for_fruit_that_several_stops_show(merged: Store) -> Non
         assert low is not None
         assert high is not None
         assert low < (record.length_m or 0.0) < high
-        assert record.length_m == line.combined_m
+        assert record.length_m == line.length_m
         # What is the view's own stays so.
         assert (record.number, record.score) == (alone.number, alone.score)
 
@@ -119,13 +119,13 @@ def test_the_tube_is_kept_with_the_cameras_that_saw_it(merged: Store) -> None:
 
 def test_without_pictures_lengths_stay_combined(merged: Store) -> None:
     content = read_round(merged, MORNING)
-    combined = [(one.view.key, one.combined_m) for one in fruit_table(content)]
+    combined = [(one.view.key, one.length_m) for one in fruit_table(content)]
     for path in merged.images.folder.rglob("*.png"):
         path.unlink()
     assert measure_jointly(merged, MORNING).fruit == len(joint_groups(content))
     after = read_round(merged, MORNING)
     assert {one.reason for one in after.joint.values()} == {"no-picture"}
-    assert [(one.view.key, one.combined_m) for one in fruit_table(after)] == combined
+    assert [(one.view.key, one.length_m) for one in fruit_table(after)] == combined
 
 
 def test_one_that_fails_loses_nothing_of_the_rest(

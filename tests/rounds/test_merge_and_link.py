@@ -82,10 +82,10 @@ def test_a_fruit_has_the_length_of_all_its_whole_views(store: Store, row: Walk) 
         several += 1
         lengths = [one.length_m for one in whole if one.length_m]
         assert min(lengths) - 1e-9 <= (line.view.record.length_m or 0) <= max(lengths) + 1e-9
-        assert line.view.record.length_m == line.combined_m
+        assert line.view.record.length_m == line.length_m
         low, high = line.view.record.interval_low_m, line.view.record.interval_high_m
         if low is not None and high is not None:
-            assert low < (line.combined_m or 0) < high
+            assert low < (line.length_m or 0) < high
     assert several > 5
 
 

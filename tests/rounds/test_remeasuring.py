@@ -115,7 +115,7 @@ def test_what_people_said_stays(store: Store, folder: Path) -> None:
     assert not [one for one in store.links(MORNING, LinkKind.SAME) if one.by_hand]
     log = store.log(MORNING)
     number = next(one.number for one in log if one.kind == "measure-again")
-    with pytest.raises(StoreError, match="take back"):
+    with pytest.raises(StoreError, match="undo"):
         store.undo(number=number)
 
 

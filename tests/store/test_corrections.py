@@ -97,7 +97,7 @@ def test_undo_goes_back_step_by_step_and_then_says_that_there_is_no_more(
         store.undo(WALK)
         verdicts.append(store.detections(WALK)[0].verdict)
     assert verdicts == [Verdict.ACCEPTED, None]
-    with pytest.raises(StoreError, match="nothing to take back"):
+    with pytest.raises(StoreError, match="nothing to undo"):
         store.undo(WALK)
 
 
@@ -107,7 +107,7 @@ def test_an_earlier_action_is_taken_back_unless_a_later_one_stands_on_it(
     first = store.set_verdict(keys[:1], Verdict.ACCEPTED)
     other = store.set_verdict(keys[1:2], Verdict.ACCEPTED)
     store.set_verdict(keys[:1], Verdict.REJECTED)
-    with pytest.raises(StoreConflictError, match=f"stands on action {first}; take the later"):
+    with pytest.raises(StoreConflictError, match=f"depends on action {first}; undo the later"):
         store.undo(number=first)
     store.undo(number=other)
     assert [one.verdict for one in store.detections(WALK)[:2]] == [Verdict.REJECTED, None]
@@ -124,7 +124,7 @@ def test_what_was_taken_away_does_not_come_back_over_something_newer(
     store.set_verdict(keys[:1], Verdict.ACCEPTED)
     cleared = store.set_verdict(keys[:1], None)
     store.set_verdict(keys[:1], Verdict.REJECTED)
-    with pytest.raises(StoreConflictError, match="stands on"):
+    with pytest.raises(StoreConflictError, match="depends on"):
         store.undo(number=cleared)
     assert store.detections(WALK)[0].verdict is Verdict.REJECTED
     assert len(store.log()) == 3

@@ -59,7 +59,7 @@ def test_fruit_that_are_the_same_keep_their_keys_and_what_was_said_of_them(
     store.undo(WALK)
     store.undo(WALK)
     assert store.detection(corrected).view.record.length_m == 0.33
-    with pytest.raises(StoreError, match="take back"):
+    with pytest.raises(StoreError, match="undo"):
         store.undo(number=newest.number)
 
 

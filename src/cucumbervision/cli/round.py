@@ -320,8 +320,8 @@ def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
         record.flags,
     ]
     all_views = ""
-    if line.combined_m is not None and line.combined_sd_m is not None and view.views > 1:
-        all_views = f"{100 * line.combined_m:.1f} ± {100 * line.combined_sd_m:.1f}"
+    if line.length_m is not None and line.length_sd_m is not None and view.views > 1:
+        all_views = f"{100 * line.length_m:.1f} ± {100 * line.length_sd_m:.1f}"
     return [
         str(line.number),
         view.row or "",

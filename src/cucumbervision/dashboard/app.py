@@ -12,7 +12,6 @@ from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.access import Login, note_viewer, read_openid_connect
-from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.dashboard.views import (
     accuracy,
@@ -24,6 +23,7 @@ from cucumbervision.dashboard.views import (
     today,
     upload,
 )
+from cucumbervision.dashboard.words import plain
 from cucumbervision.errors import AccessError, CucumberVisionError
 
 if TYPE_CHECKING:

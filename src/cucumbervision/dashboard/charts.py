@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # all else that a page does; channels are named for the same reason, where a string would do.
 disable_debug_mode()
 
-_MARKS = {"seen": "circle", "picked": "cross", "drawn": "diamond"}  # on the map
+_MARKS = {"seen": "circle", "picked": "cross", "simulated": "diamond"}  # on the map
 
 
 _MANY = 40  # fruit from which narrow bars say more than they scatter

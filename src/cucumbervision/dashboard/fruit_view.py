@@ -13,7 +13,7 @@ import streamlit as st
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.dashboard.charts import class_color
-from cucumbervision.dashboard.round_tables import length_words
+from cucumbervision.dashboard.words import length_words
 from cucumbervision.measurement.m1 import window_depths
 from cucumbervision.perception.mask_codes import decode_rle
 

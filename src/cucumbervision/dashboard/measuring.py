@@ -322,10 +322,10 @@ def is_doubtful(fruit: FruitMeasurement, capture: Capture) -> bool:
     unsure = length.value_m - length.low_m > _UNSURE * length.value_m
     if unsure or tube.fit.traits.diameter_max_m > _STOUT * length.value_m:
         return True
-    return not _stands_out(fruit.mask, capture)
+    return not _is_raised(fruit.mask, capture)
 
 
-def _stands_out(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
+def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
     """Tell whether part of what surrounds a mask lies farther than it."""
     if mask is None:
         return False

@@ -9,8 +9,8 @@ import streamlit as st
 
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.round_choice import choose_round
+from cucumbervision.dashboard.words import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -67,7 +67,7 @@ def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
     def page() -> None:
         one = choose_round()
         if one is None:
-            st.info("There is no round yet: begin one with 'New round'.", icon=":material/flag:")
+            st.info("There is no round yet. Start one with 'New round'.", icon=":material/flag:")
         else:
             draw(one)
 

@@ -231,7 +231,7 @@ def undo(round_key: str | None = None, *, number: int | None = None) -> None:
     Raises
     ------
     StoreError
-        If there is nothing to take back, or a later action stands on it.
+        If there is nothing to undo, or a later action depends on it.
     """
     moved = undo_in(store(), round_key, number=number)
     if moved:
@@ -326,17 +326,20 @@ def thumbnail_of(view: DetectionView) -> str | None:
     return as_data_url(crop(small, view.record, _capture_widths(view.stop_key)[view.capture]))
 
 
-@st.cache_data(
-    show_spinner=False,
-    max_entries=400,
-    hash_funcs={DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px)},
-)
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600)
 def joint_of(round_key: str, key: str) -> JointRecord:
     """Return the tube in all views of a fruit, with its path and the cameras' poses."""
     return store().joint_drawing(round_key, key)
 
 
+@st.cache_data(
+    show_spinner=False,
+    max_entries=400,
+    hash_funcs={
+        DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px),
+        JointRecord: lambda joint: joint.key,
+    },
+)
 def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | None:
     """Return a fruit cut out of its picture as a data URL; None where none was kept.
 

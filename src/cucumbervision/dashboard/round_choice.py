@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.words import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.demonstration import is_demonstration
 from cucumbervision.rounds.settling import delete_round
@@ -68,7 +68,7 @@ def _begin() -> None:
         st.session_state["round"] = record.key
         st.session_state[_BEGINNING] = False
 
-    st.button("Begin this round", type="primary", width="stretch", on_click=begin)
+    st.button("Start this round", type="primary", width="stretch", on_click=begin)
 
 
 def _change(one: RoundView | None) -> None:
@@ -92,7 +92,7 @@ def _change(one: RoundView | None) -> None:
         )
     for gone in resources.store().rounds(deleted=True):
         st.button(
-            f"Bring back: {plain(_name(gone))}",
+            f"Restore: {plain(_name(gone))}",
             icon=":material/undo:",
             width="stretch",
             key=f"back_{gone.key}",

@@ -49,7 +49,7 @@ class Press:
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """What becomes of a press.
+    """The outcome of a press.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Uploads into a round: each capture at its place, and what became of each file."""
+"""Uploads into a round: each capture at its place, and the outcome of each file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense 
 
 @dataclass(frozen=True)
 class UploadOutcome:
-    """What became of a file, or of a capture in it.
+    """The outcome of a file, or of a capture in it.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def measure_uploads(
     files : sequence of (name, stream or Path)
         As for `intake.uploads.accept_uploads`.
     round_key : str
-        The round; drawn captures go into the demonstration instead.
+        The round; simulated captures go into the demonstration instead.
     place : NextPlace
         Of the first capture that brings none of its own; the others follow from step to step.
     job : Job
@@ -193,6 +193,6 @@ def _saved(
         return UploadOutcome(name, False, error.message)
     many = len(taken.result.fruit)
     at = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
-    drawn = "; drawn, so in the round 'Demonstration'" if home != round_key else ""
+    moved = "; simulated, so in the round 'Demonstration'" if home != round_key else ""
     words = taken.note or f"{many} fruit"
-    return UploadOutcome(name, True, f"{words} ({at}{drawn})")
+    return UploadOutcome(name, True, f"{words} ({at}{moved})")

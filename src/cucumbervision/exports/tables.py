@@ -252,8 +252,8 @@ _FRUIT = (
     ),
     *_measured("length_cm", "length_kind", "interval_low_cm", "interval_high_cm", "interval_of"),
     *_columns(
-        "combined_cm|cm|number|length that all views give together|combined_m",
-        "combined_sd_cm|cm|number|standard deviation of that|combined_sd_m",
+        "combined_cm|cm|number|length that all views give together|length_m",
+        "combined_sd_cm|cm|number|standard deviation of that|length_sd_m",
         "grade||text|likeliest class|grade.name",
         "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing|grade.verdict",
         "grade_probability||number 4|probability of that class|grade_probability",

@@ -48,7 +48,7 @@ _TURNED = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
 
 @dataclass(frozen=True)
 class Place:
-    """Where captures were taken, as far as their own files and a pose file do not say.
+    """Where captures were taken, unless their own files or a pose file say so.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Added:
-    """What became of one capture.
+    """The outcome of one capture.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The one round that drawn captures go into, so that no real round counts them."""
+"""The one round for simulated captures, so that no real round counts them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _NAME = "Demonstration (simulated captures)"
 
 
 def is_demonstration(round_key: str) -> bool:
-    """Return whether a round holds drawn captures only."""
+    """Return whether a round is the demonstration, which has simulated captures only."""
     return round_key == DEMONSTRATION
 
 
 def round_for_capture(store: Store, round_key: str, *, simulated: bool, profile: str = "") -> str:
-    """Return the round that a capture belongs into: drawn ones into the demonstration alone.
+    """Return the round for a capture: the demonstration for simulated ones, else the open round.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def round_for_capture(store: Store, round_key: str, *, simulated: bool, profile:
     round_key : str
         The round that is open.
     simulated : bool
-        Whether the capture was drawn.
+        Whether the capture is simulated.
     profile : str
         Crop profile of a demonstration that is begun.
 

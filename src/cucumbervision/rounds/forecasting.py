@@ -208,7 +208,7 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
     """
     days = {one.key: one.record.started_s / DAY_S for one in store.rounds()}
     rounds = {round_key: _Measured(content or read_round(store, round_key))}
-    # A fruit has one name in all rounds: the key of the view that stands in the last one.
+    # A fruit has one name in all rounds: the key of the representative view in the last one.
     names = {key: view.group for key, view in rounds[round_key].views.items()}
     found: list[Link] = []
     queue = [round_key]

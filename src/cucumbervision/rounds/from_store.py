@@ -13,7 +13,7 @@ from cucumbervision.errors import RoundError
 from cucumbervision.measurement.result import Method
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
-from cucumbervision.rounds.row_fruit import USUAL, FalseFinds, relative_sd
+from cucumbervision.rounds.row_fruit import USUAL, FalseShare, relative_sd
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.links import LinkKind
@@ -57,8 +57,8 @@ class StoredRow:
         Detections that cannot be merged: no position, or no depth.
     accepted : ndarray of bool
         Views that a person said to show a fruit.
-    false : FalseFinds
-        How often the house's finds are none, as people said.
+    false : FalseShare
+        Prior of the share of false detections, from the house's verdicts.
     """
 
     name: str
@@ -69,7 +69,7 @@ class StoredRow:
     sides: tuple[str, ...]
     unplaced: int
     accepted: Bools
-    false: FalseFinds
+    false: FalseShare
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ class RoundContent:
         Its detections, in groups.
     cameras : mapping
         Poses and cameras by the stops' keys.
-    false : FalseFinds
-        How often the house's finds are none, as people said.
+    false : FalseShare
+        Prior of the share of false detections, from the house's verdicts.
     joint : mapping of str to JointRecord
         What all views of a fruit together say, by the keys of `joint_groups`.
     """
@@ -96,7 +96,7 @@ class RoundContent:
     stops: tuple[StopView, ...]
     views: tuple[DetectionView, ...]
     cameras: Mapping[str, CameraAt]
-    false: FalseFinds = USUAL
+    false: FalseShare = USUAL
     joint: Mapping[str, JointRecord] = field(default_factory=dict)
 
     @cached_property
@@ -138,7 +138,7 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     stops, views = store.stops(round_key), store.detections(round_key)
     cameras, judged = store.cameras(round_key), store.judged(round_key)
     stops = [stop for stop in stops if stop.key in cameras]  # one may be deleted while we read
-    false, joint = FalseFinds.learnt(*judged), store.joint(round_key)
+    false, joint = FalseShare.learnt(*judged), store.joint(round_key)
     return RoundContent(round_key, tuple(stops), tuple(views), cameras, false, joint)
 
 

@@ -1,6 +1,6 @@
-"""What stands about one fruit: its views, its neighbours, and itself on the days before and after.
+"""The context of one fruit: its views, its neighbours, and itself on the days before and after.
 
-What somebody needs to see who puts right which views are one fruit.
+It is what a person needs to correct which views are one fruit.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class OtherDay:
 
 @dataclass(frozen=True)
 class FruitContext:
-    """A fruit and what stands about it.
+    """A fruit and its context.
 
     Parameters
     ----------
     fruit : DetectionView
-        The view that stands.
+        The representative view.
     views : tuple of DetectionView
-        All its views, the one that stands first.
+        All its views, the representative one first.
     near : tuple of DetectionView
         Other fruit of the same row, the nearest first.
     earlier, later : OtherDay, optional
@@ -66,7 +66,7 @@ class FruitContext:
 
 
 def around(store: Store, round_key: str, key: str) -> FruitContext | None:
-    """Return a fruit with what stands about it; None where there is no such fruit any more.
+    """Return a fruit with its context; None if it is no longer there.
 
     Parameters
     ----------

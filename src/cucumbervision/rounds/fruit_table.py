@@ -14,7 +14,7 @@ from cucumbervision.rounds.from_store import RoundContent, joint_groups, stored_
 from cucumbervision.rounds.row_fruit import (
     LENGTH_Z,
     combined_length,
-    one_tube_stands,
+    joint_tube_is_used,
     relative_sd,
 )
 from cucumbervision.store.views import Verdict
@@ -44,19 +44,19 @@ class RoundFruit:
     number : int
         Its number in the table, from 1, by row and position.
     view : DetectionView
-        The view that stands, with its measurement. Where two or more views show the whole fruit,
+        The representative view, with its measurement. Where two or more views show the whole fruit,
         its length and interval are those of all of them together: of one tube fitted to all of
         them where there is one, and else their lengths combined.
-    combined_m, combined_sd_m : float, optional
+    length_m, length_sd_m : float, optional
         Length that all views give together.
     joint : JointRecord, optional
-        The one tube, where it stands.
+        The tube fitted to all views, where its length is used.
     """
 
     number: int
     view: DetectionView
-    combined_m: float | None
-    combined_sd_m: float | None
+    length_m: float | None
+    length_sd_m: float | None
     joint: JointRecord | None = None
 
 
@@ -151,7 +151,7 @@ def _by_one_tube(
     if low_m is None or high_m is None or not 0 < low_m <= found.length_m <= high_m:
         return None
     others = _own_length(view.record) if combined is None else combined[:2]
-    if not one_tube_stands((found.length_m, low_m, high_m), others):
+    if not joint_tube_is_used((found.length_m, low_m, high_m), others):
         return None
     sd_m = found.length_m * relative_sd(low_m, high_m)
     record = replace(view.record, **{name: getattr(found, name) for name in _OF_ALL_VIEWS})

@@ -81,7 +81,7 @@ def measure_jointly(
     report : callable, optional
         Given how many of how many are done; for progress bars.
     interrupted : callable, optional
-        Asked before each fruit: where it says so, the rest waits for the next time.
+        Asked before each fruit; if true, the rest is left for the next call.
 
     Returns
     -------

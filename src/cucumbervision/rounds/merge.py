@@ -252,7 +252,7 @@ def merge_row(
     settings : MergeSettings, optional
         How to merge.
     by_hand : ByHand, optional
-        What was decided by hand; it stands.
+        Corrections by hand, which are kept.
 
     Returns
     -------

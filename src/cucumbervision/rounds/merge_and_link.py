@@ -97,7 +97,7 @@ def merge_round(
 ) -> list[RowReport]:
     """Merge all rows of a round anew and save the links and where the stops were.
 
-    What was merged or parted by hand stands.
+    Corrections by hand are kept.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ def measure_stop_again(
 
     Its place stays as it is. A fruit that is found again keeps its key, and with it verdict, pick
     and links. One of which somebody said something is measured with its old mask where it is not
-    found; a corrected mask is measured as it was drawn.
+    found; a corrected mask is measured as it is.
 
     Parameters
     ----------

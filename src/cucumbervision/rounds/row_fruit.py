@@ -1,4 +1,4 @@
-"""The fruit of a merged row: the measurement that stands for each, and how many there are.
+"""The fruit of a merged row: the representative measurement of each, and how many there are.
 
 A view seen once may be a false positive, and some fruit were never seen. A fruit is seen by each
 capture that could show it with one probability q; a false positive is seen once. Both shares are
@@ -34,7 +34,7 @@ class RowFruit:
     Parameters
     ----------
     best : ndarray of int64, shape (F,)
-        Index of the view that stands.
+        Index of the representative view.
     place_m, place_sd_m : ndarray of float64, shape (F, 3)
         Middle in the row's frame: along, up, into the row; metres.
     length_m, length_sd : ndarray of float64, shape (F,)
@@ -57,7 +57,7 @@ class RowFruit:
 
 
 def best_views(merged: Merged, views: RowViews) -> Ints:
-    """Return for each fruit the view that stands, shape (F,).
+    """Return the representative view of each fruit, shape (F,).
 
     One with a length before one without, one that shows the whole fruit before a lower bound,
     then the higher view score, then the narrower length.
@@ -156,12 +156,14 @@ def relative_sd(low_m: float, high_m: float) -> float:
 _MOST_APART_SD, _MOST_WIDER = 2.5, 1.5
 
 
-def one_tube_stands(tube: tuple[float, float, float], combined: tuple[float, float] | None) -> bool:
-    """Return whether the length of one tube in all views stands before the combined lengths.
+def joint_tube_is_used(
+    tube: tuple[float, float, float], combined: tuple[float, float] | None
+) -> bool:
+    """Return whether the length of the joint tube replaces the combined length.
 
     It does not where the views' own lengths contradict it (views of two fruit that were taken
     for one fit no tube), nor where it is much less sure than they are. How far apart and how
-    unsure was set on drawn fruit that networks saw (`benchmarks/many_views.py --perceived`).
+    unsure was set on simulated fruit found by networks (`benchmarks/many_views.py --perceived`).
 
     Parameters
     ----------
@@ -172,9 +174,9 @@ def one_tube_stands(tube: tuple[float, float, float], combined: tuple[float, flo
 
     Examples
     --------
-    >>> one_tube_stands((0.30, 0.29, 0.31), (0.304, 0.006))
+    >>> joint_tube_is_used((0.30, 0.29, 0.31), (0.304, 0.006))
     True
-    >>> one_tube_stands((0.35, 0.34, 0.36), (0.304, 0.006))
+    >>> joint_tube_is_used((0.35, 0.34, 0.36), (0.304, 0.006))
     False
     """
     if combined is None:
@@ -194,7 +196,7 @@ _STEPS = 400  # where much is hidden, it converges slowly
 
 
 @dataclass(frozen=True)
-class FalseFinds:
+class FalseShare:
     """Prior of the share of false positives in a row.
 
     Parameters
@@ -209,14 +211,14 @@ class FalseFinds:
     weight: float = _FALSE_WEIGHT
 
     @classmethod
-    def learnt(cls, rejected: int, views: int) -> FalseFinds:
+    def learnt(cls, rejected: int, views: int) -> FalseShare:
         """Return what a house's own verdicts say: so many of so many views were no fruit.
 
         Examples
         --------
-        >>> FalseFinds.learnt(0, 0) == FalseFinds()
+        >>> FalseShare.learnt(0, 0) == FalseShare()
         True
-        >>> round(FalseFinds.learnt(30, 500).share, 3)
+        >>> round(FalseShare.learnt(30, 500).share, 3)
         0.056
         """
         weight = _FALSE_WEIGHT + min(views, _MOST_LEARNT)
@@ -224,7 +226,7 @@ class FalseFinds:
         return cls((_FALSE * _FALSE_WEIGHT + share * min(views, _MOST_LEARNT)) / weight, weight)
 
 
-USUAL = FalseFinds()
+USUAL = FalseShare()
 """What is known of a house of which nobody has said anything."""
 
 
@@ -273,7 +275,7 @@ class CountEstimate:
         low, high = math.floor(self.expected - reach), math.ceil(self.expected + reach)
         return max(low, 0), high
 
-    def doubt(self) -> Floats:
+    def uncertainty(self) -> Floats:
         """Return by how much an answer to 'is this a fruit?' moves the count, shape (F,)."""
         return np.asarray(np.sqrt(self.real * (1 - self.real)), np.float64)
 
@@ -297,7 +299,7 @@ def count_fruit(
     stops: RowStops,
     views: RowViews,
     accepted: Bools | None = None,
-    false: FalseFinds = USUAL,
+    false: FalseShare = USUAL,
 ) -> CountEstimate:
     """Count the fruit of a merged row.
 
@@ -307,7 +309,7 @@ def count_fruit(
         The row.
     accepted : ndarray of bool, shape (N,), optional
         Views that a person said to show a fruit.
-    false : FalseFinds
+    false : FalseShare
         Prior of the share of false positives.
 
     Examples
@@ -393,7 +395,7 @@ def estimate_count(
     score: Floats,
     sure_scores: Floats,
     known: Bools | None = None,
-    false: FalseFinds = USUAL,
+    false: FalseShare = USUAL,
 ) -> CountEstimate:
     """Estimate how many fruit there are from how often each was seen.
 
@@ -408,7 +410,7 @@ def estimate_count(
         to have any confidence from the least to the highest alike.
     known : ndarray of bool, shape (F,), optional
         Which a person said to be a fruit.
-    false : FalseFinds
+    false : FalseShare
         Prior of the share of false positives.
 
     Examples
@@ -429,16 +431,16 @@ def estimate_count(
     for _ in range(_STEPS):
         nothing = (1 - q) ** shown
         single = shown * q * (1 - q) ** (shown - 1) / (1 - nothing)
-        invented = (1 - real).sum() + false.share * false.weight
-        invented *= seen.sum() / (seen.sum() + false.weight)
-        odds = real.sum() / max(float(invented), 1e-9) * single * likelier
+        false_views = (1 - real).sum() + false.share * false.weight
+        false_views *= seen.sum() / (seen.sum() + false.weight)
+        odds = real.sum() / max(float(false_views), 1e-9) * single * likelier
         real = np.where(once, odds / (1 + odds), 1.0)
         unseen = real * nothing / (1 - nothing)
         hits = (real * seen).sum() + _SEEN * _SEEN_WEIGHT
         q = float(hits / (((real + unseen) * shown).sum() + _SEEN_WEIGHT))
         q = min(max(q, 0.05), 0.995)
-    doubt = float((real * (1 - real)).sum()) * _share_learnt(real[once])
-    sd = np.sqrt(doubt + (unseen * (1 + unseen)).sum())
+    uncertain = float((real * (1 - real)).sum()) * _share_learnt(real[once])
+    sd = np.sqrt(uncertain + (unseen * (1 + unseen)).sum())
     return CountEstimate(float((real + unseen).sum()), float(sd), seen, shown, real, q)
 
 

@@ -111,7 +111,7 @@ def undo(store: Store, round_key: str | None = None, *, number: int | None = Non
     Raises
     ------
     StoreError
-        If there is nothing to take back, or a later action stands on it.
+        If there is nothing to undo, or a later action depends on it.
     """
     done = store.undo(round_key, number=number)
     line = next(one for one in store.log(round_key, limit=None) if one.number == done)

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _PATH_POINTS = 48  # enough to draw a fruit by
 
 # A view with one of these shows its fruit less well than one without.
-_DOUBTS = frozenset(
+_QUALITY_FLAGS = frozenset(
     {
         *(Flag.CUT_BY_FRAME, Flag.BOX_CLIPPED, Flag.END_HIDDEN, Flag.END_ON, Flag.PART_HIDDEN),
         *(Flag.POOR_FIT, Flag.UNCERTAIN, Flag.INTERVAL_TOO_WIDE, Flag.DETECTOR_MASK),
@@ -191,14 +191,14 @@ def view_score(fruit: FruitMeasurement) -> float:
     """Return how well a view shows its fruit, 0 to 1; 0 where nothing was measured.
 
     The detector's confidence times the share of readings in the mask times the share that
-    nothing hides; half of that without a fitted tube, and half again for each doubt that the
-    flags name. An order among views of one fruit, and no probability.
+    nothing hides; half of that without a fitted tube, and half again for each flag that
+    questions it. An order among views of one fruit, and no probability.
     """
     if fruit.selected is None:
         return 0.0
     hidden = 0.0 if fruit.fit is None else fruit.fit.hidden_share
     score = fruit.instance.confidence * (fruit.fill or 0.0) * (1.0 - hidden)
-    halved = len(_DOUBTS & set(fruit.flags)) + (fruit.fit is None)
+    halved = len(_QUALITY_FLAGS & set(fruit.flags)) + (fruit.fit is None)
     return round(score * 0.5**halved, 6)
 
 

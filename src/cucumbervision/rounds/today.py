@@ -67,9 +67,9 @@ class Today:
     rows : tuple of RowPicks
         What is to be picked, in the order of the walk; fruit picked today are still in it.
     best : mapping of str to str
-        Which view of its fruit stands, by the keys of all views.
-    drawn : frozenset of str
-        Views of drawn captures.
+        The representative view of each fruit, by the keys of all views.
+    simulated : frozenset of str
+        Views of simulated captures.
     """
 
     age_days: int
@@ -77,7 +77,7 @@ class Today:
     forecast: Forecast | None
     rows: tuple[RowPicks, ...]
     best: Mapping[str, str]
-    drawn: frozenset[str] = frozenset()
+    simulated: frozenset[str] = frozenset()
 
     @property
     def ready(self) -> tuple[Pick, ...]:
@@ -223,8 +223,8 @@ def read_today(
         )
     except ForecastError:
         return Today(days, age, None, (), best)
-    drawn = frozenset(view.key for view in content.views if view.simulated)
-    return Today(days, age, found, _by_row(pick_list(found)), best, drawn)
+    simulated = frozenset(view.key for view in content.views if view.simulated)
+    return Today(days, age, found, _by_row(pick_list(found)), best, simulated)
 
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:

@@ -100,7 +100,7 @@ def _reader_of_detections() -> TypeAdapter[DetectionRecord]:
 
 
 def decoding(connection: Connection) -> AbstractContextManager[None]:
-    """Call whatever fails inside damage of the stored data: around what only reads cells.
+    """Report any failure inside as damage of the stored data; for code that only reads cells.
 
     Raises
     ------

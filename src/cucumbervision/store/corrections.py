@@ -1,4 +1,4 @@
-"""What people decide by hand: marks, merges, corrections; each logged, each to be undone."""
+"""Corrections of fruit: marks, merges, masks; each is logged and can be undone."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,53
 
 
 class Corrections(Edits):
-    """What can be said of a stored round by hand. Each method returns its line's number in the log.
+    """Corrections of fruit. Each method returns its number in the log.
 
     `by` names the person. All raise `StoreError` where a detection is not there.
     """
@@ -135,7 +135,7 @@ class Corrections(Edits):
         Raises
         ------
         StoreConflictError
-            If a later action stands on it.
+            If a later action depends on it.
         StoreError
             If there is nothing to undo.
         """
@@ -147,7 +147,7 @@ class Corrections(Edits):
                     table.action_id == action.id, table.ended_by_id.is_not(None)
                 )
                 if connection.execute(ended.limit(1)).first() is not None:
-                    raise _stands_on(action.id)
+                    raise _blocked_by_later(action.id)
             try:
                 made = log_action(
                     connection,
@@ -164,8 +164,8 @@ class Corrections(Edits):
                     connection.execute(begun_again.values(ended_by_id=None))
                 if "before" in action.details:
                     change_line(connection, action.details, back=True)
-            except IntegrityError:  # something newer stands where the old would stand again
-                raise _stands_on(action.id) from None
+            except IntegrityError:  # something newer has taken its place
+                raise _blocked_by_later(action.id) from None
         return made
 
     def restore_round(self, key: str, *, by: str = "") -> int:
@@ -224,7 +224,7 @@ def find_detections(connection: Connection, keys: Sequence[str]) -> list[Detecti
 
 
 def mark_added(connection: Connection, key: str, by: str, *, accept: bool = True) -> int:
-    """Log that a fruit was added by hand, and accept it; it stands until that is undone."""
+    """Log that a fruit was added by hand, and accept it; it counts until that is undone."""
     found = find_detections(connection, [key])
     action = _log(connection, "add", by, found)
     _mark(connection, action, found, ADDED, "by-hand")
@@ -292,13 +292,13 @@ def _action_to_undo(connection: Connection, number: int | None, round_key: str |
     found = connection.execute(query.order_by(Action.id.desc()).limit(1)).one_or_none()
     if found is None:
         which = "nothing" if number is None else f"no action {number}"
-        raise StoreError(f"there is {which} to take back", remedy="see the log")
+        raise StoreError(f"there is {which} to undo", remedy="see the log")
     return found
 
 
-def _stands_on(number: int) -> StoreConflictError:
+def _blocked_by_later(number: int) -> StoreConflictError:
     return StoreConflictError(
-        f"a later action stands on action {number}", remedy="take the later one back first"
+        f"a later action depends on action {number}", remedy="undo the later one first"
     )
 
 
@@ -320,7 +320,7 @@ def _mark(
     value: str | None,
     details: dict[str, Any] | None = None,
 ) -> None:
-    """End what stands in a slot of each detection, and put a value there if one is given."""
+    """End the value in a slot of each detection, and set a new one if it is given."""
     ids = sorted({one.id for one in fruit})
     _end(connection, Mark, action, (Mark.fruit_id.in_(ids)) & (Mark.slot == slot))
     if value is not None:

@@ -1,4 +1,4 @@
-"""Stops and rounds put right by hand: moved, renamed, deleted; each logged, each to be undone.
+"""Corrections of stops and rounds: moved, renamed, deleted; each is logged and can be undone.
 
 The line itself is changed, since every list reads it; what it said before is in the log. What is
 deleted stays in the tables, and is in no list.
@@ -29,7 +29,7 @@ STOP_EDITS = ("place-stop", "delete-stop")
 
 @dataclass(frozen=True)
 class StopPlace:
-    """What of a stop can be put right by hand.
+    """What can be corrected about a stop.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class StopPlace:
 
 
 class Edits(Database):
-    """What can be put right of stops and rounds. Each method returns its line's number in the log.
+    """Corrections of stops and rounds. Each method returns its number in the log.
 
     `by` names the person. All raise `StoreError` where the stop or round is not there.
     """
@@ -150,12 +150,12 @@ def log_action(
 
 
 def change_line(connection: Connection, details: dict[str, Any], *, back: bool = False) -> None:
-    """Write what an action's `details` say into its stop or round; `back` what stood there before.
+    """Write an action's `details` into its stop or round; `back` restores the values before it.
 
     Raises
     ------
     StoreConflictError
-        If the line says something else by now.
+        If the line was changed since.
     """
     table = _TABLES[details["table"]]
     old, new = details["before"], details["after"]

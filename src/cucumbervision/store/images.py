@@ -1,6 +1,6 @@
 """Pictures beside the database: named by the hash of their content, whole or not there.
 
-`check_store` holds a store against its pictures: whether each is there and whole, and which are
+`check_store` compares a store with its pictures: whether each is there and whole, and which are
 not needed.
 """
 
@@ -42,7 +42,7 @@ class ImageStore:
 
     A file is written under a temporary name, forced to the disk and only then given its name,
     in one step: whenever power fails it is there whole or not at all. A name is never written
-    twice, and what is read is held against its name.
+    twice, and what is read is compared with its name.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class ImageStore:
         return self.folder / ref.sha256[:2] / ref.sha256[2:4] / f"{ref.sha256}{ref.suffix}"
 
     def read(self, ref: ImageRef) -> bytes:
-        """Read a picture's file, held against its hash.
+        """Read a picture's file and compare it with its hash.
 
         Raises
         ------
@@ -344,7 +344,7 @@ def _removed(store: Database, path: Path, grace_s: float) -> bool:
     """Remove one orphan, unless somebody is about to use it.
 
     It is first taken away under another name, and its time and the database are then asked
-    again. Whoever puts the same picture either finds it before that, which makes its time new,
+    again. A writer of the same picture either finds it before that, which makes its time new,
     so that it is brought back; or does not find it, and writes it anew.
     """
     aside = path.with_name(path.name + _ASIDE)

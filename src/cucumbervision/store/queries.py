@@ -177,12 +177,12 @@ class Queries(Database):
             return {key: own["picked"] for key, own in marks.items()}
 
     def judged(self, round_key: str) -> tuple[int, int]:
-        """Return what people said of the finds of a round's house.
+        """Return how many detections of a round's house were judged false.
 
         Returns
         -------
         rejected, detections : int
-            Finds that are no fruit, and all finds of the rounds in which anything was judged.
+            False detections, and all detections of the rounds in which any was judged.
         """
         own, other = aliased(Round), aliased(Round)
         kept = Mark.slot == "verdict", Mark.ended_by_id.is_(None)
@@ -240,7 +240,7 @@ class Queries(Database):
             return corrected_of(connection, which)
 
     def cameras(self, round_key: str) -> dict[str, CameraAt]:
-        """Return where the cameras of a round stood, by the stops' keys."""
+        """Return the cameras of a round and their poses, by the stops' keys."""
         query = (
             select(
                 *columns_of(StopLine, ("key", "pose", "mirrored")),

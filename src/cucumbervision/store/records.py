@@ -125,7 +125,7 @@ class RoundRecord:
     Parameters
     ----------
     key : str
-        UUID, made by whoever begins the round.
+        UUID, made by the program that starts the round.
     name : str
         What people call it.
     house : str
@@ -198,7 +198,7 @@ class DetectionRecord:
     offset_m, offset_sd_m : float, optional
         How far along the row its middle lies from the stop's position, and how sure that is.
     view_score : float
-        How well this view shows it, 0 to 1; of several views of one fruit the highest stands.
+        How well this view shows it, 0 to 1; the highest of several views represents the fruit.
     keypoints : tuple of (u, v, visibility)
         Pixels; empty where there are none.
     mask : str, optional
@@ -326,7 +326,7 @@ class StopRecord:
     Parameters
     ----------
     key : str
-        UUID, made by whoever takes the captures, and kept when the stop is sent again.
+        UUID, made by the program that takes the captures, and kept when the stop is sent again.
     round_key : str
         The round, which must be saved first.
     row, side : str, optional

@@ -458,7 +458,7 @@ def _carry_over(
         connection.execute(marks.values(fruit_id=new))
         for end in (Link.first_id, Link.second_id):
             connection.execute(update(Link).where(end == was).values({end: new}))
-        standing = (Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
+        active = (Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
         if key in corrected:
-            again = update(Mark).where(*standing)
+            again = update(Mark).where(*active)
             connection.execute(again.values(details=record_json(corrected[key])))

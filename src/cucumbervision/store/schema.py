@@ -1,8 +1,8 @@
 """The tables, for SQLite and PostgreSQL alike, and how records are laid into them.
 
 What was measured is written once and never changed. What people and algorithms say of it later
-stands in `marks`, `links` and the stops' fitted positions; where a stop was taken and what a round
-is called can be put right (`edits.py`). Every manual action is a line of `actions`, which the
+is in `marks`, `links` and the stops' fitted positions; where a stop was taken and what a round
+is called can be corrected (`edits.py`). Every manual action is a line of `actions`, which the
 database itself keeps from being changed or removed.
 """
 
@@ -148,7 +148,7 @@ class StopLine(Base):
     # Where an algorithm puts the stop, from the fruit that it shares with its neighbours.
     fitted_m: Mapped[float | None]
     fitted_sd_m: Mapped[float | None]
-    # Whether its offsets along the row count the other way: its side was put right later.
+    # Whether its offsets along the row count the other way: its side was corrected later.
     mirrored: Mapped[bool] = mapped_column(server_default=false())
     deleted: Mapped[bool] = mapped_column(server_default=false())
 
@@ -183,7 +183,7 @@ class CaptureLine(Base):
 class DetectionLine(Base):
     """One detected fruit of one capture; the other columns are the fields of `DetectionRecord`.
 
-    The round stands here too, so that a list needs no join over stops and captures.
+    The round is here too, so that a list needs no join over stops and captures.
     """
 
     __tablename__ = "fruit"

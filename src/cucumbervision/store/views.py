@@ -24,7 +24,7 @@ _SAME_HEIGHT_M = 0.005
 
 @dataclass(frozen=True)
 class CameraAt:
-    """Where a stop's camera stood, and what it was: what lists of stops leave out.
+    """The camera of a stop and its pose, which lists of stops leave out.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class StopView:
     fitted_m, fitted_sd_m : float, optional
         Where the merging puts it.
     mirrored : bool
-        Whether its side was put right: offsets along the row count the other way.
+        Whether its side was corrected: offsets along the row count the other way.
     captures, fruit, failures : int
         How many.
     thumbnail : ImageRef, optional

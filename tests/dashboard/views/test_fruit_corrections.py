@@ -113,7 +113,7 @@ def test_a_fruit_is_painted_to_its_end_one_is_added_and_one_deleted(
     assert after.view.record.length_m is not None
 
     # A fruit that was missed is added by a tap on its middle.
-    page.get_by_text("A tap or a box adds a fruit that was not found").click()
+    page.get_by_text("Tap or draw a box to add a missed fruit").click()
     page.get_by_role("button", name="Whole").click()
     page.get_by_role("button", name="By a tap").click()
     lost = missed[capture]

@@ -9,8 +9,8 @@ from streamlit.testing.v1 import AppTest
 from tests.rounds.test_adding import CAMERA, OPTIONS, draw
 
 from cucumbervision.dashboard.fruit_view import drawn_on, joint_tube, tube_outline
-from cucumbervision.dashboard.round_tables import length_words
 from cucumbervision.dashboard.settings import Units
+from cucumbervision.dashboard.words import length_words
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.from_store import read_round

@@ -16,8 +16,8 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.plain_text import plain
 from cucumbervision.dashboard.settings import replace_text
+from cucumbervision.dashboard.words import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.rounds.from_store import read_round

@@ -17,12 +17,11 @@ from cucumbervision.dashboard.fruit_view import (
     scale_bar,
     stop_layers,
 )
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import counted, grade_name, length_words, stop_name
 from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
 from cucumbervision.dashboard.shutter import Press
 from cucumbervision.dashboard.views.fruit import add_fruit, show_correction
-from cucumbervision.dashboard.views.stops import PUTTING_RIGHT, change_stop
+from cucumbervision.dashboard.views.stops import CORRECTING, change_stop
+from cucumbervision.dashboard.words import counted, grade_name, length_words, plain, stop_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
 _PREVIEW_PX = 800
 _PANEL_S = 1.0  # how often what waits is looked at
-_TOLD = 10  # presses of which it is said that they failed
+_SHOWN_PRESSES = 10  # presses of which it is said that they failed
 
 _INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
@@ -54,11 +53,11 @@ def page(one: RoundView) -> None:
         preview = st.container()
     with source:
         kind = _source()
-    drawn = _preview_is_drawn(kind)
-    home = DEMONSTRATION if drawn else one.key
-    if drawn and not is_demonstration(one.key):
+    simulated = _preview_is_simulated(kind)
+    home = DEMONSTRATION if simulated else one.key
+    if simulated and not is_demonstration(one.key):
         notice.info(
-            "These pictures are simulated. What you capture of them goes into the round "
+            "These pictures are simulated. Captures of them go into the round "
             "'Demonstration', never into yours.",
             icon=":material/draw:",
         )
@@ -97,7 +96,7 @@ def _source_chosen() -> None:
     resources.camera().retry()
 
 
-def _preview_is_drawn(kind: str) -> bool:
+def _preview_is_simulated(kind: str) -> bool:
     shown = resources.feed(kind).preview().capture
     return shown is not None and shown.simulated
 
@@ -121,7 +120,7 @@ def _panel(one: RoundView, home: str, kind: str) -> None:
 
 
 def _begin_place(opened: str, home: str) -> None:
-    """Go on from the round's last stop, measured or not; what was typed since stands."""
+    """Go on from the round's last stop, measured or not; later input is kept."""
     state = st.session_state
     begun = state.get("place_of") == home
     if begun and _read_typed():
@@ -143,7 +142,7 @@ def _is_round(key: str) -> bool:
 
 
 def _set_place(place: NextPlace) -> None:
-    # Fields of new names: those on the page keep what was typed, whatever they are told.
+    # Fields of new names: those on the page keep what was typed, whatever their value is set to.
     st.session_state["place"] = st.session_state["place_as_set"] = place
     st.session_state["place_number"] = st.session_state.get("place_number", 0) + 1
 
@@ -153,7 +152,7 @@ def _stop_of(place: NextPlace) -> Stop:
 
 
 def _read_typed() -> bool:
-    """Take over what was typed into the fields since they were drawn; tell whether anything was."""
+    """Read what was typed since the fields were drawn; return whether anything was."""
     state, place = st.session_state, st.session_state["place"]
 
     def typed(name: str, known: Any) -> Any:
@@ -192,7 +191,7 @@ def _place() -> None:
         "Along the row",
         ["onward", "back"],
         default="back" if place.back else "onward",
-        format_func={"onward": "Positions grow", "back": "Positions fall"}.__getitem__,
+        format_func={"onward": "Positions increase", "back": "Positions decrease"}.__getitem__,
         key=f"way_{number}",
         required=True,
         width="stretch",
@@ -216,10 +215,10 @@ def _take(one: RoundView, kind: str, press: Press) -> None:
 
 
 def _waits(one: RoundView, home: str) -> None:
-    """Say what became of the presses, and draw the page anew when a stop was measured."""
+    """Show the outcome of the presses, and redraw the page when a stop was measured."""
     pressed = resources.shutter().pressed(one.key)
     failed: dict[str, list[str]] = {}
-    for taken in pressed[-_TOLD:]:
+    for taken in pressed[-_SHOWN_PRESSES:]:
         if taken.error:
             when = time.strftime("%H:%M:%S", time.localtime(taken.pressed_s))
             failed.setdefault(taken.error, []).append(when)
@@ -231,8 +230,8 @@ def _waits(one: RoundView, home: str) -> None:
     for taken in pressed[-3:][::-1]:
         if (moved := taken.moved) is not None:
             st.warning(
-                f"Another stop is at {taken.stop.position_m:.2f} m: this one is kept as "
-                f"{plain(stop_name(moved))}. 'Put right' moves it.",
+                f"Another stop is already at {taken.stop.position_m:.2f} m: this one was saved as "
+                f"{plain(stop_name(moved))}. 'Correct' moves it.",
                 icon=":material/wrong_location:",
             )
     waiting, measuring = resources.waiting(), resources.wake()
@@ -247,7 +246,7 @@ def _waits(one: RoundView, home: str) -> None:
         )
     if aside := waiting.set_aside():
         st.warning(
-            f"{len(aside)} captures could not be measured three times; they are kept in "
+            f"{len(aside)} captures failed three times and were not measured; they are kept in "
             f"{plain(aside[0].folder.parent)}.",
             icon=":material/error:",
         )
@@ -257,7 +256,7 @@ def _waits(one: RoundView, home: str) -> None:
         st.rerun()
 
 
-_EXPOSURES = {None: "As the camera has it", "automatic": "Automatic", "fixed": "By hand"}
+_EXPOSURES = {None: "Camera default", "automatic": "Automatic", "fixed": "Manual"}
 _USUAL_US = 8000.0  # a bright house
 
 
@@ -269,7 +268,7 @@ def _camera() -> None:
             "Depth preset",
             PRESETS,
             PRESETS.index(now.camera_preset),
-            format_func=lambda name: name.replace("-", " ") or "as the camera has it",
+            format_func=lambda name: name.replace("-", " ") or "camera default",
         )
         known = None if now.exposure_us is None else "fixed" if now.exposure_us else "automatic"
         chosen = st.selectbox(
@@ -290,22 +289,22 @@ def _how() -> None:
     with st.expander("How to measure", icon=":material/tune:"):
         now = resources.settings()
         resources.change_settings(
-            burst=st.slider("Frames fused to one capture", 1, 15, now.burst),
+            burst=st.slider("Frames per capture", 1, 15, now.burst),
             confidence=st.slider(
-                "Least confidence of a detection", 0.05, 0.95, now.confidence, 0.05
+                "Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05
             ),
             input_sizes=tuple(
                 st.multiselect(
-                    "What the networks see, pixels (long side)",
+                    "Network input size, pixels (long side)",
                     sorted({*_INPUT_SIZES_PX, *now.input_sizes}),
                     now.input_sizes,
-                    placeholder="Their own size",
+                    placeholder="Default",
                     max_selections=2,
-                    help="Larger sizes find smaller fruit and take longer; two are merged.",
+                    help="Larger sizes find smaller fruit but are slower. Two sizes are merged.",
                 )
             ),
             selector=st.segmented_control(
-                "Method chosen",
+                "Choice of method",
                 list(Selector),
                 format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
                 default=now.selector,
@@ -347,11 +346,11 @@ def _preview(kind: str) -> None:
                 {"live": as_data_url(shown.color, _PREVIEW_PX)},
                 (shown.width, shown.height),
                 bar=scale_bar(shown.intrinsics, near, resources.settings().units),
-                title="The camera's picture",
+                title="Camera picture",
             )
         with depth_at:
             size = (small.shape[1], small.shape[0])
-            title = "The camera's depth"
+            title = "Camera depth"
             picture(f"depth_{kind}", {"depth": as_data_url(depth)}, size, title=title)
         st.caption(f"Depth: {words}.")
         _quality(preview)
@@ -398,10 +397,10 @@ def _last_stop(one: RoundView, home: str) -> None:
     says, change = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(stop_name(last))}: saved**")
     with change.popover(
-        "Put right",
+        "Correct",
         icon=":material/edit_location:",
         width="stretch",
-        key=PUTTING_RIGHT,
+        key=CORRECTING,
         on_change="rerun",
     ):
         change_stop(last, sides_of(stops))
@@ -430,7 +429,7 @@ def _picture(one: RoundView, last: StopView) -> None:
             (capture.width, capture.height),
             layers=stop_layers(taken, own, grades, units),
             tools=("point", "box"),
-            title="The measured fruit; a tap or a box adds one that was not found",
+            title="The measured fruit. Tap or draw a box to add a missed one",
             zooms=True,
         )
         if tapped.point or tapped.box:

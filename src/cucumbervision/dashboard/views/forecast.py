@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.agronomy.picking import Span, plan_work
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import class_name, day_name, expected_classes, forecast_chart
-from cucumbervision.dashboard.round_tables import hours_span_words, round_day, span_words
+from cucumbervision.dashboard.words import hours_span_words, round_day, span_words
 from cucumbervision.rounds.today import Age, age_of, age_words
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def page(one: RoundView) -> None:
     found = resources.forecast_of(one)
     if not found.fruit:
         st.info(
-            "Nothing to forecast: no fruit of this round is measured and still on the plant.",
+            "Nothing to forecast: this round has no measured fruit left on the plant.",
             icon=":material/calendar_month:",
         )
         return
@@ -43,8 +43,8 @@ def _age(one: RoundView) -> None:
         useless = age is Age.USELESS
         holds = "for the day of the walk" if useless else "only if nothing was picked since"
         st.warning(
-            f"This round is {age_words(days)} (walked on {round_day(walked)}): what follows holds "
-            f"{holds}. Walk again.",
+            f"This round is {age_words(days)} (walked on {round_day(walked)}): the forecast is "
+            f"valid {holds}. Walk again.",
             icon=":material/history:",
         )
     page_elements.link("today", "Today's pick list")
@@ -65,8 +65,8 @@ def _days(found: Forecast) -> None:
         lines.append(line)
     page_elements.table(lines)
     st.caption(
-        "Growth is the crop profile's until fruit are linked between days. 'At least': fruit too "
-        "small to be detected today are not counted."
+        "Growth comes from the crop profile until fruit are linked between days. 'At least': fruit "
+        "too small to be detected today are not counted."
     )
 
 
@@ -93,4 +93,4 @@ def _work(found: Forecast) -> None:
         if day.fruit.high >= 1
     ]
     page_elements.table(lines)
-    st.caption("If every ready fruit is picked every day; hours for one person.")
+    st.caption("If every ready fruit is picked every day. Hours for one person.")

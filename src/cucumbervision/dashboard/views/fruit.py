@@ -22,13 +22,12 @@ from cucumbervision.dashboard.fruit_view import (
     stop_layers,
 )
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import (
-    RoundLists,
-    figure_lines,
+from cucumbervision.dashboard.round_tables import RoundLists, figure_lines
+from cucumbervision.dashboard.words import (
     grade_name,
     interval_words,
     length_words,
+    plain,
     remarks,
     step_words,
 )
@@ -94,8 +93,8 @@ def _head(lists: RoundLists, key: str) -> None:
 
 
 def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
-    standing = {view.key: view for view in (*lists.fruit, *lists.deleted)}
-    record, units = standing[detail.view.key].record, resources.settings().units
+    shown = {view.key: view for view in (*lists.fruit, *lists.deleted)}
+    record, units = shown[detail.view.key].record, resources.settings().units
     found = lists.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
@@ -223,9 +222,9 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
     if ruler:
         st.markdown(f"Ruler: **{ruler}**, straight distance")
     adds = st.toggle(
-        "A tap or a box adds a fruit that was not found",
+        "Tap or draw a box to add a missed fruit",
         key="adds_fruit",
-        help="Off: it corrects the mask of this fruit.",
+        help="Off: this corrects the outline of this fruit.",
     )
     if adds and (drawn.point or drawn.box):
         add_fruit(detail.stop, capture, drawn.point, drawn.box)
@@ -265,7 +264,7 @@ def _accept_others(detail: DetectionDetail) -> None:
             store.set_verdict(others, Verdict.ACCEPTED)
 
     st.button(
-        "All other finds in this picture are right",
+        "Accept all other fruit in this picture",
         icon=":material/done_all:",
         width="stretch",
         on_click=accept,
@@ -325,7 +324,7 @@ def add_fruit(
 
 
 def show_correction() -> None:
-    """Say what became of the last tap or box."""
+    """Show the outcome of the last tap or box."""
     job = page_elements.finished_job("correction")
     if job is None:
         return
@@ -336,13 +335,13 @@ def show_correction() -> None:
         is_new = isinstance(job.result, str)
         if is_new and resources.store().detection(job.result).view.doubtful:
             st.warning(
-                "Added, but it does not look like a fruit: it is not on the pick list until "
-                "somebody accepts it. 'Undo' takes it back.",
+                "Added, but it does not look like a fruit. It is not on the pick list until "
+                "someone accepts it. 'Undo' removes it.",
                 icon=":material/help:",
             )
             return
-        done = "Added to the round" if is_new else "Measured with this mask"
-        st.success(f"{done}. 'Undo' takes it back.")
+        done = "Added to the round" if is_new else "Measured with this outline"
+        st.success(f"{done}. 'Undo' removes it.")
 
 
 def _methods(detail: DetectionDetail) -> None:
@@ -362,9 +361,9 @@ def _methods(detail: DetectionDetail) -> None:
     with st.expander("All methods", expanded=True, icon=":material/straighten:"):
         page_elements.table(lines)
         if record.fallback:
-            st.caption(f"Tried before: {plain(record.fallback)}")
+            st.caption(f"Methods tried first: {plain(record.fallback)}")
     if detail.log:
-        with st.expander("Changes by hand", icon=":material/history:"):
+        with st.expander("Corrections", icon=":material/history:"):
             for action in detail.log:
                 when = time.strftime("%Y-%m-%d %H:%M", time.localtime(action.at_s))
                 undone = " (undone)" if action.undone else ""
@@ -386,7 +385,7 @@ _ABREAST = 4
 def _show_stops(
     one: RoundView, fruit: DetectionView, line: RoundFruit | None, joint: JointRecord | None
 ) -> None:
-    """Draw the views of a fruit, the one that stands first; nothing where there is only one.
+    """Draw the views of a fruit, the representative one first; nothing if there is only one.
 
     Parameters
     ----------
@@ -404,19 +403,19 @@ def _show_stops(
     if len(views) < 2:
         return
     st.markdown(f"**Seen {len(views)} times**")
-    stands = "this one stands" if line is None else "best view"
+    chosen = "representative" if line is None else "best view"
     for first in range(0, len(views), _ABREAST):
         for column, view in zip(
             st.columns(_ABREAST), views[first : first + _ABREAST], strict=False
         ):
             if (cut := resources.cutout_of(view, joint)) is not None:
                 column.image(cut, width="stretch")
-            best = f" · {stands}" if view.best else ""
+            best = f" · {chosen}" if view.best else ""
             column.caption(f"{step_words(view.step)}: {_length(view.record, units)}{best}")
     if line is not None:
         how = "All that show it whole, together"
         if joint is not None:
-            how = f"One tube fitted to {joint.views} of these views (pink), whose length stands"
+            how = f"One tube fitted to {joint.views} of these views (pink), which gives the length"
         st.caption(f"{how}: {_length(line.view.record, units)}")
 
 

@@ -14,9 +14,9 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import RoundLists, grade_name
+from cucumbervision.dashboard.round_tables import RoundLists
 from cucumbervision.dashboard.views import fruit as fruit_page
+from cucumbervision.dashboard.words import grade_name, plain, remarks
 from cucumbervision.exports import ExportFormat
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.writers import write_exports
@@ -51,7 +51,7 @@ def _files(one: RoundView) -> None:
         key="formats",
     )
     make, load = st.columns(2)
-    button(make, "Make the files", "archive", _make, one, disabled=not chosen)
+    button(make, "Create the files", "archive", _make, one, disabled=not chosen)
     job = page_elements.finished_job(f"export_{one.key}")
     if job is not None and job.error:
         st.error(plain(job.error), icon=":material/error:")
@@ -110,7 +110,7 @@ def page(one: RoundView) -> None:
     _statistics(lists)
     fruit = _filtered(lists)
     if not fruit:
-        st.info("No fruit passes these filters.", icon=":material/filter_alt_off:")
+        st.info("No fruit matches these filters.", icon=":material/filter_alt_off:")
         return
     _table(lists, fruit)
     _charts(lists, fruit)
@@ -136,7 +136,7 @@ def _classes(one: RoundView, lists: RoundLists) -> None:
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words)}**")
     if is_demonstration(one.key):
-        says.caption("All fruit of this round are drawn, not grown.")
+        says.caption("All fruit in this round are simulated.")
     with go:
         page_elements.link("today", "What is ready today")
 
@@ -235,7 +235,7 @@ def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
 def _merge(one: RoundView) -> None:
     merge, hint = st.columns([2, 3], vertical_alignment="center")
     button(merge, "Merge views of the same fruit", "join", resources.merge, one.key)
-    hint.caption("Fruit that neighbouring stops both show then count once; your changes are kept.")
+    hint.caption("Fruit seen from several stops are then counted once. Your corrections are kept.")
     job = next(iter(resources.worker().unfinished()), None)
     # The frame of all pages shows what is prepared.
     page_elements.progress(None if job is resources.prepare() else job)
@@ -255,6 +255,6 @@ def _line(lists: RoundLists, view: DetectionView) -> dict[str, Any]:
         "Kind": record.length_kind or "–",
         "Views": view.views,
         "Checked": _VERDICTS[view.verdict] + (", corrected" if view.corrected else ""),
-        "Drawn": "drawn" if view.simulated else "",
-        "Remarks": tables.remarks(record, units),
+        "Simulated": "simulated" if view.simulated else "",
+        "Remarks": remarks(record, units),
     }

@@ -1,4 +1,4 @@
-"""Row map: where the fruit hang, how many they are, and which views are one fruit put right."""
+"""Row map: where the fruit hang, how many there are, and corrections of the merging."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import streamlit as st
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import map_chart
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import (
+from cucumbervision.dashboard.round_tables import map_lines
+from cucumbervision.dashboard.views.stops import list_stops
+from cucumbervision.dashboard.words import (
     count_words,
     counted,
     grade_name,
     length_words,
-    map_lines,
+    plain,
     round_day,
     row_name,
     step_words,
 )
-from cucumbervision.dashboard.views.stops import list_stops
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.fruit_context import around, least_sure_first
 from cucumbervision.store.views import Verdict
@@ -74,16 +74,16 @@ def _map(one: RoundView) -> None:
         event = st.altair_chart(chart, on_select="rerun", key=f"map_{one.key}_{row}")
         _choose(f"{one.key}_{row}", [str(x["key"]) for x in event["selection"].get("fruit", [])])
     st.caption(
-        "One mark a fruit, a cross where it was picked, a diamond where it is drawn and not grown, "
-        "hollow where one view alone shows it. Tap a mark to see the fruit's views. Heights are "
-        "relative to the camera."
+        "One mark per fruit: a cross if it was picked, a diamond if it is simulated, hollow if "
+        "only one picture shows it. Tap a mark to see the fruit. Heights are relative to the "
+        "camera."
     )
     _doubtful(lists)
     _fruit(one, lists)
 
 
 def _choose(chart: str, keys: Sequence[str]) -> None:
-    """Take a tap on a mark over once: what was chosen otherwise since stands."""
+    """Use a tap on a mark once: a later choice elsewhere is kept."""
     taps = st.session_state.setdefault("map_taps", {})
     if keys and taps.get(chart) != keys[0]:
         taps[chart] = keys[0]
@@ -103,8 +103,8 @@ def _doubtful(lists: RoundLists) -> None:
 
     words = counted(len(left), "fruit is", "fruit are")
     says, go = st.columns([3, 2], vertical_alignment="center")
-    says.markdown(f"{words} shown by one view alone: each may be none, or another's copy.")
-    button(go, "Look at the least sure", "visibility", look)
+    says.markdown(f"{words} in one picture only: each may be a false detection or a duplicate.")
+    button(go, "Show the least certain", "visibility", look)
 
 
 def _fruit(one: RoundView, lists: RoundLists) -> None:
@@ -118,10 +118,10 @@ def _fruit(one: RoundView, lists: RoundLists) -> None:
     st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
     _judge(one, found)
     store = resources.store()
-    apart = None if len(found.views) == 1 else ("Not the same", "call_split", store.unmerge)
+    apart = None if len(found.views) == 1 else ("Different fruit", "call_split", store.unmerge)
     _pictures(f"Seen {counted(len(found.views), 'time', 'times')}", found.views, apart)
-    same = ("This one too", "merge", partial(store.merge, fruit.key))
-    _pictures("Its neighbours", found.near, same)
+    same = ("Same fruit", "merge", partial(store.merge, fruit.key))
+    _pictures("Fruit nearby", found.near, same)
     for day, is_earlier in ((found.earlier, True), (found.later, False)):
         if day is not None:
             _other_day(fruit, day, is_earlier=is_earlier)
@@ -132,20 +132,20 @@ def _judge(one: RoundView, found: FruitContext) -> None:
     keys = [view.key for view in found.views]
     accept, reject, look, undo = st.columns(4)
     button(
-        accept, "It is a fruit", "check", _do, partial(store.set_verdict, keys, Verdict.ACCEPTED)
+        accept, "This is a fruit", "check", _do, partial(store.set_verdict, keys, Verdict.ACCEPTED)
     )
-    button(reject, "No fruit", "delete", _do, partial(store.set_verdict, keys, Verdict.REJECTED))
+    button(reject, "Not a fruit", "delete", _do, partial(store.set_verdict, keys, Verdict.REJECTED))
 
     def open_it() -> None:
         st.session_state["fruit"] = found.fruit.key
 
-    button(look, "Look closer", "zoom_in", open_it)
+    button(look, "Open", "zoom_in", open_it)
     button(undo, "Undo", "undo", _undo, one)
     if st.session_state.get("fruit") == found.fruit.key:
         with look:
             page_elements.link("results", "Open in 'Results'")
     if found.fruit.verdict is not None:
-        st.caption(f"Somebody said: {found.fruit.verdict}.")
+        st.caption(f"Checked: {found.fruit.verdict}.")
     if fault := st.session_state.pop("map_fault", None):
         st.warning(plain(fault), icon=":material/error:")
 
@@ -165,8 +165,8 @@ def _other_day(fruit: DetectionView, day: OtherDay, *, is_earlier: bool) -> None
 
     when = round_day(day.round.record.started_s)
     if day.linked is not None:
-        _pictures(f"The same fruit on {when}", [day.linked], ("Not this one", "link_off", part))
-    _pictures(f"Near it on {when}", day.near, ("It is this one", "link", link))
+        _pictures(f"The same fruit on {when}", [day.linked], ("Different fruit", "link_off", part))
+    _pictures(f"Fruit nearby on {when}", day.near, ("Same fruit", "link", link))
 
 
 def _pictures(

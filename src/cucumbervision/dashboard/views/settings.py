@@ -9,7 +9,7 @@ import streamlit as st
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.words import plain
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -69,7 +69,7 @@ def _measuring() -> None:
     now = resources.settings()
     lengths = list(LengthDefinition)
     length = st.segmented_control(
-        "Length that counts",
+        "Length definition",
         lengths,
         format_func=lambda x: str(x).capitalize(),
         default=now.length,
@@ -78,12 +78,12 @@ def _measuring() -> None:
         "middle. Chord: straight from end to end.",
     )
     finder = st.selectbox(
-        "Fruit are found by",
+        "Find fruit by",
         list(_FINDERS),
         index=list(_FINDERS).index(now.fruit_from),
         format_func=_FINDERS.__getitem__,
     )
-    exact = st.toggle("The same lengths on every machine (slower)", now.full_precision)
+    exact = st.toggle("Same lengths on every computer (slower)", now.full_precision)
     calibration = st.text_input(
         "Calibration file of this site",
         now.calibration,
@@ -108,9 +108,9 @@ def _models() -> None:
     registry = resources.registry()
     tasks = {
         "segment": "finds fruit",
-        "pose": "finds landmarks",
-        "prompted-mask": "draws masks",
-        "ends": "tells the stem's end from the other",
+        "pose": "finds end points",
+        "prompted-mask": "outlines fruit",
+        "ends": "finds the stem end",
     }
     lines = [
         {

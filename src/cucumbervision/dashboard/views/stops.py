@@ -1,4 +1,4 @@
-"""Stops put right: moved to another row or position, renamed, deleted; what was done is undone."""
+"""Corrections of stops: moved to another row or position, renamed, deleted, undone."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import streamlit as st
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import resources
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import counted, stop_name
+from cucumbervision.dashboard.words import counted, plain, stop_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.settling import move_stop
 from cucumbervision.rounds.walking import sides_of
@@ -20,12 +19,12 @@ if TYPE_CHECKING:
 
     from cucumbervision.store.views import RoundView, StopView
 
-PUTTING_RIGHT = "putting_right"
+CORRECTING = "correcting_stop"
 """Key of what opens over a page to change a stop; what is done in it closes it."""
 
 
 def list_stops(one: RoundView) -> None:
-    """Draw the choice of a stop, and what can be put right about it."""
+    """Draw the choice of a stop, and the form that corrects it."""
     with st.expander("Stops: move, rename, delete", icon=":material/place:"):
         stops = {stop.key: stop for stop in resources.store().stops(one.key)}
         chosen = st.selectbox(
@@ -93,7 +92,7 @@ def _do(round_key: str, act: Callable[[], int]) -> None:
         st.session_state["stop_fault"] = str(error)
     else:
         resources.merge(round_key)
-        st.session_state[PUTTING_RIGHT] = False
+        st.session_state[CORRECTING] = False
 
 
 def _undo_button(round_key: str) -> None:

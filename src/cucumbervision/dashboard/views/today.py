@@ -14,8 +14,8 @@ from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.charts import name_of_class
 from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import counted, doubtful, round_day
+from cucumbervision.dashboard.round_tables import doubtful
+from cucumbervision.dashboard.words import counted, plain, round_day
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.rounds.demonstration import is_demonstration
 from cucumbervision.rounds.today import Age, age_words
@@ -47,17 +47,17 @@ def _age(one: RoundView, today: Today) -> None:
         return
     if today.age is Age.USELESS:
         st.warning(
-            f"This round is {age_words(today.age_days)} (walked on {walked}): it says nothing "
-            "about today. Walk again for today's list.",
+            f"This round is {age_words(today.age_days)} (walked on {walked}): it is "
+            "too old for today. Walk the house again for today's list.",
             icon=":material/history:",
         )
         return
     words = f"The data are **{age_words(today.age_days)}** (last stop {walked})."
     if today.age_days:
-        words += " The fruit were aged to today by the growth that is expected."
+        words += " Lengths include the growth expected since then."
     (st.warning if today.age is Age.OLD else st.markdown)(words)
     if is_demonstration(one.key):
-        st.info("All fruit of this round are drawn, not grown.", icon=":material/draw:")
+        st.info("All fruit in this round are simulated.", icon=":material/draw:")
 
 
 def _next(one: RoundView, today: Today) -> None:
@@ -68,16 +68,16 @@ def _next(one: RoundView, today: Today) -> None:
         resources.wake()
         steps.append((f"{waiting} captures are still being measured.", "capture", "Capture"))
     if not one.stops and not waiting:
-        steps.append(("This round has no stops yet: walk a row.", "capture", "Capture"))
+        steps.append(("This round has no stops yet. Start walking a row.", "capture", "Capture"))
     elif today.age is not Age.FRESH:
-        steps.append(("Begin a new round and walk again.", "capture", "Capture"))
+        steps.append(("Start a new round and walk again.", "capture", "Capture"))
     elif not today.rows and not waiting:
-        steps.append(("No fruit is ready today: see when there will be.", "forecast", "Forecast"))
+        steps.append(("No fruit is ready today. The forecast shows when.", "forecast", "Forecast"))
     if unsure := len(doubtful(resources.content_of(one).views)):
         steps.append(
             (
-                f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with little "
-                "confidence: look at them.",
+                f"{counted(unsure, 'fruit was', 'fruit were')} seen only once, with low "
+                "confidence. Please check.",
                 "map",
                 "Row map",
             )
@@ -109,8 +109,8 @@ def _ready(one: RoundView, today: Today) -> None:
     if today.forecast is not None:
         span = plan_work(resources.forecast_of(one))[0].fruit
         st.caption(
-            f"{ready} fruit are left in the list below. With those that were missed or are no "
-            f"fruit, {span.low:.0f} to {span.high:.0f} are ready (80 %)."
+            f"{ready} fruit are left in the list below. Allowing for missed fruit and false "
+            f"detections, {span.low:.0f} to {span.high:.0f} are ready (80 %)."
         )
 
 
@@ -138,8 +138,8 @@ def _picks(one: RoundView, today: Today) -> None:
             if not picks:
                 continue
             if kind == TOO_LONG:
-                st.markdown("**Too long**: outgrown every class; they cost the others growth")
-            lines = _lines(picks, picked, today.drawn)
+                st.markdown("**Too long**: longer than every class; they slow the growth of others")
+            lines = _lines(picks, picked, today.simulated)
             _list(f"picks_{kind}_{one.key}_{row.row}", lines, words)
         _all_picked(row, picked)
         _work(today, picked)
@@ -157,7 +157,9 @@ def _picked(one: RoundView, today: Today) -> set[str]:
     return {today.best.get(key, key) for key in keys}
 
 
-def _lines(picks: Sequence[Pick], picked: set[str], drawn: frozenset[str]) -> list[dict[str, Any]]:
+def _lines(
+    picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
+) -> list[dict[str, Any]]:
     units = resources.settings().units
     return [
         {
@@ -166,7 +168,7 @@ def _lines(picks: Sequence[Pick], picked: set[str], drawn: frozenset[str]) -> li
             "length": units.text(pick.fruit.length_m),
             "grade": name_of_class(pick.name)
             + ("" if pick.ready >= 0.8 else ", perhaps")
-            + (", drawn" if pick.fruit.fruit_id in drawn else ""),
+            + (", simulated" if pick.fruit.fruit_id in simulated else ""),
             "picked": _is_picked(pick, picked),
         }
         for pick in picks
@@ -215,7 +217,7 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
             _ask()
         number = st.session_state.get("picked_all")
         button(undo, "Undo 'all picked'", "undo", _undo, number, disabled=number is None)
-        st.caption("Tap a fruit when it is picked, tap it again to take that back.")
+        st.caption("Tap a fruit when it is picked. Tap again to undo.")
 
 
 def _undo(number: int) -> None:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.dashboard import page_elements, resources
-from cucumbervision.dashboard.plain_text import plain
-from cucumbervision.dashboard.round_tables import counted
 from cucumbervision.dashboard.uploading import CAMERAS, UploadOutcome, measure_uploads
+from cucumbervision.dashboard.words import counted, plain
 from cucumbervision.rounds.walking import NextPlace, next_place, sides_of
 
 if TYPE_CHECKING:
@@ -33,11 +32,11 @@ def page(one: RoundView) -> None:
     files = st.file_uploader("Files", type=_ENDINGS, accept_multiple_files=True, key="uploads")
     place = _place(one)
     camera = st.selectbox(
-        "Pairs of pictures without intrinsics were taken by",
+        "Camera of pictures without intrinsics",
         ["", *CAMERAS],
-        format_func=lambda name: name or "not known: refuse them",
-        help="A camera's usual figures differ from its own by 1 to 2 %, and lengths with them. "
-        "Send an intrinsics file along where you have one.",
+        format_func=lambda name: name or "unknown: do not measure them",
+        help="Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
+        "Upload an intrinsics file if you have one.",
     )
     given = [(file.name, file.getvalue()) for file in files]
     # No callback: it would know the fields as they were when the page was drawn before.
@@ -107,7 +106,7 @@ def _outcomes(outcomes: list[UploadOutcome]) -> None:
         {
             "File": one.name,
             "": "saved" if one.saved else "not saved",
-            "What became of it": one.words,
+            "Result": one.words,
         }
         for one in sorted(outcomes, key=lambda one: one.saved)
     ]

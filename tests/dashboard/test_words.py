@@ -6,7 +6,7 @@ pytest.importorskip("markdown_it")
 
 from markdown_it import MarkdownIt
 
-from cucumbervision.dashboard.plain_text import plain
+from cucumbervision.dashboard.words import plain
 
 
 @pytest.mark.parametrize(

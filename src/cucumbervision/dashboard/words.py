@@ -1,0 +1,202 @@
+"""Values and names as words on a page, safe for Streamlit, which reads text as Markdown."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import TYPE_CHECKING
+
+from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.agronomy.picking import hours_words
+from cucumbervision.measurement.result import flag_remarks
+
+if TYPE_CHECKING:
+    from cucumbervision.agronomy.grades import Grade
+    from cucumbervision.agronomy.picking import Span
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision.dashboard.settings import Units
+    from cucumbervision.rounds.row_fruit import CountEstimate
+    from cucumbervision.store.records import DetectionRecord
+    from cucumbervision.store.views import StopView
+
+# Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
+_MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
+_LINE_STARTS = re.compile(r"(?m)^(\s*\d+)\.")
+
+
+def plain(text: object) -> str:
+    r"""Return a text that Streamlit draws letter by letter, on one line.
+
+    Examples
+    --------
+    >>> plain("row [3](http://x) *a*")
+    'row \\[3\\]\\(http\\://x\\) \\*a\\*'
+    """
+    words = " ".join(str(text).split())
+    return _LINE_STARTS.sub(r"\1\\.", _MARKS.sub(r"\\\1", words))
+
+
+def grade_name(grade: Grade) -> str:
+    """Return a grade in a word or two: 'class I', 'out of grade', 'not graded'.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.grades import GradingTraits, grade
+    >>> from cucumbervision.agronomy.profiles import load_profile
+    >>> grade_name(grade(GradingTraits(centreline_m=0.26), load_profile("long-cucumber")))
+    'class I'
+    """
+    if grade.verdict in (GradeVerdict.REFUSED, GradeVerdict.MISSING):
+        return "not graded"
+    return grade.name if grade.name == "out of grade" else f"class {grade.name}"
+
+
+def length_words(record: DetectionRecord, units: Units) -> str:
+    """Return a length as people say it: a lower bound as such, and 'not measured' for none.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> length_words(DetectionRecord(1, length_m=0.241, flags="end-hidden"), Units("cm"))
+    'at least 24.1 cm'
+    """
+    if record.length_m is None:
+        return "not measured"
+    return ("at least " if record.partial else "") + units.text(record.length_m)
+
+
+def interval_words(record: DetectionRecord, units: Units) -> str | None:
+    """Return a length's interval from end to end; None where it has none.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> record = DetectionRecord(1, interval_low_m=0.235, interval_high_m=0.247)
+    >>> interval_words(record, Units("cm"))
+    '23.5 cm to 24.7 cm'
+    """
+    if not (record.interval_low_m and record.interval_high_m):
+        return None
+    return f"{units.text(record.interval_low_m)} to {units.text(record.interval_high_m)}"
+
+
+def counted(number: int, one: str, many: str) -> str:
+    """Return a number with its word.
+
+    Examples
+    --------
+    >>> counted(1, "stop", "stops"), counted(2, "stop", "stops")
+    ('1 stop', '2 stops')
+    """
+    return f"{number} {one if number == 1 else many}"
+
+
+def round_day(at_s: float) -> str:
+    """Return a moment as the day and time of this place.
+
+    Examples
+    --------
+    >>> len(round_day(1_700_000_000.0))
+    17
+    """
+    return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
+
+
+def remarks(record: DetectionRecord, units: Units) -> str:
+    """Return the remarks on a fruit, as short sentences; technical flags are left out.
+
+    Examples
+    --------
+    >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.store.records import DetectionRecord
+    >>> fruit = DetectionRecord(1, length_m=0.24, flags="keypoints-logged end-hidden")
+    >>> remarks(fruit, Units("cm"))
+    'an end is hidden: at least 24.0 cm'
+    """
+    is_bound = record.partial and record.length_m is not None
+    return flag_remarks(record.flags, length_words(record, units) if is_bound else "")
+
+
+def stop_name(stop: Stop | StopView) -> str:
+    """Return where a stop is, for people.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Stop
+    >>> stop_name(Stop("3", "left", 1.2, 4))
+    'Stop 4: row 3, left, 1.20 m'
+    """
+    at = "" if stop.position_m is None else f"{stop.position_m:.2f} m"
+    where = ", ".join(filter(None, (stop.row and f"row {stop.row}", stop.side, at)))
+    return f"{step_words(stop.step)}: {where or 'no place given'}"
+
+
+def step_words(step: int | None) -> str:
+    """Return a stop's number, for people.
+
+    Examples
+    --------
+    >>> step_words(0), step_words(None)
+    ('Stop 0', 'Stop')
+    """
+    return "Stop" if step is None else f"Stop {step}"
+
+
+def row_name(row: str | None) -> str:
+    """Return what a row is called in a sentence.
+
+    Examples
+    --------
+    >>> row_name("3"), row_name("")
+    ('Row 3', 'Row ?')
+    """
+    return f"Row {row or '?'}"
+
+
+def count_words(count: CountEstimate) -> str:
+    """Return how many fruit a row has, with its interval, and how many were found.
+
+    Examples
+    --------
+    >>> from cucumbervision.rounds.row_fruit import CountEstimate
+    >>> count_words(CountEstimate.of_nothing())
+    'no fruit found'
+    """
+    if not len(count.seen):
+        return "no fruit found"
+    low, high = count.interval()
+    there = f"{low} to {high}" if low < high else f"{low}"
+    found = counted(len(count.seen), "was", "were")
+    return f"{count.expected:.0f} fruit ({there}, 90 %), of which {found} found"
+
+
+def span_words(of: Span) -> str:
+    """Return a number of fruit with its interval, both whole.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.picking import Span
+    >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(0.2, 0.0, 1.0)), span_words(Span(0, 0, 0))
+    ('4 (3 to 5)', '0 to 1', '–')
+    """
+    if of.high < 0.5:
+        return "–"
+    if of.expected < 0.5:
+        return f"0 to {of.high:.0f}"
+    words = f"{of.expected:.0f}"
+    return words if of.low == of.high else f"{words} ({of.low:.0f} to {of.high:.0f})"
+
+
+def hours_span_words(of: Span) -> str:
+    """Return hours of work with their interval, as `hours_words` says each.
+
+    Examples
+    --------
+    >>> from cucumbervision.agronomy.picking import Span
+    >>> hours_span_words(Span(0.31, 0.2, 0.5)), hours_span_words(Span(3.24, 2.9, 4.0))
+    ('19 min (12 min to 30 min)', '3.2 h (2.9 h to 4.0 h)')
+    """
+    low, at, high = map(hours_words, (of.low, of.expected, of.high))
+    return at if low == high else f"{at} ({low} to {high})"

@@ -14,7 +14,7 @@ from streamlit.testing.v1 import AppTest
 
 from cucumbervision.agronomy.picking import hours_words, pick_list, plan_work, work_of
 from cucumbervision.agronomy.profiles import TOO_LONG, load_profile
-from cucumbervision.dashboard.round_tables import length_lines, list_round, map_lines
+from cucumbervision.dashboard.round_tables import grade_round, length_lines, map_lines
 from cucumbervision.dashboard.settings import Units
 from cucumbervision.dashboard.views.accuracy import measured_round
 from cucumbervision.exports.build import round_tables
@@ -79,7 +79,7 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     profile, units = load_profile("long-cucumber"), Units("cm")
     one, content = find_round(store, walked), read_round(store, walked)
     table = fruit_table(content)
-    lists = list_round(content, table, profile)
+    graded = grade_round(content, table, profile)
     files = round_tables(store, walked, profile, pictures=False)
     gone = {view.key for view in content.views if view.verdict is Verdict.REJECTED}
 
@@ -91,7 +91,7 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     assert (shown["Picked"], summary["picked"]) == ("1", 1)
     assert shown["Deleted"] == "1"
     assert summary["detections"] == len(content.views) - len(gone)
-    charted = [line["length"] for line in length_lines(lists.fruit, lists.grades, units)]
+    charted = [line["length"] for line in length_lines(graded.fruit, graded.grades, units)]
     hanging = [
         line["length_cm"]
         for line in files["fruit"].records()
@@ -102,12 +102,12 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     assert shown["Mean length"] == units.text(float(np.mean(charted)) / 100)
 
     # No deleted fruit on the map, in the list or on the accuracy page.
-    assert gone.isdisjoint(line["key"] for line in map_lines(lists, units))
-    assert gone.isdisjoint(view.key for view in lists.fruit)
+    assert gone.isdisjoint(line["key"] for line in map_lines(graded, units))
+    assert gone.isdisjoint(view.key for view in graded.fruit)
     measured = measured_round(store, walked, store.measurements(walked))
     assert len(measured.readings) == len(content.views) - len(gone)
     reported = {(x.capture, x.fruit): x.lengths_m["reported"] for x in measured.readings}
-    for view in lists.fruit:
+    for view in graded.fruit:
         at = f"{view.stop_key}/{view.capture}", view.record.number
         assert reported[at] == view.record.length_m
 

@@ -62,7 +62,6 @@ def new(
     store: StoreName = "house.db",
     house: Annotated[str, typer.Option(help="The greenhouse.")] = "",
     profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
-    note: Annotated[str, typer.Option(help="Whatever should be remembered.")] = "",
     images: Images = None,
 ) -> None:
     """Begin a round and print its key."""
@@ -71,7 +70,7 @@ def new(
     from cucumbervision.store.repository import open_store
 
     load_profile(profile)
-    record = RoundRecord(name=name, house=house, profile=profile, note=note)
+    record = RoundRecord(name=name, house=house, profile=profile)
     with open_store(store, images=images) as opened:
         opened.save_round(record)
     typer.echo(record.key)
@@ -193,9 +192,6 @@ def remeasure(
 def merge(
     store: StoreName = "house.db",
     round_: RoundName = "",
-    across: Annotated[
-        float | None, typer.Option(help="Between the cameras of two aisles, metres, if known.")
-    ] = None,
     images: Images = None,
 ) -> None:
     """Find which fruit were seen from several stops, and measure them by all views at once.
@@ -203,14 +199,10 @@ def merge(
     Decisions made by hand are kept, and no fruit is measured twice.
     """
     from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision.rounds.merge import MergeSettings
     from cucumbervision.rounds.merge_and_link import merge_round
 
-    settings = MergeSettings()
-    if across is not None:
-        settings = MergeSettings(across_m=across, across_sd_m=0.05)
     with opened_round(store, round_, images) as (opened, one):
-        rows = merge_round(opened, one.key, settings)
+        rows = merge_round(opened, one.key)
         measure_all_views(opened, one.key)
     right = ("stops", "views", "fruit", "expected", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
@@ -358,9 +350,6 @@ def list_(store: StoreName = "house.db") -> None:
 @app.command()
 def check(
     store: StoreName = "house.db",
-    contents: Annotated[
-        bool, typer.Option(help="Read every picture and compare it with its hash.")
-    ] = True,
     remove: Annotated[
         bool, typer.Option("--remove", help="Remove pictures that no stop names.")
     ] = False,
@@ -372,7 +361,7 @@ def check(
     from cucumbervision.store.repository import open_store
 
     with open_store(store, images=images, create=False) as opened:
-        found = check_store(opened, contents=contents, remove=remove)
+        found = check_store(opened, remove=remove)
     console = screen()
     console.print(f"{found.pictures} pictures, {len(found.orphans)} files that no stop names")
     lines = [

@@ -23,7 +23,7 @@ from cucumbervision.dashboard.camera_feed import PREVIEW_FPS, CameraFeed, Feed, 
 from cucumbervision.dashboard.fruit_view import as_data_url, crop, drawn_on, joint_tube
 from cucumbervision.dashboard.jobs import Job, Worker
 from cucumbervision.dashboard.measuring import SharedMeasurer, measure_waiting
-from cucumbervision.dashboard.round_tables import RoundLists, list_round
+from cucumbervision.dashboard.round_tables import GradedRound, grade_round
 from cucumbervision.dashboard.server import (
     IMAGES_VARIABLE,
     REPLAY_VARIABLE,
@@ -255,9 +255,9 @@ def content_of(one: RoundView) -> RoundContent:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)
-def lists_of(one: RoundView) -> RoundLists:
+def graded_round(one: RoundView) -> GradedRound:
     """Return a round's fruit and grades; read again only when something changed."""
-    return list_round(content_of(one), fruit_of(one), profile_of(one)[1])
+    return grade_round(content_of(one), fruit_of(one), profile_of(one)[1])
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_OF_ROUND)

@@ -26,8 +26,8 @@ _LOW_CONFIDENCE = 0.45  # below it, a fruit that is seen once may be a false det
 
 
 @dataclass(frozen=True, eq=False)
-class RoundLists:
-    """A round as the pages show it.
+class GradedRound:
+    """The fruit of a round with their grades and figures.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ class RoundLists:
     figures: RoundFigures
 
 
-def list_round(
+def grade_round(
     content: RoundContent, table: Sequence[RoundFruit], profile: CropProfile
-) -> RoundLists:
+) -> GradedRound:
     """Return a round's fruit with their grades; `table` has its lengths."""
     shown = {line.view.key: line.view for line in table}
     best = [view for view in content.views if view.best]
     fruit = tuple(shown[view.key] for view in best if view.key in shown)
     deleted = tuple(view for view in best if view.key not in shown)
     grades = {view.key: grade_of(view.record, profile) for view in (*fruit, *deleted)}
-    return RoundLists(fruit, deleted, grades, round_figures(content, table))
+    return GradedRound(fruit, deleted, grades, round_figures(content, table))
 
 
 def doubtful(views: Iterable[DetectionView]) -> list[DetectionView]:
@@ -110,7 +110,7 @@ def method_lines(
     ]
 
 
-def map_lines(lists: RoundLists, units: Units) -> list[dict[str, Any]]:
+def map_lines(graded: GradedRound, units: Units) -> list[dict[str, Any]]:
     """Return a line for each fruit with a position: along the row, height, class, length."""
     return [
         {
@@ -119,12 +119,12 @@ def map_lines(lists: RoundLists, units: Units) -> list[dict[str, Any]]:
             "along": round(view.along_m, 2),
             "height": -round(view.record.centre_y_m or 0.0, 3),
             "length": units.value(view.record.length_m),
-            "class": grade_name(lists.grades[view.key]),
+            "class": grade_name(graded.grades[view.key]),
             "views": view.views,
             "mark": _mark_of(view),
             "capture": view.capture,
         }
-        for view in lists.fruit
+        for view in graded.fruit
         if view.along_m is not None
     ]
 

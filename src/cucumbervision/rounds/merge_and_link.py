@@ -11,7 +11,7 @@ import numpy as np
 from cucumbervision.errors import RoundError
 from cucumbervision.rounds.day_linking import link_days
 from cucumbervision.rounds.from_store import RoundContent, by_hand_of, read_round, stored_merging
-from cucumbervision.rounds.merge import NO_PAIRS, Merged, MergeSettings, merge_row
+from cucumbervision.rounds.merge import NO_PAIRS, Merged, merge_row
 from cucumbervision.rounds.row_fruit import CountEstimate, count_fruit, row_fruit
 from cucumbervision.rounds.row_views import ALONG
 from cucumbervision.rounds.stop_alignment import prior_stops
@@ -92,9 +92,7 @@ class RowLinks:
     shift_sd_m: float
 
 
-def merge_round(
-    store: Store, round_key: str, settings: MergeSettings | None = None
-) -> list[RowReport]:
+def merge_round(store: Store, round_key: str) -> list[RowReport]:
     """Merge all rows of a round anew and save the links and where the stops were.
 
     Corrections by hand are kept.
@@ -105,8 +103,6 @@ def merge_round(
         Where the round is.
     round_key : str
         The round.
-    settings : MergeSettings, optional
-        How to merge.
 
     Raises
     ------
@@ -118,7 +114,7 @@ def merge_round(
     positions: dict[str, Position] = {}
     reports = []
     for row in read_round(store, round_key).rows:
-        merged = _merged(row, settings, by_hand)
+        merged = _merged(row, by_hand)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
             first, second = row.fruit_keys[a], row.fruit_keys[b]
             links.append(LinkRecord(LinkKind.SAME, first, second, chance))
@@ -130,11 +126,11 @@ def merge_round(
     return reports
 
 
-def _merged(row: StoredRow, settings: MergeSettings | None, links: Sequence[LinkRecord]) -> Merged:
+def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
     if not len(row.views):
         nothing = np.zeros(0)
         return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)
-    return merge_row(row.stops, row.views, settings, by_hand_of(row, links))
+    return merge_row(row.stops, row.views, by_hand=by_hand_of(row, links))
 
 
 def _report(row: StoredRow, merged: Merged, *, done: bool = True) -> RowReport:

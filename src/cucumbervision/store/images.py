@@ -275,17 +275,13 @@ class CheckReport:
         return not (self.missing or self.damaged or self.faults)
 
 
-def check_store(
-    store: Database, *, contents: bool = True, remove: bool = False, grace_s: float = _GRACE_S
-) -> CheckReport:
+def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> CheckReport:
     """Check a store against its pictures; nothing that a stop names is ever removed.
 
     Parameters
     ----------
     store : Store
         The store; others may be writing to it.
-    contents : bool
-        Hold every picture against its hash, which reads them all; or only see that it is there.
     remove : bool
         Remove orphans, and files whose writing was broken off.
     grace_s : float
@@ -306,7 +302,7 @@ def check_store(
         path = store.images.path(ref)
         if not path.exists():
             missing.append(path)
-        elif contents and not _whole(store, ref):
+        elif not _whole(store, ref):
             damaged.append(path)
     orphans = _orphans(store, refs, time.time() - grace_s)
     return CheckReport(

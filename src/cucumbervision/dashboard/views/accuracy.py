@@ -209,8 +209,8 @@ _LINES = 30
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    lists = resources.lists_of(one)
-    fruit = [view for view in lists.fruit if view.record.length_m is not None]
+    graded = resources.graded_round(one)
+    fruit = [view for view in graded.fruit if view.record.length_m is not None]
     if not fruit:
         st.info("This round has no measured fruit yet.", icon=":material/straighten:")
         return

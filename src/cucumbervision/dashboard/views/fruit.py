@@ -22,7 +22,7 @@ from cucumbervision.dashboard.fruit_view import (
     stop_layers,
 )
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.round_tables import RoundLists, figure_lines
+from cucumbervision.dashboard.round_tables import GradedRound, figure_lines
 from cucumbervision.dashboard.words import (
     grade_name,
     interval_words,
@@ -56,13 +56,13 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import DetectionView, RoundView
 
 
-def show(one: RoundView, lists: RoundLists, key: str) -> None:
+def show(one: RoundView, graded: GradedRound, key: str) -> None:
     """Draw a fruit in place of the list."""
     detail = resources.fruit_detail(one, key)
-    _head(lists, key)
+    _head(graded, key)
     left, right = page_elements.halves()
     with right:
-        _figures(lists, detail)
+        _figures(graded, detail)
         _verdict(one, detail)
     line = next((x for x in resources.fruit_of(one) if x.view.group == detail.view.group), None)
     joint = _joint_of(one, line)
@@ -72,8 +72,8 @@ def show(one: RoundView, lists: RoundLists, key: str) -> None:
     _methods(detail)
 
 
-def _head(lists: RoundLists, key: str) -> None:
-    keys = [view.key for view in lists.fruit]
+def _head(graded: GradedRound, key: str) -> None:
+    keys = [view.key for view in graded.fruit]
     keys += [] if key in keys else [key]  # a deleted one is shown by itself
     at = keys.index(key)
 
@@ -92,10 +92,10 @@ def _head(lists: RoundLists, key: str) -> None:
         button(column, label, f"chevron_{side}", go, target, shortcut=side.capitalize(), **how)
 
 
-def _figures(lists: RoundLists, detail: DetectionDetail) -> None:
-    shown = {view.key: view for view in (*lists.fruit, *lists.deleted)}
+def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
+    shown = {view.key: view for view in (*graded.fruit, *graded.deleted)}
     record, units = shown[detail.view.key].record, resources.settings().units
-    found = lists.grades[detail.view.key]
+    found = graded.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
         f"Length ({record.length_kind or 'not measured'})",

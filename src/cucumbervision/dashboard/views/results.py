@@ -14,7 +14,7 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision.dashboard import charts, page_elements, resources
 from cucumbervision.dashboard import round_tables as tables
 from cucumbervision.dashboard.page_elements import button
-from cucumbervision.dashboard.round_tables import RoundLists
+from cucumbervision.dashboard.round_tables import GradedRound
 from cucumbervision.dashboard.views import fruit as fruit_page
 from cucumbervision.dashboard.words import grade_name, plain, remarks
 from cucumbervision.exports import ExportFormat
@@ -99,21 +99,21 @@ _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ 
 @page_elements.of_round
 def page(one: RoundView) -> None:
     """Draw the page."""
-    lists = resources.lists_of(one)
-    if st.session_state.get("fruit") in {view.key for view in (*lists.fruit, *lists.deleted)}:
-        fruit_page.show(one, lists, st.session_state["fruit"])
+    graded = resources.graded_round(one)
+    if st.session_state.get("fruit") in {view.key for view in (*graded.fruit, *graded.deleted)}:
+        fruit_page.show(one, graded, st.session_state["fruit"])
         return
-    if not (lists.fruit or lists.deleted):
+    if not (graded.fruit or graded.deleted):
         _empty(one)
         return
-    _classes(one, lists)
-    _statistics(lists)
-    fruit = _filtered(lists)
+    _classes(one, graded)
+    _statistics(graded)
+    fruit = _filtered(graded)
     if not fruit:
         st.info("No fruit matches these filters.", icon=":material/filter_alt_off:")
         return
-    _table(lists, fruit)
-    _charts(lists, fruit)
+    _table(graded, fruit)
+    _charts(graded, fruit)
     _methods(one, fruit)
     _merge(one)
     with st.expander("Files of this round", icon=":material/download:"):
@@ -129,9 +129,9 @@ def _empty(one: RoundView) -> None:
         st.info("This round has no stops yet. Go to 'Capture'.", icon=":material/photo_camera:")
 
 
-def _classes(one: RoundView, lists: RoundLists) -> None:
+def _classes(one: RoundView, graded: GradedRound) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
-    counts = Counter(grade_name(lists.grades[view.key]) for view in lists.fruit)
+    counts = Counter(grade_name(graded.grades[view.key]) for view in graded.fruit)
     words = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words)}**")
@@ -141,8 +141,8 @@ def _classes(one: RoundView, lists: RoundLists) -> None:
         page_elements.link("today", "What is ready today")
 
 
-def _statistics(lists: RoundLists) -> None:
-    found, units = lists.figures, resources.settings().units
+def _statistics(graded: GradedRound) -> None:
+    found, units = graded.figures, resources.settings().units
     shown: dict[str, tuple[int | str, str | None]] = {
         "Fruit": (found.fruit, f"detected {found.detections} times"),
         "Measured": (found.measured, None),
@@ -151,13 +151,13 @@ def _statistics(lists: RoundLists) -> None:
             f"± {units.text(found.sd_m)}" if found.sd_m else None,
         ),
         "Picked": (found.picked, None),
-        "Deleted": (len(lists.deleted), None),
+        "Deleted": (len(graded.deleted), None),
     }
     for column, (label, (value, below)) in zip(st.columns(5), shown.items(), strict=True):
         column.metric(label, value, below, delta_color="off", delta_arrow="off")
 
 
-def _filtered(lists: RoundLists) -> list[DetectionView]:
+def _filtered(graded: GradedRound) -> list[DetectionView]:
     units = resources.settings().units
 
     def choose(column: DeltaGenerator, label: str, values: Iterable[str | None]) -> Any:
@@ -167,9 +167,9 @@ def _filtered(lists: RoundLists) -> list[DetectionView]:
     with st.expander("Filters", icon=":material/filter_alt:"):
         row, named, method, verdict = st.columns(4)
         highest = 20.0 if units.name == "in" else 50.0
-        chosen_row = choose(row, "Row", (view.row for view in lists.fruit))
-        chosen_name = choose(named, "Class", map(grade_name, lists.grades.values()))
-        chosen_method = choose(method, "Method", (view.record.method for view in lists.fruit))
+        chosen_row = choose(row, "Row", (view.row for view in graded.fruit))
+        chosen_name = choose(named, "Class", map(grade_name, graded.grades.values()))
+        chosen_method = choose(method, "Method", (view.record.method for view in graded.fruit))
         chosen_verdict = choose(verdict, "Checked", Verdict)
         low, high = st.slider(f"Length [{units.name}]", 0.0, highest, (0.0, highest), 0.5)
         limited = (low, high) != (0.0, highest)
@@ -182,14 +182,14 @@ def _filtered(lists: RoundLists) -> list[DetectionView]:
         )
     return [
         view
-        for view in (lists.deleted if chosen_verdict is Verdict.REJECTED else lists.fruit)
-        if only.keeps(view) and chosen_name in (None, grade_name(lists.grades[view.key]))
+        for view in (graded.deleted if chosen_verdict is Verdict.REJECTED else graded.fruit)
+        if only.keeps(view) and chosen_name in (None, grade_name(graded.grades[view.key]))
     ]
 
 
-def _charts(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
+def _charts(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
-    if lines := tables.length_lines(fruit, lists.grades, units):
+    if lines := tables.length_lines(fruit, graded.grades, units):
         st.markdown(
             "**Lengths of the fruit on the plant**: line at the mean, band of one standard "
             "deviation"
@@ -207,12 +207,12 @@ def _methods(one: RoundView, fruit: Sequence[DetectionView]) -> None:
         st.altair_chart(charts.method_chart(lines, units))
 
 
-def _table(lists: RoundLists, fruit: Sequence[DetectionView]) -> None:
+def _table(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     units = resources.settings().units
     shown = page_elements.page_of(fruit, "list_page", _LINES)
     st.markdown(f"**{len(fruit)} fruit**: tick one to open it")
     chosen = st.dataframe(
-        [_line(lists, view) for view in shown],
+        [_line(graded, view) for view in shown],
         hide_index=True,
         row_height=64,
         height=min(len(shown), 10) * 64 + 40,
@@ -241,14 +241,14 @@ def _merge(one: RoundView) -> None:
     page_elements.progress(None if job is resources.prepare() else job)
 
 
-def _line(lists: RoundLists, view: DetectionView) -> dict[str, Any]:
+def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
     low, high = units.value(record.interval_low_m), units.value(record.interval_high_m)
     return {
         "Picture": resources.thumbnail_of(view),
         "Length": units.value(record.length_m),
         "90 %": f"{low:.1f} to {high:.1f}" if low and high else "–",
-        "Class": grade_name(lists.grades[view.key]),
+        "Class": grade_name(graded.grades[view.key]),
         "Row": f"{view.row or '?'} {view.side or ''}",
         "At [m]": None if view.along_m is None else round(view.along_m, 2),
         "Method": record.method or record.reason,

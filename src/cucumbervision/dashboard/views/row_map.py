@@ -29,7 +29,7 @@ from cucumbervision.store.views import Verdict
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision.dashboard.round_tables import RoundLists
+    from cucumbervision.dashboard.round_tables import GradedRound
     from cucumbervision.rounds.fruit_context import FruitContext, OtherDay
     from cucumbervision.store.views import DetectionView, RoundView
 
@@ -48,8 +48,8 @@ def page(one: RoundView) -> None:
 
 def _map(one: RoundView) -> None:
     units = resources.settings().units
-    lists = resources.lists_of(one)
-    lines = map_lines(lists, units)
+    graded = resources.graded_round(one)
+    lines = map_lines(graded, units)
     if not lines:
         st.info(
             "No fruit of this round has a position yet. Enter row and position when capturing.",
@@ -78,8 +78,8 @@ def _map(one: RoundView) -> None:
         "only one picture shows it. Tap a mark to see the fruit. Heights are relative to the "
         "camera."
     )
-    _doubtful(lists)
-    _fruit(one, lists)
+    _doubtful(graded)
+    _fruit(one, graded)
 
 
 def _choose(chart: str, keys: Sequence[str]) -> None:
@@ -90,8 +90,8 @@ def _choose(chart: str, keys: Sequence[str]) -> None:
         st.session_state["map_fruit"] = keys[0]
 
 
-def _doubtful(lists: RoundLists) -> None:
-    left = least_sure_first(lists.fruit)
+def _doubtful(graded: GradedRound) -> None:
+    left = least_sure_first(graded.fruit)
     if not left:
         return
 
@@ -107,13 +107,13 @@ def _doubtful(lists: RoundLists) -> None:
     button(go, "Show the least certain", "visibility", look)
 
 
-def _fruit(one: RoundView, lists: RoundLists) -> None:
+def _fruit(one: RoundView, graded: GradedRound) -> None:
     key = st.session_state.get("map_fruit")
     found = around(resources.store(), one.key, key) if key else None
     if found is None:
         return
     units, fruit = resources.settings().units, found.fruit
-    grade = grade_name(lists.grades[fruit.key]) if fruit.key in lists.grades else ""
+    grade = grade_name(graded.grades[fruit.key]) if fruit.key in graded.grades else ""
     place = f"{row_name(fruit.row)}, {fruit.side or ''}, {fruit.along_m or 0:.2f} m"
     st.subheader(plain(f"{place}: {length_words(fruit.record, units)}, {grade}"))
     _judge(one, found)

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""A ROS 2 node over the client: colour, aligned depth and camera info in, rows as JSON out.
+"""A ROS 2 node that measures with the service: colour, aligned depth and camera info to JSON.
 
     cucumbervision serve                                     # somewhere, in its own Python
     ros2 run realsense2_camera realsense2_camera_node --ros-args -p align_depth.enable:=true
     python3 examples/ros2_node.py --ros-args -p url:=http://127.0.0.1:8600
 
 It needs ROS 2 (rclpy, message_filters, sensor_msgs, std_msgs) and this package; the networks run
-in the service. The newest frame is sent while none is under way; the others are dropped.
+in the service. It sends one frame at a time, always the newest; the others are dropped.
 `capture_of` needs no ROS.
 """
 
@@ -30,7 +30,7 @@ _DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)
 
 
 def pixels(image: Any, kind: str, channels: int) -> np.ndarray:
-    """Return a sensor_msgs/Image's pixels, whatever its rows are padded with."""
+    """Return the pixels of a sensor_msgs/Image without row padding."""
     dtype = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
     rows = np.frombuffer(bytes(image.data), np.uint8).reshape(image.height, image.step)
     used = np.ascontiguousarray(rows[:, : image.width * channels * dtype.itemsize])
@@ -43,12 +43,12 @@ def capture_of(color: Any, depth: Any, info: Any) -> Capture:
     Raises
     ------
     CaptureError
-        If an encoding or lens model is not read, or the pictures differ in size.
+        If an encoding or lens model is not supported, or the pictures differ in size.
     """
     frame, stamp = color.header.frame_id, color.header.stamp
     if color.encoding not in _COLORS or depth.encoding not in _DEPTHS:
         raise CaptureError(
-            f"colour {color.encoding} with depth {depth.encoding} is not read",
+            f"colour {color.encoding} with depth {depth.encoding} is not supported",
             source=frame,
             remedy="publish rgb8 and 16UC1 or 32FC1",
         )
@@ -75,7 +75,7 @@ def intrinsics_of(info: Any) -> Intrinsics:
     Raises
     ------
     CaptureError
-        If its lens model is none that is known.
+        If its lens model is not supported.
     """
     matrix = np.array(info.k, np.float64).reshape(3, 3)
     lens = [float(value) for value in info.d]
@@ -83,7 +83,7 @@ def intrinsics_of(info: Any) -> Intrinsics:
         return Intrinsics.from_matrix(matrix, info.width, info.height)
     if info.distortion_model != "plumb_bob" or len(lens) != 5:
         raise CaptureError(
-            f"the lens model {info.distortion_model} is not read",
+            f"the lens model {info.distortion_model} is not supported",
             source=info.header.frame_id,
             remedy="publish rectified pictures (image_proc)",
         )
@@ -101,7 +101,7 @@ def intrinsics_of(info: Any) -> Intrinsics:
 
 
 class Newest:
-    """Works on the newest of what it is given, in a thread; what is older is dropped."""
+    """Processes the newest item in a thread; older ones are dropped."""
 
     def __init__(self, work: Any) -> None:
         self._work, self._given = work, None
@@ -109,7 +109,7 @@ class Newest:
         threading.Thread(target=self._run, daemon=True).start()
 
     def give(self, one: Any) -> None:
-        """Take what is newest now."""
+        """Replace the newest item."""
         with self._changed:
             self._given = one
             self._changed.notify()
@@ -143,14 +143,14 @@ def main() -> None:
 
     def measure(messages: tuple[Any, Any, Any]) -> None:
         try:
-            told = client.measure(capture_of(*messages))
+            reply = client.measure(capture_of(*messages))
         except CucumberVisionError as error:
             node.get_logger().warning(str(error))
             return
         header = messages[0].header
         stamp = {"sec": header.stamp.sec, "nanosec": header.stamp.nanosec}
-        told["header"] = {"frame_id": header.frame_id, "stamp": stamp}
-        rows.publish(String(data=json.dumps(told)))
+        reply["header"] = {"frame_id": header.frame_id, "stamp": stamp}
+        rows.publish(String(data=json.dumps(reply)))
 
     newest = Newest(measure)
     topics = (

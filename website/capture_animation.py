@@ -1,4 +1,4 @@
-"""Make the moving picture of the README: a bundled capture, measured.
+"""Make the animation of the README: a bundled capture and its measurement.
 
     python website/capture_animation.py         # writes docs/images/capture.gif
 
@@ -51,7 +51,7 @@ def partly_measured(
 def pictures(
     capture: Capture, fruit: tuple[FruitMeasurement, ...]
 ) -> Iterator[tuple[NDArray[np.uint8], int]]:
-    """Yield each picture, and how long it stands in ms."""
+    """Yield each picture, with its duration in ms."""
     yield capture.color, 1500
     yield depth_picture(capture.depth_m)[0], 1500
     yield partly_measured(capture, fruit, 0.0), 1200
@@ -70,7 +70,7 @@ def main() -> None:
         Image.fromarray(cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA))
         for picture, _ in shown
     ]
-    # One palette for all, so that what stands still is stored once.
+    # One palette for all, so that unchanged parts are stored once.
     together = Image.new("RGB", (WIDTH_PX, 3 * height))
     for row, picture in enumerate((small[0], small[1], small[-1])):
         together.paste(picture, (0, row * height))

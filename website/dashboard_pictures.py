@@ -1,4 +1,4 @@
-"""Take the pictures of the dashboard's pages for the documentation.
+"""Take screenshots of the dashboard's pages for the documentation.
 
     python website/dashboard_pictures.py
 
@@ -22,7 +22,7 @@ from playwright.sync_api import sync_playwright
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
-# What a page says once it is drawn.
+# A text that a page shows once it is complete.
 PAGES = {
     "today": ("", "Pick list"),
     "capture": ("capture", "Valid depth"),
@@ -32,7 +32,7 @@ PAGES = {
 
 
 def main() -> None:
-    """Serve, and take them."""
+    """Serve the dashboard and take the screenshots."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = str(probe.getsockname()[1])
@@ -74,8 +74,8 @@ def take(address: str) -> None:
 
 
 def shoot(page: Any, name: str) -> None:
-    """Keep what a tablet shows."""
-    page.wait_for_timeout(8000)  # tables draw their pictures last, and nothing says when
+    """Save a screenshot of a tablet."""
+    page.wait_for_timeout(8000)  # tables load their pictures last, without a visible sign
     page.screenshot(path=IMAGES / f"dashboard-{name}.png")
 
 

@@ -3,9 +3,8 @@
     python website/method_figures.py            # writes docs/images/m1.png … m6.png and lengths.png
     python website/method_figures.py --table    # prints the table of docs/methods.md
 
-Every point, line and length is what the methods made of the capture; nothing is sketched. The left
-picture is what the camera saw; the right one shows the same fruit from the side, with the body that
-was drawn in grey.
+Every point, line and length is a result of the methods. The left picture is the camera's; the right
+one shows the same fruit from the side, with the simulated body in grey.
 """
 
 from __future__ import annotations
@@ -46,13 +45,13 @@ IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SCENE, FRUIT, BENT = "simulated-row-b", 1, 0
 MARGIN_PX = 30
 GREY, DARK, REFUSED = "#d4d4d4", "#222222", "#c0392b"
-SMALL = 9.0  # dots larger than this stand for single samples, and get an edge
+SMALL = 9.0  # larger dots are single samples, with an edge
 SIDE_CM = 5.0  # room before and behind the fruit in the view from the side
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """The fruit of the figures: as captured, as drawn, as measured."""
+    """The fruit of the figures: capture, simulated truth and measurements."""
 
     color: NDArray[np.uint8]
     region: Region
@@ -78,7 +77,7 @@ def load_example() -> Example:
 
 
 def reading_table(example: Example) -> str:
-    """Return what each method reads, and of what, as Markdown."""
+    """Return a Markdown table of each method's length."""
     read: list[tuple[Method, float | None, str | None]] = [
         (method, one.length_m, one.kind) for method, one in example.measured.items()
     ]
@@ -102,7 +101,7 @@ def _cm(length_m: float | None) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Used:
-    """What a method looks at: points in space, those that it refuses, and its gate in depth."""
+    """The input of a method: points in space, rejected points, and its depth gate."""
 
     points_m: NDArray[np.float64]
     refused_m: NDArray[np.float64]
@@ -113,7 +112,7 @@ NOTHING = np.empty((0, 3))
 
 
 def used_by(method: Method, region: Region) -> Used:
-    """Return what a method looks at on the fruit."""
+    """Return the input of a method on the fruit."""
     if method is Method.M1:
         return _samples(region)
     if method is Method.M4:

@@ -1,4 +1,4 @@
-"""Show the files outside `docs/` that its pages link to, such as a network's card.
+"""Add pages for the files outside `docs/` that its pages link to, such as a model card.
 
 A page's links are written as GitHub reads them, relative to the file. What lies outside `docs/`
 gets a page below `source/` on the site, and the links follow, so that both views work and no
@@ -76,7 +76,7 @@ def follow_links(markdown: str, page: str) -> str:
     def moved(link: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(file), link[0]))
         if not (ROOT / target).is_file():
-            return link[0]  # left as it is for the strict build to complain of
+            return link[0]  # unchanged, so that the strict build reports it
         return posixpath.relpath(site_path(target), posixpath.dirname(page) or ".")
 
     return LINK.sub(moved, markdown)
@@ -92,7 +92,7 @@ def source_page(file: str) -> str:
 
 
 def public_names(room: str) -> list[str]:
-    """Return the public names that a room lends to the package, in the stub's order.
+    """Return the public names that the package exports from a room, in the stub's order.
 
     Examples
     --------

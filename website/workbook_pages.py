@@ -1,4 +1,4 @@
-"""Make pictures of a workbook's printed pages, to be looked at.
+"""Render the printed pages of a workbook for inspection.
 
     python website/workbook_pages.py ROUND.xlsx OUT
 
@@ -18,7 +18,7 @@ PROGRAMS = {"soffice": "libreoffice-calc", "pdftoppm": "poppler-utils"}
 
 
 def missing() -> list[str]:
-    """Return the Debian packages whose programs are not here."""
+    """Return the Debian packages of missing programs."""
     return [package for program, package in PROGRAMS.items() if shutil.which(program) is None]
 
 
@@ -26,7 +26,7 @@ def draw_pages(workbook: Path, out: Path) -> list[Path]:
     """Write OUT/page-1.png and so on, and return them in the pages' order."""
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        # A profile of its own: a LibreOffice that runs already would take the work, and not wait.
+        # A separate profile: a running LibreOffice would take the job without waiting.
         profile = f"-env:UserInstallation={(Path(folder) / 'profile').as_uri()}"
         made = ["soffice", profile, "--headless", "--convert-to", "pdf"]
         made += ["--outdir", folder, str(workbook)]

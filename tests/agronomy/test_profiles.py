@@ -82,9 +82,9 @@ def test_broken_file_hides_no_other(tmp_path: Path) -> None:
     listed = {entry.name: entry for entry in profiles()}
     assert listed["mine"].profile is not None
     assert listed["broken"].profile is None
-    assert "broken.toml: is no TOML (" in listed["broken"].fault
+    assert "broken.toml: not valid TOML (" in listed["broken"].fault
     assert "line 1" in listed["broken"].fault
-    assert "is no TOML" in listed["bytes"].fault
+    assert "not valid TOML" in listed["bytes"].fault
 
 
 @pytest.mark.parametrize(

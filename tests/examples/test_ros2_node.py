@@ -92,9 +92,9 @@ def test_a_lens_is_kept(node: ModuleType) -> None:
 @pytest.mark.parametrize(
     ("color", "depth", "camera", "fault"),
     [
-        ("yuv422", "16UC1", info(), "yuv422 with depth 16UC1 is not read"),
-        ("rgb8", "8UC1", info(), "depth 8UC1 is not read"),
-        ("rgb8", "16UC1", info("equidistant", (0.1, 0, 0, 0)), "equidistant is not read"),
+        ("yuv422", "16UC1", info(), "yuv422 with depth 16UC1 is not supported"),
+        ("rgb8", "8UC1", info(), "depth 8UC1 is not supported"),
+        ("rgb8", "16UC1", info("equidistant", (0.1, 0, 0, 0)), "equidistant is not supported"),
     ],
 )
 def test_what_is_not_read_is_said(

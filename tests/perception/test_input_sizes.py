@@ -43,5 +43,5 @@ def test_one_size_stays_as_it_is_and_nothing_gives_nothing() -> None:
 
 @pytest.mark.parametrize("text", ["650", "0", "-32", "640,", "640;960", "1e3", "4128"])
 def test_what_is_no_input_size_is_refused(text: str) -> None:
-    with pytest.raises(CucumberVisionError, match="is no input size"):
+    with pytest.raises(CucumberVisionError, match="is not an input size"):
         parse_input_sizes(text)

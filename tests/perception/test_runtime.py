@@ -134,7 +134,11 @@ def test_truncated_file_is_named(runtime: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "fault"),
-    [(b"PK\x03\x04", "PyTorch checkpoint"), (b"", "no ONNX file"), (b"<xml/>", "no ONNX file")],
+    [
+        (b"PK\x03\x04", "PyTorch checkpoint"),
+        (b"", "not an ONNX file"),
+        (b"<xml/>", "not an ONNX file"),
+    ],
 )
 def test_other_files_are_refused(content: bytes, fault: str, tmp_path: Path) -> None:
     path = tmp_path / "other.onnx"

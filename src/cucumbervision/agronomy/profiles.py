@@ -336,6 +336,6 @@ def _read(path: Path) -> CropProfile:
         ) from None
     except (ValueError, RecursionError) as error:
         raise ProfileError(
-            f"is no TOML ({error})", source=path, remedy="correct that line"
+            f"not valid TOML ({error})", source=path, remedy="correct that line"
         ) from None
     return parse_model(CropProfile, data, source=path, error=ProfileError)

@@ -153,7 +153,7 @@ def _require_better(
 ) -> None:
     """Raise if a network is not known to be better than the one in use."""
     if judgement.get("new") != sha256:
-        fault, remedy = "nobody has judged it against the network in use", "run `train house`"
+        fault, remedy = "it was not compared with the network in use", "run `train house`"
     elif used is not None and judgement["old"] != used.files[0].sha256:
         fault = "it was judged against another network than the one in use"
         remedy = "run the same `train house` again"

@@ -44,7 +44,7 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
     sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
     if not all(0 < size <= _LARGEST_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
         raise CucumberVisionError(
-            f"{text!r} is no input size",
+            f"{text!r} is not an input size",
             source="--input-size",
             remedy=f"give a multiple of {_SIZE_STEP_PX} up to {_LARGEST_PX}, such as 640, "
             "or several joined by commas",

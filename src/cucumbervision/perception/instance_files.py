@@ -402,7 +402,7 @@ def read_instances(path: Path | str) -> InstanceFile:
         pictures = [_read_yolo_file(path, _read_yolo_classes(path.parent))]
     else:
         raise InstancesError(
-            "is of no known kind", source=path, remedy="give COCO JSON or YOLO txt"
+            "unknown kind of file", source=path, remedy="give COCO JSON or YOLO txt"
         )
     return InstanceFile(str(path), tuple(pictures))
 

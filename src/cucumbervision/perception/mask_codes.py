@@ -197,7 +197,7 @@ def _unpack(text: str) -> list[int]:
                 raise ValueError("a run length has more digits than any picture needs")
             code = ord(text[at]) - 48
             if not 0 <= code < 64:
-                raise ValueError(f"{text[at]!r} is no run length")
+                raise ValueError(f"{text[at]!r} is not a run length")
             value |= (code & 0x1F) << shift
             more = bool(code & 0x20)
             at, shift = at + 1, shift + 5

@@ -375,7 +375,7 @@ class NetworkLoader:
         Raises
         ------
         ModelError, ModelHashError
-            If the registry has no detector, or a file is missing, damaged or of no known kind.
+            If the registry has no detector, or a file is missing, damaged or unknown.
         """
         own, own_pose = self.registry.default("segment"), self.registry.default("pose")
         if file is None and own is None:

@@ -261,7 +261,7 @@ def _check_kind(path: Path | bytes, source: str) -> None:
         )
     # Protobuf writes fields in order: ONNX's first is ir_version, field 1, a varint.
     if head[:1] != b"\x08":
-        raise ModelError("this is no ONNX file", source=source, remedy="give an ONNX file")
+        raise ModelError("not an ONNX file", source=source, remedy="give an ONNX file")
 
 
 def _check_graph(path: Path | bytes, source: str) -> None:
@@ -286,8 +286,8 @@ def _check_graph(path: Path | bytes, source: str) -> None:
 def _first_line(error: Exception) -> str:
     """Return a runtime's error message without source lines, at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines()]
-    told = [line for line in lines if line and not line.startswith("Exception from ")]
-    return (" ".join(told) or type(error).__name__)[:200].rstrip(".")
+    lines_kept = [line for line in lines if line and not line.startswith("Exception from ")]
+    return (" ".join(lines_kept) or type(error).__name__)[:200].rstrip(".")
 
 
 def _unreadable(source: str, runtime: str, error: Exception) -> ModelError:

@@ -50,7 +50,11 @@ class Client:
 
     def __init__(self, url: str, token: str = "", timeout_s: float = 60.0) -> None:
         if not url.startswith(("http://", "https://")):
-            raise ServiceError("is no address of a service", source=url, remedy="begin with http")
+            raise ServiceError(
+                "not an address of a service",
+                source=url,
+                remedy="give an address that begins with http",
+            )
         self._url, self._token, self._timeout_s = url.rstrip("/"), token, timeout_s
 
     def health(self) -> dict[str, Any]:

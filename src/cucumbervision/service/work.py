@@ -216,7 +216,7 @@ class Work:
         with path.open("rb") as head:
             kind = file_kind(head.read(HEAD_BYTES), shown)
         if kind not in PICTURES:
-            raise UploadError("is no picture", source=shown, remedy="send JPEG, PNG, TIFF or WebP")
+            raise UploadError("not a picture", source=shown, remedy="send JPEG, PNG, TIFF or WebP")
         if kind.value != ".webp":
             check_picture(path, kind, self.settings.limits.pixels, source=shown)
         try:

@@ -77,7 +77,7 @@ def test_back_leads_to_the_one_before_and_shipped_to_the_package(
     [
         ({"better": False, "why": "on drawn F1 falls"}, "is not better: on drawn F1 falls"),
         ({"old": "0" * 64}, "judged against another network"),
-        ({"new": "0" * 64}, "nobody has judged it"),
+        ({"new": "0" * 64}, "it was not compared"),
     ],
 )
 def test_what_is_not_known_to_be_better_is_refused_but_can_be_forced(
@@ -93,7 +93,7 @@ def test_what_is_not_known_to_be_better_is_refused_but_can_be_forced(
 
 def test_a_bare_file_must_be_a_network_and_forced(folder: Path, tmp_path: Path) -> None:
     path = Path(shutil.copyfile(DETECTOR, tmp_path / "mine.onnx"))
-    with pytest.raises(ModelError, match="nobody has judged it"):
+    with pytest.raises(ModelError, match="it was not compared"):
         use_network(path)
     assert use_network(path, anyway=True).task == "segment"
     (tmp_path / "text.onnx").write_text("no network")

@@ -256,7 +256,7 @@ def test_yolo_boxes_beyond_the_edge_are_cut_and_bad_lines_named(tmp_path: Path) 
         ("a.json", "{", "is no JSON"),
         ("a.json", "{}", "no annotations"),
         ("a.json", '[{"bbox": [0, 0, 1, 1]}]', "names no picture"),
-        ("a.csv", "1,2", "no known kind"),
+        ("a.csv", "1,2", "unknown kind"),
         ("a.txt", None, "no such file"),
         ("folder", None, "no such file"),
     ],

@@ -343,7 +343,8 @@ def _paths(
     # What the way from a point to each other point costs, and the last point before that one.
     from scipy.sparse import coo_array, csgraph
 
-    graph = coo_array((cost, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    ends = pairs.T.astype(np.int32)  # SciPy 1.13 takes no other indices
+    graph = coo_array((cost, (ends[0], ends[1])), shape=(count, count)).tocsr()
     found: Any = csgraph.dijkstra(graph, False, start, True)  # type: ignore[call-overload]
     return np.asarray(found[0]), np.asarray(found[1])
 

@@ -179,7 +179,7 @@ def test_an_upload_is_measured_and_what_is_no_capture_is_told(
 @pytest.mark.parametrize(
     ("page", "words", "name"),
     [
-        ("Row map", "One mark a fruit", "map"),
+        ("Row map", "One mark per fruit", "map"),
         ("Today", "Pick list", "today"),
         ("Forecast", "80 % intervals", "forecast"),
         ("Accuracy", "Measured by hand", "accuracy"),

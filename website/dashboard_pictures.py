@@ -26,7 +26,7 @@ FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-backgroun
 PAGES = {
     "today": ("", "Pick list"),
     "capture": ("capture", "Valid depth"),
-    "map": ("map", "One mark a fruit"),
+    "map": ("map", "One mark per fruit"),
     "results": ("results", "tick one to open it"),
 }
 

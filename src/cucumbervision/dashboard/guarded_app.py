@@ -12,9 +12,10 @@ from cucumbervision.dashboard.access import AccessGuard, Login
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.service.server import TOKEN_VARIABLE
 
+# Without `server.serve`, which decides on the login, nobody is admitted.
 _GUARD = Middleware(
     AccessGuard,
-    login=Login(os.environ[LOGIN_VARIABLE]),
+    login=Login(os.environ.get(LOGIN_VARIABLE, Login.TOKEN)),
     token=os.environ.get(TOKEN_VARIABLE, ""),
 )
 

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -15,21 +17,28 @@ from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance
 
+Seen = list[set[int]]
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[ProcessPoolExecutor]:
+    """A process of its own: the limit is the process's, and another test's threads may measure."""
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+        yield pool
+
 
 def blas_threads() -> set[int]:
     return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
 
 
-@pytest.fixture(autouse=True)
-def of_the_user() -> Iterator[None]:
-    """Three threads, whatever this machine and its environment say."""
+def with_three_threads(seen: Callable[[], Seen]) -> Seen:
+    """Return what a function saw where the user set three threads, and what is set after it."""
     with threadpool_limits(3, user_api="blas"):
-        yield
+        return [*seen(), blas_threads()]
 
 
-def test_a_fruit_is_measured_on_one_thread_and_the_users_setting_stands_after_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def while_a_fruit_is_measured() -> Seen:
     during = []
     run = methods._RUN[Method.M2]
 
@@ -37,28 +46,42 @@ def test_a_fruit_is_measured_on_one_thread_and_the_users_setting_stands_after_it
         during.append(blas_threads())
         return run(region)
 
-    monkeypatch.setitem(methods._RUN, Method.M2, observed)
     lens = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     depth = np.full((480, 640), 0.6, np.float32)
     capture = Capture(np.zeros((480, 640, 3), np.uint8), depth, lens, "a")
-    fruit = measure_fruit(capture, Instance(np.array([219.5, 229.5, 419.5, 249.5])))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(methods._RUN, Method.M2, observed)
+        fruit = measure_fruit(capture, Instance(np.array([219.5, 229.5, 419.5, 249.5])))
     assert fruit.length is not None
-    assert during == [{1}]
-    assert blas_threads() == {3}
+    return during
 
 
-def test_blocks_side_by_side_restore_what_was_set_before_the_first_of_them() -> None:
+def after_the_first_of_two_blocks() -> Seen:
     # As of two threads of a program, of which the first to begin is the first to end.
     first, second = OneThread(), OneThread()
     first.__enter__()
     second.__enter__()
     first.__exit__()
-    assert blas_threads() == {1}
+    between = blas_threads()
     second.__exit__()
-    assert blas_threads() == {3}
+    return [between]
 
 
-def test_an_error_inside_restores_it_too() -> None:
+def while_an_error_is_raised() -> Seen:
     with pytest.raises(np.linalg.LinAlgError), OneThread():
         np.linalg.inv(np.zeros((2, 2)))
-    assert blas_threads() == {3}
+    return []
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected"),
+    [
+        (while_a_fruit_is_measured, [{1}]),
+        (after_the_first_of_two_blocks, [{1}]),
+        (while_an_error_is_raised, []),
+    ],
+)
+def test_one_thread_inside_and_the_users_setting_after_it(
+    process: ProcessPoolExecutor, seen: Callable[[], Seen], expected: Seen
+) -> None:
+    assert process.submit(with_three_threads, seen).result(timeout=120) == [*expected, {3}]

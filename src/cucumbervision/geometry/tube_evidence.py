@@ -24,6 +24,7 @@ SHAPE = _BENDS + WIDTH_SEGMENTS + 3
 BODY = SHAPE + SLIPS  # unknowns of body and outline
 _TUKEY, _CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
 _TIP_COSINE, _TIP_RAYS, _LEAST_FORESHORTENED = 0.7, 2, 0.5
+_OVERHANG_ERRORS = 3.0  # less than this many standard errors beyond an end is taken for none
 _GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: warts, ribs
 _ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
 _MISFIT_SD = 5.0
@@ -265,14 +266,21 @@ def end_overhangs(shape: TubeShape, found: Gaps, rays: NDArray[np.float64]) -> t
     """Return how far the outline goes beyond a body's first and last end, metres.
 
     A pointed end is one that balls do not enter. At most the body's median radius, and 0 where
-    the outline does not go round the end. Parameters as those of `ends_seen`.
+    the outline does not go round the end or is not significantly beyond it. Parameters as those
+    of `ends_seen`.
     """
     most = median_of(shape.width_m)
-    first, last = (
-        float(np.clip(median_of(beyond), 0.0, most)) if len(beyond) > _TIP_RAYS else 0.0
-        for beyond in _beyond_ends(shape, found, rays)
-    )
+    first, last = (min(_overhang(beyond), most) for beyond in _beyond_ends(shape, found, rays))
     return first, last
+
+
+def _overhang(beyond_m: NDArray[np.float64]) -> float:
+    if len(beyond_m) <= _TIP_RAYS:
+        return 0.0
+    median = median_of(beyond_m)
+    scatter = 1.4826 * median_of(np.abs(beyond_m - median))
+    error = 1.2533 * scatter / np.sqrt(len(beyond_m))  # of a median of normal errors
+    return median if median > _OVERHANG_ERRORS * error else 0.0
 
 
 def _beyond_ends(

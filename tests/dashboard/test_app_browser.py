@@ -111,7 +111,7 @@ def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> Non
     table = page.get_by_test_id("stDataFrame").first
     table.scroll_into_view_if_needed()
     table.click(position={"x": 18, "y": 40 + 32})
-    page.get_by_role("button", name="Accept").wait_for()
+    page.get_by_role("button", name="Accept", exact=True).wait_for()
     picture = page.locator("svg.view")
     picture.wait_for()
     assert picture.locator("polygon").count() == 3  # its own, and those of the other two

@@ -12,6 +12,7 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
+from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, each_once, merge_instances
@@ -40,6 +41,9 @@ class Detectors:
         Gives the keypoints, and votes on the confidence (`with_pose_votes`).
     confidence : float
         Threshold for a fruit.
+    depth_votes : bool
+        Whether depth may raise or lower the confidence (`with_depth_votes`): it knows the shipped
+        detector's confidences and the sizes of cucumbers.
     """
 
     def __init__(
@@ -47,8 +51,11 @@ class Detectors:
         detector: YoloDetector,
         pose: YoloDetector | None = None,
         confidence: float = DEFAULT_CONFIDENCE,
+        *,
+        depth_votes: bool = False,
     ) -> None:
         self._detector, self._pose, self._confidence = detector, pose, confidence
+        self._depth_votes = depth_votes
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -61,7 +68,10 @@ class Detectors:
         return self._pose is not None or self._detector.task == "pose"
 
     def find(
-        self, color_rgb: NDArray[np.uint8], depth_m: NDArray[np.float32] | None = None
+        self,
+        color_rgb: NDArray[np.uint8],
+        depth_m: NDArray[np.float32] | None = None,
+        focal_px: float | None = None,
     ) -> tuple[Instance, ...]:
         """Find the fruit of one picture, without duplicates.
 
@@ -70,7 +80,9 @@ class Detectors:
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
         depth_m : ndarray of float32, shape (H, W), optional
-            Metres, aligned to colour: shows which fruit is in front.
+            Metres, aligned to colour: shows which fruit is in front, and votes.
+        focal_px : float, optional
+            The colour camera's focal length, pixels; without it depth has no vote.
 
         Returns
         -------
@@ -78,10 +90,18 @@ class Detectors:
             Best first, with the detector's masks and the pose network's keypoints.
         """
         detector, pose = self._detector, self._pose
-        found = detector.detect(color_rgb)
+        voting = depth_m if self._depth_votes and focal_px is not None else None
+        least = None if voting is None else min(CANDIDATE_CONFIDENCE, detector.confidence)
+        found = detector.detect(color_rgb, least)
         posed = pose.detect(color_rgb) if pose is not None and found else None
         return each_fruit_once(
-            found, posed, color_rgb, depth_m, confidence=self._confidence, looks=detector.looks
+            found,
+            posed,
+            color_rgb,
+            depth_m,
+            confidence=self._confidence,
+            looks=detector.looks,
+            focal_px=None if voting is None else focal_px,
         )
 
 
@@ -93,6 +113,7 @@ def each_fruit_once(
     *,
     confidence: float = DEFAULT_CONFIDENCE,
     looks: int = 1,
+    focal_px: float | None = None,
 ) -> tuple[Instance, ...]:
     """Merge a detector's and a pose network's detections of one picture.
 
@@ -111,13 +132,21 @@ def each_fruit_once(
         fruit.
     looks : int
         As for `with_pose_votes`.
+    focal_px : float, optional
+        The colour camera's focal length, pixels: where given, depth votes on each detection that
+        it shows, instead of the pose network.
 
     Returns
     -------
     tuple of Instance
         One instance per fruit, best first; masks do not overlap.
     """
-    voted = detected if posed is None else with_pose_votes(detected, posed, looks)
+    by_depth: Sequence[Instance | None] = [None] * len(detected)
+    if depth_m is not None and focal_px is not None:
+        by_depth = with_depth_votes(detected, depth_m, focal_px)
+    rest = [one for one, voted in zip(detected, by_depth, strict=True) if voted is None]
+    rest = rest if posed is None else list(with_pose_votes(rest, posed, looks))
+    voted = sorted([*filter(None, by_depth), *rest], key=lambda one: -one.confidence)
     sure = [one for one in voted if one.confidence > confidence]
     found = join_across(merge_instances(sure), color_rgb, depth_m)
     return apart(each_once(found, posed, confidence) if posed and found else found, depth_m)
@@ -391,7 +420,7 @@ class NetworkLoader:
             pose = self.yolo(own_pose.name, self._pose_confidence)
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
-        return Detectors(detector, pose, self._confidence)
+        return Detectors(detector, pose, self._confidence, depth_votes=file is None)
 
     def preload_segmenter(self, name: str | None = None) -> None:
         """Begin to load a segmenter in a thread; `segmenter` waits for it and raises its errors.

@@ -15,7 +15,7 @@ import numpy as np
 
 from cucumbervision.errors import ModelError
 from cucumbervision.geometry.threads import OneThread
-from cucumbervision.perception.boxes import box_iou
+from cucumbervision.perception.boxes import box_iou, share_inside
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import (
     box_of_mask,
@@ -50,6 +50,10 @@ _MIN_BOX_IOU = 0.5
 
 _MIN_AGREEMENT = 0.6
 """Least IoU of a mask with the detector's own, if there is one."""
+
+_MIN_INSIDE, _MIN_SPAN = 0.9, 0.8
+"""A smaller mask agrees, too, if this share of it lies in the detector's, and its box is at least
+this share as long: before leaves of its own colour the detector draws a fruit too wide."""
 
 _LEAST_PART = 0.1
 """Least share of the detector's mask for a part to be segmented separately."""
@@ -295,7 +299,10 @@ def _with_mask(
     best = int((sure + agreement).argmax())
     mask = mask_from_logits(logits[best], height, width)
     fault = _mask_fault(mask, box)
-    if not fault and agreement[best] < _MIN_AGREEMENT:
+    if fault == "mask-off-box" and own is not None and own.any():
+        in_box = share_inside(box_of_mask(mask)[None], box[None])[0] >= _MIN_INSIDE
+        fault = "" if in_box and _within(mask, own) else fault
+    if not fault and not _agrees(mask, own):
         fault = "mask-off-detector"
     if fault:
         return _without_mask(instance, fault)
@@ -351,7 +358,17 @@ def _apart(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 
 
 def _agrees(mask: NDArray[np.bool_], own: NDArray[np.bool_] | None) -> bool:
-    return own is None or not own.any() or mask_iou(own, mask) >= _MIN_AGREEMENT
+    if own is None or not own.any():
+        return True
+    return mask_iou(own, mask) >= _MIN_AGREEMENT or _within(mask, own)
+
+
+def _within(mask: NDArray[np.bool_], own: NDArray[np.bool_]) -> bool:
+    """Return whether a mask runs along all of the detector's, inside it."""
+    inside = np.count_nonzero(mask & own) >= _MIN_INSIDE * np.count_nonzero(mask)
+    box, wide = box_of_mask(mask), box_of_mask(own)
+    spans = [max(edges[2] - edges[0], edges[3] - edges[1]) for edges in (box, wide)]
+    return bool(inside and spans[0] >= _MIN_SPAN * spans[1])
 
 
 def _without_mask(instance: Instance, fault: str) -> Instance:

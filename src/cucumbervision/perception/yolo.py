@@ -401,6 +401,11 @@ class YoloDetector:
         return self._layout.task
 
     @property
+    def confidence(self) -> float:
+        """Threshold for a detection, 0 to 1."""
+        return self._confidence
+
+    @property
     def looks(self) -> int:
         """Number of input sizes."""
         return len(self._sizes_px)
@@ -416,13 +421,17 @@ class YoloDetector:
         return self._network.runtime
 
     @OneThread()
-    def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+    def detect(
+        self, color_rgb: NDArray[np.uint8], confidence: float | None = None
+    ) -> tuple[Instance, ...]:
         """Find fruit in one picture, at every input size.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
             The picture.
+        confidence : float, optional
+            Threshold, instead of the detector's own.
 
         Returns
         -------
@@ -436,10 +445,11 @@ class YoloDetector:
         ModelError
             If the network fails, or its output has no known layout.
         """
-        least = detector_floor(self._confidence, votes=len(self._sizes_px) > 1)
+        confidence = self._confidence if confidence is None else confidence
+        least = detector_floor(confidence, votes=len(self._sizes_px) > 1)
         every = [self._detect_at(color_rgb, size_px, least) for size_px in self._sizes_px]
         merged = merge_sizes(every)
-        found = tuple(one for one in merged if one.confidence > self._confidence)[: self._most]
+        found = tuple(one for one in merged if one.confidence > confidence)[: self._most]
         if not self._layout.by_place:
             return found
         if self.ends is None:

@@ -279,7 +279,8 @@ def _auto_finder(options: MeasureOptions, networks: _Staged) -> Find:
 
 def _network_finder(detectors: Detectors) -> Find:
     return lambda capture: Found(
-        detectors.find(capture.color, capture.depth_m), stages=(Stage.DETECTED,)
+        detectors.find(capture.color, capture.depth_m, capture.intrinsics.fx_px),
+        stages=(Stage.DETECTED,),
     )
 
 

@@ -331,3 +331,21 @@ def publish(
     from cucumbervision_lab.training import publish as publishing
 
     show(*publishing.publish(exported, name))
+
+
+@app.command("depth-vote", hidden=True)
+def depth_vote(
+    data: Annotated[Path, typer.Argument(help="A set of `synth` with depth.", metavar="SET")],
+    out: Annotated[Path, typer.Option("--out", help="JSON file to write.", metavar="FILE")],
+) -> None:
+    """Learn how much depth counts when a detection is judged (for maintainers)."""
+    from cucumbervision_lab.cli.screen import show, ticking
+    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.detection.learn_depth_vote import learn_depth_vote
+
+    with ticking("detecting", len(open_dataset(data).pictures)) as tick:
+        fit = learn_depth_vote(data, out, tick)
+    show(
+        f"{fit.fruit} fruit and {fit.others} other detections; log loss in scenes left out "
+        f"{fit.log_loss:.3f}, by the detector's confidence alone {fit.log_loss_without:.3f}"
+    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
+from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
@@ -111,7 +112,7 @@ def open_networks(
     ModelError
         If a file cannot be loaded.
     """
-    reported = min(detector_floor(confidence, votes=True), pose_floor(confidence))
+    reported = min(CANDIDATE_CONFIDENCE, pose_floor(confidence))
     loader = NetworkLoader(
         runtime=runtime,
         confidence=_FLOOR if ranked else reported,
@@ -129,6 +130,7 @@ def detect_picture(
     color: NDArray[np.uint8],
     networks: Networks,
     depth_m: NDArray[np.float32] | None = None,
+    focal_px: float | None = None,
 ) -> PictureResult:
     """Run the detectors on one picture.
 
@@ -142,6 +144,8 @@ def detect_picture(
         The networks.
     depth_m : ndarray of float32, shape (H, W), optional
         Tells how far away each detection is, and what lies in front of it.
+    focal_px : float, optional
+        With it, depth votes (`each_fruit_once`).
     """
     seconds: dict[str, float] = {}
 
@@ -161,6 +165,7 @@ def detect_picture(
         color,
         depth_m,
         looks=networks.segment.looks if networks.segment else 1,
+        focal_px=focal_px,
     )
     if networks.segmenter is not None and any(one.keypoints is not None for one in frame.true):
         kept = _placed(kept, networks.segmenter, color)
@@ -196,6 +201,7 @@ def shipped(
     depth_m: NDArray[np.float32] | None = None,
     *,
     looks: int = 1,
+    focal_px: float | None = None,
 ) -> tuple[Instance, ...]:
     """Return what a user gets of two networks' detections: each fruit once, with keypoints.
 
@@ -213,14 +219,26 @@ def shipped(
         Metres, aligned to colour.
     looks : int
         At how many sizes the detector has looked.
+    focal_px : float, optional
+        As for `each_fruit_once`.
     """
     if segmented is None or posed is None:
         found = posed if segmented is None else segmented
         return each_fruit_once(found or (), None, color_rgb, depth_m, confidence=confidence)
     least = detector_floor(confidence, votes=True)
+    if focal_px is not None:
+        least = min(least, CANDIDATE_CONFIDENCE)
     detected = [one for one in segmented if one.confidence > least]
     poses = [one for one in posed if one.confidence > pose_floor(confidence)]
-    return each_fruit_once(detected, poses, color_rgb, depth_m, confidence=confidence, looks=looks)
+    return each_fruit_once(
+        detected,
+        poses,
+        color_rgb,
+        depth_m,
+        confidence=confidence,
+        looks=looks,
+        focal_px=focal_px,
+    )
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

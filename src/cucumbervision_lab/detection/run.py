@@ -194,7 +194,9 @@ def evaluate_detection(
         color = read_color(held_out.data.path(picture))
         capture = capture_of(picture, held_out.data, color)
         depth_m = None if capture is None else capture.depth_m
-        result = detect_picture(frame_of(picture, held_out.data, depth_m), color, networks, depth_m)
+        focal_px = None if capture is None else capture.intrinsics.fx_px
+        frame = frame_of(picture, held_out.data, depth_m)
+        result = detect_picture(frame, color, networks, depth_m, focal_px)
         if picture.file in measured:
             masked, rows = _segment(result, color, networks, picture.source == DRAWN)
             overlaps += rows

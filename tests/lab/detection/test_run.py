@@ -374,7 +374,9 @@ class Replay:
     def __init__(self, *found: Instance) -> None:
         self._found = found
 
-    def detect(self, color_rgb: NDArray[np.uint8]) -> tuple[Instance, ...]:
+    def detect(
+        self, color_rgb: NDArray[np.uint8], confidence: float | None = None
+    ) -> tuple[Instance, ...]:
         return self._found
 
 
@@ -415,8 +417,9 @@ def test_what_is_judged_is_what_ships() -> None:
         capture = ref.load()
         color, (height, width) = capture.color, capture.color.shape[:2]
         frame = Frame(capture.name, capture.name, width, height)
-        found = ours.find(color, capture.depth_m)
-        kept = detect_picture(frame, color, judged, capture.depth_m).kept
+        focal_px = capture.intrinsics.fx_px
+        found = ours.find(color, capture.depth_m, focal_px)
+        kept = detect_picture(frame, color, judged, capture.depth_m, focal_px).kept
         assert len(found) > 0
         assert len(kept) == len(found)
         for one, other in zip(kept, found, strict=True):

@@ -1,7 +1,7 @@
 """Mutation score of geometry and measurement: how many small faults in the code the tests notice.
 
 pip install mutmut
-python benchmarks/mutation.py --mutants 300 --seed 1
+python scripts/mutation.py --mutants 300 --seed 1
 
 mutmut changes one operator, number or argument at a time and runs the tests that reach the changed
 function ([tool.mutmut] in pyproject.toml says which). All mutants of the two rooms would take

@@ -1,0 +1,166 @@
+"""Cucumbers on the plant before a real D435: which are found and measured, and what is false.
+
+    python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--sheet PNG]
+
+FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds every cucumber of
+which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
+counts as found where the box around the measured mask overlaps its own by half (IoU). The four
+captures called sample show one fruit, so their lengths also tell how well a length repeats.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.measurement.result import Flag
+from cucumbervision.perception.masks import box_of_mask
+from cucumbervision.pipeline.inputs import read_captures
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.overlay import draw_overlay
+from cucumbervision_lab.detection.outcomes import match_boxes
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.measurement.result import FruitMeasurement
+    from cucumbervision.pipeline.measurer import CaptureResult
+
+MARKED = Path(__file__).with_name("greenhouse_captures.json")
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One capture: its true fruit with what was found of each, and the false positives."""
+
+    name: str
+    trained: bool
+    fruit: list[tuple[dict[str, Any], FruitMeasurement | None]]
+    false: list[FruitMeasurement]
+
+    def hits(self, *, marked: bool) -> tuple[int, int]:
+        """Return how many fruit were found, and how many there are."""
+        wanted = [found for true, found in self.fruit if true["marked"] or not marked]
+        return sum(found is not None for found in wanted), len(wanted)
+
+
+def judge(result: CaptureResult, marks: dict[str, Any]) -> Judged:
+    """Compare what was found in a capture with what is marked in it."""
+    found = sorted(result.fruit, key=lambda fruit: -fruit.instance.confidence)
+    boxes = [
+        fruit.instance.box if fruit.mask is None else box_of_mask(fruit.mask) for fruit in found
+    ]
+    true = [one["box"] for one in marks["fruit"]]
+    matches = match_boxes(boxes, true, ignored=marks["ignored"])
+    hits = dict(matches.pairs)
+    pairs = [(one, found[hits[k]] if k in hits else None) for k, one in enumerate(marks["fruit"])]
+    return Judged(marks["name"], marks["trained"], pairs, [found[k] for k in matches.false])
+
+
+def length_text(fruit: FruitMeasurement | None) -> str:
+    """Return a fruit's confidence, length and flags."""
+    if fruit is None:
+        return "missed"
+    length = "no length" if fruit.length is None else f"{100 * fruit.length.value_m:.1f} cm"
+    return " ".join([f"{fruit.instance.confidence:.2f}: {length}", *fruit.flags])
+
+
+def fruit_table(judged: list[Judged]) -> Table:
+    """Return one line a fruit, and one a false positive."""
+    table = Table("capture", "trained on", "marked", "found", title="Every fruit")
+    for one in judged:
+        for true, found in one.fruit:
+            table.add_row(
+                one.name[:26],
+                "yes" if one.trained else "no",
+                "yes" if true["marked"] else "",
+                length_text(found),
+            )
+        for fruit in one.false:
+            table.add_row(one.name[:26], "", "", f"false positive {length_text(fruit)}")
+    return table
+
+
+def summary(judged: list[Judged]) -> list[str]:
+    """Return recall, precision, how often `end-hidden` is right, and how lengths repeat."""
+    lines = []
+    for name, chosen in (
+        ("all captures", judged),
+        ("captures never trained on", [one for one in judged if not one.trained]),
+    ):
+        marked, every = (
+            np.sum([one.hits(marked=only) for one in chosen], axis=0) for only in (True, False)
+        )
+        false = sum(len(one.false) for one in chosen)
+        lines.append(
+            f"{name}: marked fruit {marked[0]} of {marked[1]}, all fruit {every[0]} of "
+            f"{every[1]}, false positives {false}, precision {every[0] / (every[0] + false):.2f}"
+        )
+    ends = [
+        (Flag.END_HIDDEN in found.flags or Flag.CUT_BY_FRAME in found.flags) == true["end_hidden"]
+        for one in judged
+        for true, found in one.fruit
+        if found is not None and true["end_hidden"] is not None
+    ]
+    lines.append(f"a hidden end is flagged, a visible one is not: {sum(ends)} of {len(ends)}")
+    repeats = [
+        found.length.value_m
+        for one in judged
+        for true, found in one.fruit
+        if one.name.startswith("sample") and true["marked"] and found and found.length
+    ]
+    if len(repeats) > 1:
+        spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
+        lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")
+    return lines
+
+
+def draw_sheet(pictures: list[NDArray[np.uint8]], out: Path) -> None:
+    """Write all overlays on one sheet, three in a row."""
+    small = [cv2.resize(one, (640, 640 * one.shape[0] // one.shape[1])) for one in pictures]
+    small += [np.zeros_like(small[0])] * (-len(small) % 3)
+    rows = [np.hstack(small[k : k + 3]) for k in range(0, len(small), 3)]
+    cv2.imwrite(str(out), np.vstack(rows)[..., ::-1])
+
+
+def main() -> None:
+    """Measure, compare and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--confidence", type=float, help="as `measure --confidence`")
+    parser.add_argument("--sheet", type=Path, help="PNG of all overlays")
+    given = parser.parse_args()
+    options = MeasureOptions(instances="models")
+    if given.confidence is not None:
+        options = MeasureOptions(instances="models", confidence=given.confidence)
+    measurer = Measurer(options)
+    marks = {one["name"]: one for one in json.loads(MARKED.read_text())["captures"]}
+    reading = ReadOptions(intrinsics=given.folder / "intrinsics.json")
+    judged, pictures = [], []
+    for capture in read_captures([given.folder / "on_plant"], reading):
+        if isinstance(capture, Failure):
+            raise SystemExit(capture.message)
+        result = measurer.measure(capture)
+        judged.append(judge(result, marks[capture.name.removesuffix("_color")]))
+        if given.sheet is not None:
+            pictures.append(draw_overlay(result.capture, result.fruit))
+    console = Console(width=120, highlight=False)
+    console.print(fruit_table(judged))
+    for line in summary(judged):
+        console.print(line, soft_wrap=True)
+    if given.sheet is not None:
+        draw_sheet(pictures, given.sheet)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,239 @@
+"""Depth's vote on a detection: whether it has the size and the surface of a cucumber.
+
+On a plant the detector is right far more often than its low confidences say, and what is wrong
+there mostly has another size, or is a leaf. A logistic regression of the detector's confidence and
+of what depth shows inside and around the mask gives the probability of a cucumber.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from pydantic import TypeAdapter
+from scipy.special import expit, logit
+
+from cucumbervision.capture.files import read_json
+from cucumbervision.errors import ModelError, wrap_reader_errors
+from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.perception.masks import mask_window
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.perception.instances import Instance
+
+FEATURES = (
+    "constant",
+    "logit_confidence",
+    "wider",
+    "shorter",
+    "longer",
+    "far_share",
+    "relief",
+)
+"""What the regression weighs, in the order of its weights. Wider, shorter and longer are logarithms
+of how far a size lies outside the usual one. A fruit that a leaf hides may look narrow."""
+
+AGAINST = FEATURES[2:]
+"""Features that count against a cucumber: their weights are not positive."""
+
+CANDIDATE_CONFIDENCE = 0.02
+"""Least confidence of a detection that depth may lift over the threshold."""
+
+_SHIPPED = Path(__file__).with_name("depth_vote.json")
+_WIDEST_M, _SHORTEST_M, _LONGEST_M = 0.04, 0.10, 0.30  # usual sizes
+_FEWEST_READINGS, _FEWEST_SHARE = 30, 0.05
+_BODY_M = 0.06  # depth further than this from the median belongs to something else
+_SLICES = 12  # along the mask, so that a bent fruit is straight within each
+_CORE = 0.35  # of the half width: pixels that give a slice's depth
+_MOST_RELIEF = 2.0
+_EVEN_CONFIDENCE = DEFAULT_CONFIDENCE  # of what is as likely a cucumber as not
+
+
+@dataclass(frozen=True)
+class DepthShape:
+    """Size and surface of what a mask covers, by depth.
+
+    Parameters
+    ----------
+    width_m, length_m : float
+        Mean width and longest side of the mask at its median depth, metres.
+    far_share : float
+        Share of its readings more than 6 cm from the median.
+    relief : float
+        Standard deviation of depth about the middle line, in half widths; 2 where it is larger or
+        unknown.
+    """
+
+    width_m: float
+    length_m: float
+    far_share: float
+    relief: float
+
+    def features(self, confidence: float) -> NDArray[np.float64]:
+        """Return `FEATURES` of a detection with that confidence."""
+        width_m, length_m = max(self.width_m, 1e-3), max(self.length_m, 1e-3)
+        outside = (width_m / _WIDEST_M, _SHORTEST_M / length_m, length_m / _LONGEST_M)
+        sizes = np.log(np.maximum(outside, 1.0))
+        sure = logit(np.clip(confidence, 0.01, 0.99))
+        return np.array([1.0, sure, *sizes, self.far_share, self.relief])
+
+
+@dataclass(frozen=True)
+class DepthVote:
+    """A logistic regression of `FEATURES`.
+
+    Parameters
+    ----------
+    weights : tuple of float
+        One weight for each of `FEATURES`.
+    detections : int
+        How many detections it was learnt from.
+    """
+
+    weights: tuple[float, ...]
+    detections: int
+
+    def probability(self, confidence: float, shape: DepthShape) -> float:
+        """Return the probability that a detection is a cucumber, 0 to 1."""
+        return float(expit(shape.features(confidence) @ np.array(self.weights)))
+
+
+def depth_shape(
+    mask: NDArray[np.bool_], depth_m: NDArray[np.float32], focal_px: float
+) -> DepthShape | None:
+    """Compute the size and the surface of what a mask covers.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        A detection's mask.
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned; 0 where unknown.
+    focal_px : float
+        The colour camera's focal length, pixels.
+
+    Returns
+    -------
+    DepthShape or None
+        None with fewer than 30 readings, or readings for less than a twentieth of the mask.
+
+    Examples
+    --------
+    >>> mask, depth = np.zeros((200, 300), bool), np.full((200, 300), 0.5, np.float32)
+    >>> mask[90:110, 50:250] = True
+    >>> shape = depth_shape(mask, depth, focal_px=500.0)
+    >>> round(shape.width_m, 3), round(shape.length_m, 2), shape.relief
+    (0.02, 0.2, 0.0)
+    >>> depth_shape(mask, 0 * depth, focal_px=500.0) is None
+    True
+    """
+    window = mask_window(mask)
+    if window is None:
+        return None
+    rows, columns = np.nonzero(mask[window])
+    readings = depth_m[window][rows, columns]
+    known = readings > 0
+    if known.sum() < max(_FEWEST_READINGS, _FEWEST_SHARE * len(rows)):
+        return None
+    middle_m = float(np.median(readings[known]))
+    length_px = max(max(cv2.minAreaRect(np.column_stack([columns, rows]).astype(np.float32))[1]), 1)
+    width_px = len(rows) / length_px
+    body = known & (np.abs(readings - middle_m) < _BODY_M)
+    return DepthShape(
+        width_m=width_px * middle_m / focal_px,
+        length_m=length_px * middle_m / focal_px,
+        far_share=float(1 - body.sum() / known.sum()),
+        relief=_relief(
+            np.column_stack([columns, rows])[body],
+            readings[body],
+            width_px / 2 * middle_m / focal_px,
+        ),
+    )
+
+
+def _relief(pixels: NDArray[np.intp], depth_m: NDArray[np.float32], half_width_m: float) -> float:
+    """Return the deviation of depth from the middle line's, in half widths."""
+    offset = pixels - pixels.mean(0)
+    across, along = (np.linalg.eigh(offset.T @ offset)[1].T @ offset.T)[:2]
+    slices = ((along - along.min()) / (np.ptp(along) + 1e-9) * _SLICES).astype(int)
+    slices = np.minimum(slices, _SLICES - 1)
+    from_line = []
+    for k in range(_SLICES):
+        here = slices == k
+        if not here.any():
+            continue
+        side = np.abs(across[here] - np.median(across[here]))
+        core = depth_m[here][side <= _CORE * max(np.percentile(side, 95), 2.0)]
+        if core.size > 4:
+            from_line.append(depth_m[here] - np.median(core))
+    if not from_line:
+        return _MOST_RELIEF
+    return float(min(np.std(np.concatenate(from_line)) / half_width_m, _MOST_RELIEF))
+
+
+def with_depth_votes(
+    found: Sequence[Instance], depth_m: NDArray[np.float32], focal_px: float
+) -> tuple[Instance | None, ...]:
+    """Return detections with the confidence that depth gives them.
+
+    The probability p of a cucumber becomes a confidence on the detector's own scale, where the
+    default threshold stands for p = 0.5: logit(confidence) = logit(p) + logit(0.2).
+
+    Parameters
+    ----------
+    found : sequence of Instance
+        Of the shipped detector, with its confidence and masks.
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned; 0 where unknown.
+    focal_px : float
+        The colour camera's focal length, pixels.
+
+    Returns
+    -------
+    tuple of Instance or None
+        In the same order; None for those without a mask or with too little depth.
+    """
+    vote = _shipped_vote()
+    voted: list[Instance | None] = []
+    for one in found:
+        mask = one.detector_mask
+        shape = None if mask is None else depth_shape(mask, depth_m, focal_px)
+        if shape is None:
+            voted.append(None)
+            continue
+        likely = np.clip(vote.probability(one.confidence, shape), 1e-6, 1 - 1e-6)
+        confidence = expit(logit(likely) + logit(_EVEN_CONFIDENCE))
+        voted.append(replace(one, confidence=float(confidence)))
+    return tuple(voted)
+
+
+def read_depth_vote(file: Path) -> DepthVote:
+    """Read a vote that `cucumbervision train depth-vote` wrote.
+
+    Raises
+    ------
+    ModelError
+        If the file is damaged.
+    """
+    with wrap_reader_errors(file, ModelError):
+        vote = TypeAdapter(DepthVote).validate_python(read_json(file, ModelError))
+    if len(vote.weights) != len(FEATURES):
+        raise ModelError(
+            f"it has {len(vote.weights)} weights, not {len(FEATURES)}",
+            source=file,
+            remedy="install the package again",
+        )
+    return vote
+
+
+@lru_cache
+def _shipped_vote() -> DepthVote:
+    return read_depth_vote(_SHIPPED)

@@ -54,7 +54,7 @@ _BODY_M = 0.06  # depth further than this from the median belongs to something e
 _SLICES = 12  # along the mask, so that a bent fruit is straight within each
 _CORE = 0.35  # of the half width: pixels that give a slice's depth
 _MOST_RELIEF = 2.0
-_EVEN_CONFIDENCE = DEFAULT_CONFIDENCE  # of what is as likely a cucumber as not
+_REPORTED_PROBABILITY = 0.6  # from which a detection is reported by default
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def with_depth_votes(
     """Return detections with the confidence that depth gives them.
 
     The probability p of a cucumber becomes a confidence on the detector's own scale, where the
-    default threshold stands for p = 0.5: logit(confidence) = logit(p) + logit(0.2).
+    default threshold stands for p = 0.6: logit(confidence) = logit(p) - logit(0.6) + logit(0.2).
 
     Parameters
     ----------
@@ -202,6 +202,7 @@ def with_depth_votes(
         In the same order; None for those without a mask or with too little depth.
     """
     vote = _shipped_vote()
+    shift = logit(DEFAULT_CONFIDENCE) - logit(_REPORTED_PROBABILITY)
     voted: list[Instance | None] = []
     for one in found:
         mask = one.detector_mask
@@ -210,7 +211,7 @@ def with_depth_votes(
             voted.append(None)
             continue
         likely = np.clip(vote.probability(one.confidence, shape), 1e-6, 1 - 1e-6)
-        confidence = expit(logit(likely) + logit(_EVEN_CONFIDENCE))
+        confidence = expit(logit(likely) + shift)
         voted.append(replace(one, confidence=float(confidence)))
     return tuple(voted)
 

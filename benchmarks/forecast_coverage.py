@@ -1,6 +1,6 @@
 """Whether the forecast's intervals cover, and whether it beats "today + 3 cm", on simulated houses.
 
-    python benchmarks/forecast_coverage.py --houses 200
+    python -m benchmarks.forecast_coverage --houses 200
 
 Growth differs by house, row, fruit and day; lengths are measured with errors; fruit are missed and
 invented. Only cells that the forecast calls complete are counted. Coverage of one cell is a
@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.simulated_houses import HouseSettings, SimulatedHouse, simulate_house
 
 from cucumbervision.agronomy.forecast import Counts, DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import SPREAD_LOG_SD, GrowthPrior, fit_growth
 from cucumbervision.agronomy.kalman import Spreads
 from cucumbervision.agronomy.profiles import CropProfile, load_profile
-from cucumbervision_lab.simulation import HouseSettings, SimulatedHouse, simulate_house
 
 NAIVE_M_PER_DAY = 0.03
 CLIP = 0.01  # the least probability that the log score counts for either

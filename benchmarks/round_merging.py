@@ -1,8 +1,8 @@
 """How well views are merged into fruit, fruit counted, and fruit linked between days.
 
-    OMP_NUM_THREADS=1 python benchmarks/round_merging.py --rows 20
+    OMP_NUM_THREADS=1 python -m benchmarks.round_merging --rows 20
 
-Rows are simulated (`cucumbervision_lab.simulation`). Precision and recall are of pairs of
+Rows are simulated (`tests/simulated_rows.py`). Precision and recall are of pairs of
 views: of the pairs that were merged, how many are one fruit, and the reverse. Beside it stands what
 position alone does: views of neighbouring stops nearer to each other than three standard
 deviations, one to one. Intervals are 95 %, from resampling rows.
@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 from cucumbervision.rounds.day_linking import DayLinks, link_days
 from cucumbervision.rounds.merge import Merged, cluster_pairs, merge_row
 from cucumbervision.rounds.row_fruit import count_fruit, row_fruit
-from cucumbervision_lab.simulation import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}
 CASES = {

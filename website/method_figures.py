@@ -32,7 +32,7 @@ from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.report.plots import STYLES
+from cucumbervision_lab.benchmark.plots import STYLES
 from cucumbervision_lab.synthesis.bodies import Tube
 from cucumbervision_lab.synthesis.demo import CAMERA, SCENES, build_scene
 from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of

@@ -7,31 +7,12 @@ import pytest
 
 from cucumbervision.accuracy.statistics import (
     binomial_interval,
-    compare,
     estimate,
     percent_errors,
     resample_weights,
     score,
     share,
 )
-
-
-def test_wilcoxon_by_hand() -> None:
-    # Ten pairs, the first always larger: of 2^10 sign patterns two are as extreme.
-    first = np.arange(1.0, 11.0)
-    result = compare(first, first - np.linspace(0.1, 0.9, 10), comparisons=4)
-    assert result.p_value == pytest.approx(2 / 2**10)
-    assert result.alpha == 0.0125
-    assert result.significant
-    assert result.median_difference == pytest.approx(0.5)
-
-
-def test_equal_errors_do_not_differ() -> None:
-    assert compare([1.0, 2.0], [1.0, 2.0]).p_value == 1.0
-
-
-def test_few_pairs_cannot_be_significant() -> None:
-    assert not compare([1.0, 2, 3], [9.0, 9, 9]).significant
 
 
 def test_bootstrap_by_fruit_is_wider_than_by_capture() -> None:

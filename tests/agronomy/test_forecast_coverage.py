@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.simulated_houses import HouseSettings, SimulatedHouse, simulate_house
 
 from cucumbervision.agronomy.forecast import DetectionRates, Forecast, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision_lab.simulation import HouseSettings, SimulatedHouse, simulate_house
 
 LONG = load_profile("long-cucumber")
 PRIOR = GrowthPrior.of(LONG)

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.simulated_houses import HouseSettings, simulate_house
 
 from cucumbervision.agronomy.growth import LINEAR, Curve, Growth, GrowthPrior, Link, fit_growth
 from cucumbervision.agronomy.kalman import Basis, Spreads, kalman_filter, measured_histories
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import ForecastError
-from cucumbervision_lab.simulation import HouseSettings, simulate_house
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior.of(load_profile("long-cucumber"))

@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "rounds.md"
 
 def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:
     result = run_page(PAGE)
-    assert result.attempted > 8
+    assert result.attempted > 3
     assert result.failed == 0
 
 

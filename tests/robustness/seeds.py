@@ -448,7 +448,7 @@ def yolo_set(folder: Path) -> None:
 
 def records(folder: Path) -> None:
     """Write a benchmark's records."""
-    from cucumbervision_lab.report.records import LengthRecord, Masks, append_record
+    from cucumbervision_lab.benchmark.records import LengthRecord, Masks, append_record
 
     for k in range(3):
         known = (0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0)

@@ -246,7 +246,7 @@ def _data_set(folder: Path, _name: str) -> None:
 
 
 def _records(folder: Path, _name: str) -> None:
-    from cucumbervision_lab.report.records import read_records, readings_frame
+    from cucumbervision_lab.benchmark.records import read_records, readings_frame
 
     if found := read_records([folder / "records.jsonl"]):
         readings_frame(found)

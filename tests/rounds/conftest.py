@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 import pytest
+from tests.simulated_rows import Walk
 
 from cucumbervision.store.records import (
     CaptureRecord,
@@ -15,7 +16,6 @@ from cucumbervision.store.records import (
     key_of,
 )
 from cucumbervision.store.repository import Store, open_store
-from cucumbervision_lab.simulation import Walk
 
 MORNING = RoundRecord(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
 

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.simulated_rows import SimulatedRow, grow_plants, simulate_row, walk
 
 from cucumbervision.rounds.day_linking import DayLinks, link_days
 from cucumbervision.rounds.merge import merge_row
 from cucumbervision.rounds.row_fruit import RowFruit, row_fruit
-from cucumbervision_lab.simulation import SimulatedRow, grow_plants, simulate_row, walk
 
 ROW = SimulatedRow(per_m=10)
 

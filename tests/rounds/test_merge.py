@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.simulated_rows import SimulatedRow, Walk, simulate_row
 
 from cucumbervision.rounds.merge import ByHand, cluster_pairs, join_clusters, merge_row, sweep
 from cucumbervision.rounds.row_fruit import best_views, count_fruit, row_fruit
 from cucumbervision.rounds.row_views import RowStops, RowViews
-from cucumbervision_lab.simulation import SimulatedRow, Walk, simulate_row
 
 GIVEN = SimulatedRow(per_m=10)
 HARDER = SimulatedRow(per_m=14, operator_sd_m=0.06, missed=0.10)

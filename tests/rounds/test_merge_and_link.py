@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 from cucumbervision.agronomy.forecast import DetectionRates, forecast
 from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
@@ -30,7 +31,6 @@ from cucumbervision.store.records import (
     key_of,
 )
 from cucumbervision.store.repository import Store
-from cucumbervision_lab.simulation import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
 Save = Callable[..., None]
 LONG = load_profile("long-cucumber")

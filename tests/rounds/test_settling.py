@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.simulated_rows import SimulatedRow, simulate_row
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
@@ -14,7 +15,6 @@ from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import CaptureRecord, StopRecord, key_of
 from cucumbervision.store.waiting import WaitingCaptures
-from cucumbervision_lab.simulation import SimulatedRow, simulate_row
 
 if TYPE_CHECKING:
     from tests.rounds.conftest import SaveWalk

@@ -111,57 +111,6 @@ def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A paired comparison of two methods' absolute errors.
-
-    Parameters
-    ----------
-    p_value : float
-        Two-sided Wilcoxon signed-rank test.
-    alpha : float
-        The level after Bonferroni's correction.
-    median_difference : float
-        Median of the first's error less the second's, in the errors' unit.
-    """
-
-    p_value: float
-    alpha: float
-    median_difference: float
-
-    @property
-    def significant(self) -> bool:
-        """Whether the errors differ at the corrected level."""
-        return self.p_value < self.alpha
-
-
-def compare(first: ArrayLike, second: ArrayLike, comparisons: int = 1) -> Comparison:
-    """Compare two methods on the same captures, at a level of 5 % for the whole family.
-
-    Parameters
-    ----------
-    first, second : array_like of float, shape (N,)
-        Absolute errors, paired.
-    comparisons : int
-        How many comparisons are made in all, for Bonferroni's correction.
-
-    Examples
-    --------
-    >>> result = compare([1.0, 2, 3, 4, 5, 6], [2.0, 3, 4, 5, 6, 7.5], comparisons=4)
-    >>> round(result.p_value, 4), result.alpha, result.significant
-    (0.0312, 0.0125, False)
-    """
-    from scipy.stats import wilcoxon
-
-    alpha = 0.05 / comparisons
-    a, b = np.asarray(first, float), np.asarray(second, float)
-    difference = a - b
-    if not difference.any():
-        return Comparison(1.0, alpha, 0.0)
-    p_value = float(wilcoxon(a, b).pvalue)
-    return Comparison(p_value, alpha, float(np.median(difference)))
-
-
-@dataclass(frozen=True)
 class Estimate:
     """A figure, its interval, and what it rests on.
 

@@ -260,11 +260,14 @@ def merge_row(
 
     Examples
     --------
-    >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
-    >>> row = simulate_row(SimulatedRow(fruit=40), seed=1)
-    >>> merged = merge_row(row.stops, row.views)
-    >>> int(merged.cluster.max()) + 1 >= 40  # every fruit, and the false positives
-    True
+    >>> at_m = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
+    >>> stops = RowStops(at_m, np.full((2, 3), 0.03), np.zeros(2, int), np.full((2, 2), 0.6))
+    >>> two, one = np.arange(2), np.ones(2)
+    >>> offset_m = np.array([[0.2, 0.1, 0.7], [-0.2, 0.1, 0.7]])  # one fruit, seen from both
+    >>> views = RowViews(two, two, offset_m, np.full((2, 3), 0.006), 0.2 * one, 0.015 * one,
+    ...     0.04 * one, 0.03 * one, one < 0, 0.9 * one, 0.9 * one)
+    >>> merge_row(stops, views).cluster.tolist()
+    [0, 0]
     """
     settings, by_hand = settings or MergeSettings(), by_hand or ByHand()
     crowd = Crowd.of(views, _views_per_m(stops, views))
@@ -305,15 +308,7 @@ def merge_row(
 
 
 def _views_per_m(stops: RowStops, views: RowViews) -> float:
-    """Return how many views a capture has per metre of row that it shows.
-
-    Examples
-    --------
-    >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
-    >>> row = simulate_row(SimulatedRow(per_m=10, fruit=200), seed=1)
-    >>> 8 < _views_per_m(row.stops, row.views) < 12
-    True
-    """
+    """Return how many views a capture has per metre of row that it shows."""
     if not len(views):
         return 0.0
     captures, at = np.unique(views.capture, return_index=True)

@@ -311,15 +311,6 @@ def count_fruit(
         Views that a person said to show a fruit.
     false : FalseShare
         Prior of the share of false positives.
-
-    Examples
-    --------
-    >>> from cucumbervision.rounds.merge import merge_row
-    >>> from cucumbervision_lab.simulation import SimulatedRow, simulate_row
-    >>> row = simulate_row(SimulatedRow(fruit=100), seed=2)
-    >>> merged = merge_row(row.stops, row.views)
-    >>> abs(count_fruit(merged, row.stops, row.views).expected - row.in_view) < 4
-    True
     """
     seen = np.bincount(merged.cluster)
     shown = np.maximum(times_shown(merged, stops, views), seen)

@@ -18,7 +18,7 @@ from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask, distances_inside, mask_iou
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
-from cucumbervision_lab.report.records import LengthRecord, Masks
+from cucumbervision_lab.benchmark.records import LengthRecord, Masks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.measurement.result import FruitMeasurement
     from cucumbervision_lab.benchmark.cases import Case
-    from cucumbervision_lab.synthesis.scene import FruitTruth
 
     Find = Callable[[Capture], Sequence[Instance]]
 
@@ -79,101 +77,11 @@ def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDAr
     return np.asarray(signed > -shift_px)
 
 
-_BACK_SHARE = 0.12  # of the axis: where the walk to the end begins
-
-_STEP_PX, _BEYOND_PX = 0.25, 25.0
-
-_SHORTEST_COS = 0.3  # an end that points along the view tells nothing of its own length
-
-
-def oracle_length_m(
-    truth: FruitTruth, mask: NDArray[np.bool_], camera: Intrinsics, rng: np.random.Generator
-) -> float:
-    """Compute the true centreline, wrong only by the mask's outline at both ends.
-
-    Each end is wrong by as many pixels as the mask's outline lies beyond (or short of) the exact
-    one along the axis, plus the pixel grid's own rounding, drawn evenly from half a pixel either
-    way; pixels become metres at the end's depth and slant. A hidden end is known.
-
-    Parameters
-    ----------
-    truth : FruitTruth
-        The fruit.
-    mask : ndarray of bool, shape (H, W)
-        The mask that the methods were given.
-    camera : Intrinsics
-        The camera.
-    rng : numpy.random.Generator
-        For the grid's rounding.
-    """
-    length = truth.centreline_m
-    for axis in (truth.axis_m, truth.axis_m[::-1]):
-        back = axis[max(1, round(_BACK_SHARE * len(axis)))]
-        tip = axis[0]
-        run = tip - back
-        cosine = max(float(np.hypot(run[0], run[1]) / np.linalg.norm(run)), _SHORTEST_COS)
-        back_px, tip_px = camera.project([back, tip])
-        shift = end_shift_px(truth.visible, mask, back_px, tip_px)
-        if shift is None:
-            continue
-        pixels = shift + float(rng.uniform(-0.5, 0.5))
-        length += pixels * float(tip[2]) / camera.fx_px / cosine
-    return length
-
-
-def end_shift_px(
-    exact: NDArray[np.bool_],
-    mask: NDArray[np.bool_],
-    back_px: NDArray[np.float64],
-    tip_px: NDArray[np.float64],
-) -> float | None:
-    """Compute how far a mask reaches beyond the exact one, walking from inside over the tip.
-
-    Parameters
-    ----------
-    exact, mask : ndarray of bool, shape (H, W)
-        The visible fruit, and its mask.
-    back_px, tip_px : ndarray of float, shape (2,)
-        A point of the axis inside, and the end; u, v.
-
-    Returns
-    -------
-    float or None
-        Pixels; None where either does not show the end.
-
-    Examples
-    --------
-    >>> exact = np.zeros((20, 60), bool)
-    >>> exact[8:13, 10:40] = True
-    >>> mask = exact.copy()
-    >>> mask[8:13, 40:43] = True
-    >>> end_shift_px(exact, mask, np.array([30.0, 10.0]), np.array([39.5, 10.0]))
-    3.0
-    """
-    way = tip_px - back_px
-    reach = float(np.linalg.norm(way))
-    if reach < 1:
-        return None
-    steps = np.arange(0, reach + _BEYOND_PX, _STEP_PX)
-    line = back_px + steps[:, None] * way / reach
-    u, v = np.floor(line + 0.5).astype(int).T
-    inside = (u >= 0) & (u < exact.shape[1]) & (v >= 0) & (v < exact.shape[0])
-    u, v = u[inside], v[inside]
-    ends = []
-    for picture in (exact, mask):
-        seen = np.flatnonzero(picture[v, u])
-        # The end shows if the outline crosses the line near the tip, not far short of it.
-        if not len(seen) or steps[seen[-1]] < 0.5 * reach:
-            return None
-        ends.append(float(steps[seen[-1]]))
-    return ends[1] - ends[0]
-
-
 OUTLINE_RMS_PX = 1.5
 
 _FOUND_IOU = 0.5  # of boxes: what overlaps the case's fruit by less is another one
 
-_READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper", "oracle")
+_READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selector paper")
 
 NO_RECORD_BELOW_PX = 30  # a fruit of which fewer pixels show is no capture of a fruit
 
@@ -190,14 +98,11 @@ class CaseOptions:
         Whether other people's tools run too.
     frames : int
         Size of the burst.
-    prompt : str
-        SAM's prompt, for perceived masks.
     """
 
     masks: tuple[Masks, ...] = (Masks.EXACT, Masks.DISTURBED)
     baselines: bool = False
     frames: int = 5
-    prompt: str = "box+point"
 
 
 def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[LengthRecord]:
@@ -274,8 +179,6 @@ def _record(
         details |= noted(measured)
         details["mask_iou"] = round(mask_iou(instance.mask, truth.visible), 4)
     if instance is not None and instance.mask is not None:
-        rng = np.random.default_rng(case.capture_seed + 5)
-        lengths["oracle"] = oracle_length_m(truth, instance.mask, capture.intrinsics, rng)
         for name, measure in tools.items():
             lengths[name] = measure(capture.depth_m, instance.mask, capture.intrinsics)
     return LengthRecord(

@@ -20,14 +20,12 @@ from cucumbervision.accuracy.statistics import estimate, score
 from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import Suite
-from cucumbervision_lab.report.length_tables import (
+from cucumbervision_lab.benchmark.length_tables import (
     PAPER_METHODS,
     against,
-    length_and_error,
     span_text,
 )
-from cucumbervision_lab.report.page import Section
-from cucumbervision_lab.report.records import Masks
+from cucumbervision_lab.benchmark.records import Masks
 
 _PUBLISHED: dict[str, tuple[Cell, ...]] = {
     "M1": (1.63, 2.26, 9.68, None, 1.31, 0.89),
@@ -40,31 +38,18 @@ _PUBLISHED: dict[str, tuple[Cell, ...]] = {
 in cm, MAPE and its bootstrap 95 % interval by capture, median absolute error in cm (from the
 caption of its plot of errors), R². No interval where what is printed contradicts itself."""
 
-_VALIDATION_CM = pd.DataFrame(
-    [
-        ("Cu-1 large", 25.70, 23.59, 25.91, 24.20, 24.34),
-        ("Cu-2 medium", 14.72, 13.86, 13.70, 13.59, 12.59),
-        ("Cu-3 medium", 15.52, 14.39, 14.52, 13.34, 13.53),
-        ("Cu-4 large", 23.92, 21.71, 25.27, 23.24, 23.51),
-        ("Cu-5 extra-large", 38.00, 31.73, 39.17, 37.30, 37.33),
-    ],
-    columns=["fruit", "thread", "M1", "M2", "M3", "M4"],
-)
-"""The paper's validation table: each fruit's length by thread, and what M1 to M4 read."""
 
 NOTES = {
     "summary": (
         "Every capture is simulated: bodies whose lengths are known exactly, seen by a model of a "
         "D435 whose noise, holes and edges were matched to real frames. Real fruit have ridges, "
         "stalks and withered blossoms that these lack. A fruit that a method does not measure "
-        "counts as 100 % error, so a method gains nothing by wrap_reader_errors.\n\n"
+        "counts as 100 % error, so a method gains nothing by refusing.\n\n"
         "'Exact' masks are the fruit's own pixels; 'disturbed' ones have their outline moved by a "
         "smooth field of 1.5 px RMS. For 'perceived' ones nothing is given: the detector finds the "
         "fruit, the pose network places its keypoints and MobileSAM draws it; a fruit that is not "
         "found counts as not measured. The depth scale is exact in all tables, as after `calibrate "
-        "--grid`; a camera that nobody calibrated adds its own.\n\n"
-        "The oracle knows the tube and errs only by where the mask ends it: no method can be "
-        "expected to do better."
+        "--grid`; a camera that nobody calibrated adds its own."
     ),
     "paper": (
         "The paper's figures were read on its own captures of seven real cucumbers against the "
@@ -83,36 +68,6 @@ NOTES = {
 """Notes on what the benchmark's numbers mean; the numbers themselves stand in its tables."""
 
 
-def paper_section(readings: pd.DataFrame) -> Section | None:
-    """Return the section that puts the paper's figures beside these; None without its protocol."""
-    beside = paper_table(readings)
-    if beside is None:
-        return None
-    entries = [beside]
-    if (readings["suite"] == Suite.VALIDATION).any():
-        entries.append(paper_validation_table())
-    return Section("Beside the paper", tuple(NOTES["paper"].split("\n\n")), tuple(entries))
-
-
-def paper_validation_table() -> Table:
-    """Return the paper's own validation table, less M5's column."""
-    methods = PAPER_METHODS[:4]
-    heads = ["fruit", "true thread (cm)", *(f"{method} (cm)" for method in methods)]
-    rows: list[tuple[Cell, ...]] = []
-    for name, thread_cm, *read_cm in _VALIDATION_CM.itertuples(index=False):
-        cells = [length_and_error(one / 100, thread_cm / 100) for one in read_cm]
-        rows.append((name, thread_cm, *cells))
-    lengths_m = _VALIDATION_CM.set_index("fruit") / 100
-    scores = [score(lengths_m[method], lengths_m["thread"]) for method in methods]
-    rows.append(("MAE (cm)", None, *[m.mae_cm for m in scores]))
-    rows.append(("MAPE (%)", None, *[m.mape_percent for m in scores]))
-    comment = (
-        "The paper's readings of its own five fruit. Its column for M5 is left out: it prints an "
-        "error of exactly 0.00 for all five, which no measurement gives."
-    )
-    return Table.of("The paper's validation fruit, on its own captures", heads, rows, comment)
-
-
 def paper_table(readings: pd.DataFrame) -> Table | None:
     """Return the paper's figures beside those of the same protocol here, against the thread.
 
@@ -126,7 +81,7 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
         return None
     scored = against(protocol, LengthDefinition.THREAD)
     heads = ["method", "whose", "MAE (cm)", "RMSE (cm)", "MAPE (%)", "95 % by capture (%)"]
-    heads += ["median error (cm)", "R²", "measured (%)", "MAPE of these (%)"]
+    heads += ["median error (cm)", "R²", "measured (%)", "median error (%)"]
     rows: list[tuple[Cell, ...]] = []
     for method in (*PAPER_METHODS, "M6 thread"):
         if method in _PUBLISHED:
@@ -156,6 +111,6 @@ def _here(read: pd.DataFrame, masks: Masks) -> list[tuple[Cell, ...]]:
         float(read["error_cm"].median()),
         found.r2,
         100 * found.measured,
-        float(read.loc[read["length_m"].notna(), "error_percent"].mean()),
+        found.median_percent,
     )
     return [(str(read["method"].iloc[0]), f"here, {masks} outlines", *errors)]

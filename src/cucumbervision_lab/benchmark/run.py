@@ -1,4 +1,4 @@
-"""The whole benchmark: cases measured on all cores, resumable; intervals learnt; experiments."""
+"""The whole benchmark: cases measured on all cores, resumable, and intervals learnt."""
 
 from __future__ import annotations
 
@@ -17,11 +17,9 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.intervals import (
     IntervalModels,
     raw_features,
-    shipped_interval_models,
 )
 from cucumbervision.pipeline.finders import Finder, make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_lab.benchmark import experiments
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.benchmark.interval_fit import (
     RAW_EDGES,
@@ -31,17 +29,16 @@ from cucumbervision_lab.benchmark.interval_fit import (
     fit_interval_model,
 )
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
+from cucumbervision_lab.benchmark.records import Masks, append_record, read_records, readings_frame
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.processes import each_done
-from cucumbervision_lab.report.records import Masks, append_record, read_records, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy.table import Table
     from cucumbervision_lab.benchmark.cases import Case
-    from cucumbervision_lab.report.records import LengthRecord
+    from cucumbervision_lab.benchmark.records import LengthRecord
 
 TRUTH_OF = {
     **dict.fromkeys(("M1", "M2", "M3", "M4", "M5", "M6"), "centreline_m"),
@@ -176,13 +173,13 @@ def run_cases(
 
 
 def _measure(options: CaseOptions, case: Case) -> list[LengthRecord]:
-    find = _finder(options.prompt).find if Masks.PERCEIVED in options.masks else None
+    find = _finder().find if Masks.PERCEIVED in options.masks else None
     return measure_case(case, options, None if find is None else lambda c: find(c).instances)
 
 
 @lru_cache
-def _finder(prompt: str) -> Finder:
-    return make_finder(MeasureOptions(instances="models", prompt=prompt))
+def _finder() -> Finder:
+    return make_finder(MeasureOptions(instances="models"))
 
 
 def _measured(case: Case, options: CaseOptions, done: set[tuple[str, str, str]]) -> bool:
@@ -207,9 +204,6 @@ def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
     return {(r.suite, r.case, r.masks) for r in read_records([records])}
 
 
-_CARROT = "rgbd/carrot_realsense_1280"
-
-
 @dataclass(frozen=True)
 class BenchmarkPlan:
     """Options of a benchmark run.
@@ -217,25 +211,16 @@ class BenchmarkPlan:
     Parameters
     ----------
     quick : bool
-        A few captures, no networks, no experiments: for regression guards.
+        A few captures, no networks, no other people's tools: for regression guards.
     stress : int
         Independent fruit of the stress set.
     workers : int
         Processes.
-    baselines : bool
-        Whether other people's tools run where they are installed.
-    data : Path, optional
-        The folder of real captures, for the experiment on the carrot frames.
-    experiments : bool
-        Whether the side questions are answered too.
     """
 
     quick: bool = False
     stress: int = 2000
     workers: int = 2
-    baselines: bool = True
-    data: Path | None = None
-    experiments: bool = True
 
 
 def plan_cases(plan: BenchmarkPlan) -> tuple[list[Case], list[Case]]:
@@ -247,24 +232,23 @@ def plan_cases(plan: BenchmarkPlan) -> tuple[list[Case], list[Case]]:
 
 def run_benchmark(
     plan: BenchmarkPlan, out: Path, report: Callable[[str, int, int], None] | None = None
-) -> tuple[pd.DataFrame, dict[str, Table]]:
+) -> pd.DataFrame:
     """Measure everything that the plan asks; what is already in `out` is not measured again.
 
     Parameters
     ----------
     plan : BenchmarkPlan
-        What to do.
+        What to run.
     out : Path
-        Gets a file of records for each part.
+        Folder for the records.
     report : callable, optional
-        Called with a part's name, how many of its cases were just finished and how many it has.
+        Called with a part's name, the number of cases just done (1, or all that were there
+        already) and the number that it has.
 
     Returns
     -------
-    readings : DataFrame
-        As `readings_frame` gives them, with `low_m` and `high_m` of their intervals.
-    tables : dict of str to Table
-        The experiments, by name.
+    DataFrame
+        Of all readings, as `readings_frame` gives them.
     """
     protocol, stress = plan_cases(plan)
     both = (Masks.EXACT, Masks.DISTURBED)
@@ -275,33 +259,10 @@ def run_benchmark(
         tell = None if report is None else (lambda count: report(name, count, total))
         return readings_frame(run_cases(cases, options, out / f"{name}.jsonl", plan.workers, tell))
 
-    baselines = plan.baselines and not plan.quick
-    parts = [run("protocol", protocol, CaseOptions(kinds, baselines))]
+    parts = [run("protocol", protocol, CaseOptions(kinds, baselines=not plan.quick))]
     if stress:
         parts.append(run("stress", stress, CaseOptions(both)))
-    readings = with_intervals(pd.concat(parts, ignore_index=True), shipped_interval_models())
-    if plan.quick or not plan.experiments:
-        return readings, {}
-    tables = {
-        "wrong intrinsics": experiments.wrong_intrinsics(),
-        "burst": experiments.burst_sizes(
-            lambda size: run(
-                f"burst-{size}", paper_cases(), CaseOptions((Masks.EXACT,), frames=size)
-            )
-        ),
-        "prompts": experiments.sam_prompts(
-            lambda prompt: run(
-                f"prompt-{prompt.replace('+', '-')}",
-                protocol,
-                CaseOptions((Masks.PERCEIVED,), prompt=prompt),
-            )
-        ),
-        "selectors": experiments.selectors(readings),
-        "conventions": experiments.length_conventions(readings),
-    }
-    if plan.data is not None:
-        tables["carrot intrinsics"] = experiments.carrot_intrinsics(plan.data / _CARROT)
-    return readings, tables
+    return pd.concat(parts, ignore_index=True)
 
 
 def provenance(plan: BenchmarkPlan) -> dict[str, Any]:

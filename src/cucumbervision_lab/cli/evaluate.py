@@ -24,7 +24,7 @@ def evaluate_models(
         Path,
         typer.Argument(help="Labelled pictures: a folder with annotations.json, or COCO JSON."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the report.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the figures.")],
     seg: Seg = None,
     pose: Pose = None,
     segmenter: Annotated[
@@ -34,14 +34,6 @@ def evaluate_models(
     confidence: Confidence = DEFAULT_CONFIDENCE,
     input_size: InputSize = "",
     split: Annotated[str, typer.Option(help="test, val, train or all.")] = "test",
-    photos: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the audited real photos: recall and precision on them too."),
-    ] = None,
-    captures: Annotated[
-        list[Path] | None,
-        typer.Option(help="Real captures with true masks, to compare SAM's prompts; repeatable."),
-    ] = None,
     limit: Annotated[
         int | None, typer.Option(min=1, help="Pictures at most, evenly spread.")
     ] = None,
@@ -52,8 +44,11 @@ def evaluate_models(
     """Compare the networks with labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.perception.input_sizes import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
-    from cucumbervision_lab.detection.figures import summarise
-    from cucumbervision_lab.detection.report import main_tables, write_detection_report
+    from cucumbervision_lab.detection.report import (
+        detection_tables,
+        summarise,
+        write_detection_report,
+    )
     from cucumbervision_lab.detection.run import DetectionPlan, evaluate_detection
 
     plan = DetectionPlan(
@@ -66,15 +61,14 @@ def evaluate_models(
         split,
         limit,
         sam_limit,
-        tuple(captures or ()),
-        photos,
         parse_input_sizes(input_size),
     )
     with part_bars() as report:
         result = evaluate_detection(plan, report)
     summary = summarise(result)
-    show_tables(main_tables(summary, plan.confidence, result.photos))
-    show(f"The report is {write_detection_report(result, summary, out)}")
+    tables = detection_tables(summary, plan.confidence)
+    show_tables(tables)
+    show(f"The figures are in {write_detection_report(result, summary, tables, out)}")
 
 
 def evaluate_photos(
@@ -106,5 +100,6 @@ def evaluate_photos(
             input_sizes=parse_input_sizes(input_size),
             report=report,
         )
-    show_tables(photo_tables(result))
-    show(f"The figures are in {write_photo_report(result, out)}")
+    tables = photo_tables(result)
+    show_tables(tables)
+    show(f"The figures are in {write_photo_report(result, tables, out)}")

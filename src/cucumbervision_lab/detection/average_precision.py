@@ -1,4 +1,4 @@
-"""Average precision by pycocotools, with an interval by scene."""
+"""Average precision by pycocotools."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.accuracy.statistics import Estimate, resample_weights
 from cucumbervision_lab.detection.pictures import Stage, import_pycocotools
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ OKS_SIGMA = 0.05
 
 _MAX_FOUND = 100  # a picture, as COCO
 _BOX_FILL = 0.53  # mask over box, as Ultralytics takes it where there is no mask
-_RESAMPLES = 300
 _TO_CORNER = np.array([0.5, 0.5, 0.0])  # COCO counts pixels from the corner
 
 
@@ -44,18 +42,21 @@ class AveragePrecision:
 
     Parameters
     ----------
-    stage, judged : Stage, Judged
-        Whose detections, and what of them was compared.
-    map50 : Estimate
-        Average precision where a hit needs an IoU (keypoints: an OKS) of 0.50.
-    map50_95 : Estimate
-        Its mean over 0.50, 0.55 … 0.95.
+    stage : Stage
+        Whose detections.
+    judged : Judged
+        Whether boxes, masks or keypoints.
+    fruit : int
+        True fruit that were to be found.
+    map50, map50_95 : float
+        At an overlap of 0.5, and the mean over 0.5, 0.55 … 0.95; NaN where there is no fruit.
     """
 
     stage: Stage
     judged: Judged
-    map50: Estimate
-    map50_95: Estimate
+    fruit: int
+    map50: float
+    map50_95: float
 
 
 def average_precision(
@@ -63,75 +64,27 @@ def average_precision(
 ) -> AveragePrecision:
     """Compute average precision as COCO does.
 
-    Regions to be ignored, and optional fruit, are COCO's crowds: a detection that lies in one by
-    enough of its own area counts neither way. A fruit without a mask (or keypoints) becomes such a
-    region where masks (or keypoints) are judged. The scale of the object keypoint similarity is
-    the area of the visible mask, as COCO's; without a mask 0.53 of the box.
-
     Parameters
     ----------
     frames : sequence of Frame
-        With detections down to a very low confidence.
+        At least one.
     judged : Judged
-        What is compared.
+        What to compare with the truth.
     stage : Stage
         Whose detections.
-
-    Returns
-    -------
-    AveragePrecision
-        The values are pycocotools'; the intervals draw scenes anew. NaN where there is nothing
-        to judge.
 
     Raises
     ------
     MissingExtraError
         If pycocotools is not installed.
     """
-    tally = _tally(frames, judged, stage)
-    kept = [f.scene for f in frames]
-    scenes = {name: k for k, name in enumerate(dict.fromkeys(kept))}
-    count = int(tally.required.sum())
-    if not count:
-        nothing = Estimate(math.nan, math.nan, math.nan, 0, 0)
-        return AveragePrecision(stage, judged, nothing, nothing)
-    of_frame = np.array([scenes[name] for name in kept])
-    drawn = np.array(
-        [_precisions(tally, w[of_frame]) for w in resample_weights(len(scenes), _RESAMPLES)]
-    )
-    values = _precisions(tally, np.ones(len(frames)))
-    with_fruit = len(set(of_frame[tally.required > 0].tolist()))
-
-    def one(value: float, resampled: NDArray[np.float64]) -> Estimate:
-        low = high = math.nan
-        if len(scenes) > 1:
-            low, high = np.nanpercentile(resampled, [2.5, 97.5])
-        return Estimate(float(value), float(low), float(high), count, with_fruit)
-
-    map50, map50_95 = one(values[0], drawn[:, 0]), one(values.mean(), drawn.mean(axis=1))
-    return AveragePrecision(stage, judged, map50, map50_95)
-
-
-@dataclass(frozen=True, eq=False)
-class _Tally:
-    """Every judged detection of the set, best first, by threshold (T = 10)."""
-
-    frame: NDArray[np.intp]  # (N,)
-    right: NDArray[np.bool_]  # (T, N)
-    wrong: NDArray[np.bool_]  # (T, N)
-    required: NDArray[np.int64]  # true fruit of each frame
-    recalls: NDArray[np.float64]  # at which precision is read off
-
-
-def _tally(frames: Sequence[Frame], judged: Judged, stage: Stage) -> _Tally:
     import_pycocotools()
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
 
-    truth, found = _annotations(frames, judged, stage)
+    known, seen = COCO(), COCO()
+    known.dataset, seen.dataset = _annotations(frames, judged, stage)
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its progress
-        known, seen = COCO(), COCO()
-        known.dataset, seen.dataset = truth, found
         known.createIndex()
         seen.createIndex()
         judge = COCOeval(known, seen, str(judged))
@@ -140,47 +93,14 @@ def _tally(frames: Sequence[Frame], judged: Judged, stage: Stage) -> _Tally:
         if judged is Judged.KEYPOINTS:
             judge.params.kpt_oks_sigmas = np.full(5, OKS_SIGMA)
         judge.evaluate()
-    parts = [(k, e) for k, e in enumerate(judge.evalImgs) if e is not None]
-    required = np.zeros(len(frames), np.int64)
-    for k, e in parts:
-        required[k] = np.count_nonzero(np.asarray(e["gtIgnore"]) == 0)
-    scores = np.concatenate([np.asarray(e["dtScores"], float) for _, e in parts] or [np.zeros(0)])
-    order = np.argsort(-scores, kind="mergesort")
-    rows = len(judge.params.iouThrs)
-    hit = np.concatenate([e["dtMatches"] > 0 for _, e in parts] or [np.zeros((rows, 0), bool)], 1)
-    aside = np.concatenate([e["dtIgnore"] for _, e in parts] or [np.zeros((rows, 0), bool)], 1)
-    aside = aside.astype(bool)
-    where = np.concatenate([np.full(len(e["dtScores"]), k) for k, e in parts] or [np.zeros(0)])
-    return _Tally(
-        where.astype(np.intp)[order],
-        (hit & ~aside)[:, order],
-        (~hit & ~aside)[:, order],
-        required,
-        np.asarray(judge.params.recThrs, float),
+        judge.accumulate()
+    fruit = sum(np.count_nonzero(np.asarray(e["gtIgnore"]) == 0) for e in judge.evalImgs if e)
+    if not fruit:
+        return AveragePrecision(stage, judged, 0, math.nan, math.nan)
+    precision = judge.eval["precision"]  # by threshold and recall
+    return AveragePrecision(
+        stage, judged, int(fruit), float(precision[0].mean()), float(precision.mean())
     )
-
-
-def _precisions(tally: _Tally, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the average precision at each threshold, shape (T,), each frame counted so often.
-
-    The interpolation is COCO's (`COCOeval.accumulate`): precision made monotone, read off at 101
-    recalls.
-    """
-    required = float(weights @ tally.required)
-    if not required:
-        return np.full(len(tally.right), np.nan)
-    counted = weights[tally.frame]
-    kept = counted > 0
-    counted = counted[kept]
-    out = np.zeros(len(tally.right))
-    for t, (right, wrong) in enumerate(zip(tally.right, tally.wrong, strict=True)):
-        hits = np.cumsum(counted * right[kept])
-        recall = hits / required
-        precision = hits / (np.cumsum(counted * wrong[kept]) + hits + np.spacing(1))
-        best = np.maximum.accumulate(precision[::-1])[::-1]
-        # Past the last recall that is reached precision is 0.
-        out[t] = np.append(best, 0.0)[np.searchsorted(recall, tally.recalls)].mean()
-    return out
 
 
 def _annotations(

@@ -11,21 +11,21 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import stress_cases
 from cucumbervision_lab.benchmark.interval_fit import write_interval_models
 from cucumbervision_lab.benchmark.measure_case import CaseOptions
+from cucumbervision_lab.benchmark.records import Masks, append_record, read_records, readings_frame
 from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.lengths import length_records
 from cucumbervision_lab.detection.outcomes import match_frame
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 from cucumbervision_lab.processes import each_done
-from cucumbervision_lab.report.records import Masks, append_record, read_records, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from cucumbervision.measurement.intervals import IntervalModels
+    from cucumbervision_lab.benchmark.records import LengthRecord
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
-    from cucumbervision_lab.report.records import LengthRecord
 
     Report = Callable[[str, int, int], None]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -10,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_floor, pose_floor
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE
 from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.masks import mask_iou
 from cucumbervision.perception.networks import NetworkLoader, each_fruit_once
-from cucumbervision.pipeline.finders import dataset_instances
 from cucumbervision_lab.detection.outcomes import matches_of
 from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, found_fruit_of
 
@@ -23,12 +20,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.frames import Capture
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.networks import Segmenter
     from cucumbervision.perception.yolo import YoloDetector
 
-_PROMPTS_COMPARED = ("box", "box+point")
 
 _FLOOR = 0.001
 """Least confidence for average precision, which judges the ranking of all detections."""
@@ -245,120 +240,3 @@ def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instan
     """Return what was reported of each true fruit, by its place in `Frame.true`."""
     matches, _, required = matches_of(result.frame, confidence, Stage.KEPT)
     return {required[t]: result.kept[s] for t, s in matches.pairs}
-
-
-@dataclass(frozen=True)
-class OverlapRow:
-    """How well each mask of one fruit agrees with the true one.
-
-    Parameters
-    ----------
-    picture, scene : str
-        Where it is.
-    fruit : int
-        Its number among the picture's labels, from 0.
-    simulated : bool
-        Whether the picture is drawn.
-    prompt_box : str
-        'found' (the detector's) or 'true' (the true mask's).
-    network_iou : float
-        Of the detector's own mask; NaN where it drew none.
-    box_iou, point_iou : float
-        Of SAM's mask from the box, and from box and centre; 0 where it was refused.
-    used_iou : float
-        Of the mask that is measured: SAM's by the shipped prompt, or the detector's own where
-        SAM's was refused.
-    box_refused, point_refused : str
-        Why SAM's mask was refused; empty if it was not.
-    """
-
-    picture: str
-    scene: str
-    fruit: int
-    simulated: bool
-    prompt_box: str
-    network_iou: float
-    box_iou: float
-    point_iou: float
-    used_iou: float
-    box_refused: str = ""
-    point_refused: str = ""
-
-
-def overlap_row(
-    fruit: tuple[str, str, int],
-    true: NDArray[np.bool_],
-    found: Instance,
-    drawn: Sequence[Instance],
-    *,
-    simulated: bool,
-    prompt_box: str = "found",
-) -> OverlapRow:
-    """Compare every mask of a fruit with the true one.
-
-    Parameters
-    ----------
-    fruit : (str, str, int)
-        Its picture, scene and number.
-    true : ndarray of bool, shape (H, W)
-        Its mask.
-    found : Instance
-        Whose box was the prompt.
-    drawn : sequence of Instance
-        What SAM made of it by each of `_PROMPTS_COMPARED`.
-    simulated, prompt_box
-        As `OverlapRow` says.
-    """
-    own = found.detector_mask
-    by_box, by_point = drawn
-    return OverlapRow(
-        *fruit,
-        simulated,
-        prompt_box,
-        math.nan if own is None else mask_iou(own, true),
-        mask_iou(by_box.mask, true),
-        mask_iou(by_point.mask, true),
-        mask_iou(own if by_point.mask is None else by_point.mask, true),
-        by_box.mask_failure,
-        by_point.mask_failure,
-    )
-
-
-def draw_by_prompt(
-    segmenter: Segmenter, color: NDArray[np.uint8], asked: Sequence[Instance]
-) -> list[tuple[Instance, ...]]:
-    """Return SAM's masks of every fruit by each of `_PROMPTS_COMPARED`, the shipped one last."""
-    drawn = []
-    for prompt in _PROMPTS_COMPARED:
-        segmenter.prompt = prompt
-        drawn.append(segmenter.segment(color, asked))
-    return drawn
-
-
-def capture_overlaps(capture: Capture, segmenter: Segmenter, scene: str) -> list[OverlapRow]:
-    """Prompt SAM by the boxes of a capture's own true masks.
-
-    Parameters
-    ----------
-    capture : Capture
-        With masks.
-    segmenter : Segmenter
-        SAM.
-    scene : str
-        What its near-duplicates share.
-    """
-    true = dataset_instances(capture)
-    asked = [replace(one, mask=None, mask_source=None) for one in true]
-    drawn = draw_by_prompt(segmenter, capture.color, asked)
-    return [
-        overlap_row(
-            (capture.name, scene, k),
-            one.mask,
-            box,
-            masks,
-            simulated=capture.simulated,
-            prompt_box="true",
-        )
-        for k, (one, box, *masks) in enumerate(zip(true, asked, *drawn, strict=True))
-        if one.mask is not None
-    ]

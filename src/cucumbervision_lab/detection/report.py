@@ -1,9 +1,11 @@
-"""Everything an evaluation leaves behind: figures as JSON, rows as CSV, one page of HTML."""
+"""The figures of an evaluation, as tables, and the files that hold them and every row."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,88 +13,116 @@ import pandas as pd
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
-from cucumbervision.accuracy.statistics import Estimate
-from cucumbervision.capture.files import json_value
+from cucumbervision.accuracy.statistics import Estimate, estimate, share
+from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.pipeline.fields import defused
 from cucumbervision.pipeline.tables import write_json
-from cucumbervision_lab.detection import plots
-from cucumbervision_lab.detection.figures import (
-    end_table,
-    false_table,
+from cucumbervision_lab.benchmark.length_tables import (
+    accuracy_table,
+    against,
+    factors_of,
     group_table,
-    length_table,
-    overall_table,
-    overlap_table,
-    part_table,
-    photo_end_table,
-    photo_table,
-    precision_table,
-    score_ends,
 )
-from cucumbervision_lab.detection.outcomes import HIDDEN_SHARE, EndRow, FoundRow, FruitRow
-from cucumbervision_lab.detection.picture_result import OverlapRow
-from cucumbervision_lab.detection.plots import KINDS, draw_sheet, worst_cases
-from cucumbervision_lab.report.page import HTML_NAME, Plot, Section, render_page
-from cucumbervision_lab.report.records import readings_frame
+from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.detection.average_precision import (
+    OKS_SIGMA,
+    AveragePrecision,
+    Judged,
+    average_precision,
+)
+from cucumbervision_lab.detection.outcomes import (
+    EndRow,
+    FoundRow,
+    FruitRow,
+    GroupScore,
+    end_rows,
+    found_rows,
+    fruit_rows,
+    group_scores,
+    overall,
+)
+from cucumbervision_lab.detection.pictures import Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy.table import Table
-    from cucumbervision_lab.detection.figures import EndScore, Summary
-    from cucumbervision_lab.detection.outcomes import GroupScore
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.run import DetectionResult
 
-_JSON_NAME = "results.json"
-_CARD_NAME = "card.json"
-# What fits a model's card: what was judged on what, and the figures over all fruit.
-_CARD_KEYS = (
-    "software",
-    "data set",
-    "split",
-    "pictures",
-    "confidence",
-    "networks",
-    "average_precision",
-    "overall",
-    "ends",
-    "ends_swapped",
-    "masks",
-    "parts",
-)
+_JUDGED = {Judged.BOXES: "boxes", Judged.MASKS: "masks", Judged.KEYPOINTS: "keypoints"}
+_FALSE_SHOWN = 60
 _LENGTH_COLUMNS = (
     *("fruit", "scene", "masks", "method", "length_m", "centreline_m", "thread_m", "chord_m"),
     *("missed", "hidden_share", "cut_off", "distance_m", "selected"),
 )
-_GLOSSARY = (
-    ("recall", "Share of the fruit that should be found which were."),
-    ("precision", "Share of the detections that are fruit."),
-    (
-        "mAP50, mAP50-95",
-        "Average precision: the area under precision against recall over all confidences, where a "
-        "hit must overlap by 0.50, and the mean over 0.50, 0.55 … 0.95 (COCO).",
-    ),
-    ("IoU", "Intersection over union: 1 where two boxes or masks are the same, 0 where apart."),
-    (
-        "object keypoint similarity",
-        "COCO's measure of how well keypoints agree: 1 where all do, falling with their distance "
-        "over the fruit's size.",
-    ),
-    (
-        "95 % by scene",
-        "Interval of the figure if whole scenes are drawn again at random (bootstrap); pictures of "
-        "one scene resemble each other. Where all or none of the fruit are hits, the exact "
-        "interval of as many trials as there are scenes.",
-    ),
-    ("hidden share", "How much of the fruit's outline something else hides."),
-)
 
 
-def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None) -> list[Table]:
-    """Return the tables that say most, for the screen and for the page's top.
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """The figures of an evaluation, and the rows that they are made of.
+
+    Parameters
+    ----------
+    precisions : tuple of AveragePrecision
+        Of each network and of what is reported, as far as there are such networks.
+    overall : tuple of (Stage, GroupScore)
+        Recall and precision of each stage.
+    groups : tuple of GroupScore
+        Recall and precision of what is reported, by each factor.
+    fruit : tuple of FruitRow
+        Every fruit that is to be found.
+    found : tuple of FoundRow
+        Every detection that is reported.
+    ends : tuple of EndRow
+        The ends of every fruit that the pose network found.
+    readings : DataFrame
+        Lengths on true and on perceived masks, as `readings_frame` gives them; may be empty.
+    """
+
+    precisions: tuple[AveragePrecision, ...]
+    overall: tuple[tuple[Stage, GroupScore], ...]
+    groups: tuple[GroupScore, ...]
+    fruit: tuple[FruitRow, ...]
+    found: tuple[FoundRow, ...]
+    ends: tuple[EndRow, ...]
+    readings: pd.DataFrame
+
+
+def summarise(result: DetectionResult) -> Summary:
+    """Compute the figures of an evaluation.
+
+    Parameters
+    ----------
+    result : DetectionResult
+        As `evaluate_detection` gives it.
+    """
+    frames, confidence = result.frames, result.plan.confidence
+    stages = {str(model.get("task", "")) for model in result.models}
+    segmented, posed = bool(stages & {"segment", "detect"}), "pose" in stages
+    asked = [(Stage.SEGMENTED, Judged.BOXES)] if segmented else []
+    asked += [(Stage.SEGMENTED, Judged.MASKS)] if "segment" in stages else []
+    if posed:
+        asked += [(Stage.POSED, Judged.BOXES), (Stage.POSED, Judged.KEYPOINTS)]
+        asked += [(Stage.KEPT, Judged.KEYPOINTS)]
+    fruit, found = fruit_rows(frames, confidence), found_rows(frames, confidence)
+    return Summary(
+        tuple(average_precision(frames, judged, stage) for stage, judged in asked),
+        tuple(
+            (s, overall(fruit_rows(frames, confidence, s), found_rows(frames, confidence, s)))
+            for s in (Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked))
+        ),
+        tuple(group_scores(fruit, found)),
+        tuple(fruit),
+        tuple(found),
+        tuple(end_rows(frames, confidence)),
+        readings_frame(result.records) if result.records else pd.DataFrame(),
+    )
+
+
+def detection_tables(summary: Summary, confidence: float) -> list[Table]:
+    """Return the tables of an evaluation.
 
     Parameters
     ----------
@@ -100,112 +130,236 @@ def main_tables(summary: Summary, confidence: float, photos: PhotoResult | None)
         The figures.
     confidence : float
         At which recall and precision were judged.
-    photos : PhotoResult, optional
-        On real photos.
     """
-    tables = [precision_table(summary), overall_table(summary, confidence)]
-    hidden = group_table(summary, HIDDEN_SHARE)
-    tables += [hidden] if hidden.rows else []
-    tables += [part_table(summary.parts)] if summary.parts else []
-    tables += [end_table(summary.ends, summary.swapped)] if summary.ends else []
-    tables += [overlap_table(summary)] if summary.overlaps else []
-    tables += [length_table(summary, "centreline", "whole")] if summary.lengths else []
-    tables += photo_tables(photos) if photos else []
+    comment = (
+        f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
+        f"to be ignored are not counted. '{Stage.KEPT}' has fruit found twice made one."
+    )
+    stages = [(str(stage), one) for stage, one in summary.overall]
+    tables = [_precision_table(summary.precisions)]
+    tables += [_share_table("Recall and precision", "stage", stages, comment)]
+    for factor in dict.fromkeys(one.factor for one in summary.groups):
+        named = [(one.group, one) for one in summary.groups if one.factor == factor]
+        tables.append(_share_table(f"By {factor}", "group", named))
+    tables += [end_table(summary.ends)] if summary.ends else []
+    masks = _mask_table(summary)
+    tables += [masks] if masks.rows else []
+    return tables + (_length_tables(summary.readings) if len(summary.readings) else [])
+
+
+def _precision_table(precisions: Sequence[AveragePrecision]) -> Table:
+    rows = [
+        (str(one.stage), _JUDGED[one.judged], one.fruit, one.map50, one.map50_95)
+        for one in precisions
+    ]
+    comment = (
+        "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "
+        f"similarity with sigma {OKS_SIGMA:g} for all five, scaled by the visible mask's area."
+    )
+    heads = ["network", "of", "fruit", "mAP50:.3", "mAP50-95:.3"]
+    return Table.of("Average precision", heads, rows, comment)
+
+
+def _mask_table(summary: Summary) -> Table:
+    """Return how well masks agree with the true visible ones."""
+    found = [r for r in summary.fruit if math.isfinite(r.mask_iou)]
+    kinds = {"detector": ([r.mask_iou for r in found], [r.scene for r in found])}
+    if "mask_iou" in summary.readings:
+        measured = summary.readings.drop_duplicates(["case", "masks"])
+        measured = measured[(measured["masks"] == Masks.PERCEIVED) & measured["mask_iou"].notna()]
+        kinds["what is measured"] = measured["mask_iou"].tolist(), measured["scene"].tolist()
+    rows: list[tuple[Cell, ...]] = []
+    for name, (values, scenes) in kinds.items():
+        if values:
+            mean, median = estimate(values, scenes), estimate(values, scenes, 0.5)
+            rows.append((name, mean.count, mean.groups, *_spanned(mean), *_spanned(median)))
+    heads = ["masks", "fruit", "scenes", "mean IoU:.3", "95 % by scene", "median IoU:.3", "95 %"]
+    comment = "Intersection over union with the true visible mask, of fruit that were found."
+    return Table.of("Masks", heads, rows, comment)
+
+
+def _length_tables(readings: pd.DataFrame) -> list[Table]:
+    """Return the lengths' accuracy on true and on perceived masks, and by groups of fruit."""
+    tables = []
+    for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
+        some = readings[readings["masks"] == masks]
+        scored = against(some, LengthDefinition.CENTRELINE)
+        factors = factors_of(scored, scored["true_m"]) if masks is Masks.PERCEIVED else []
+        for table in (
+            accuracy_table(some, LengthDefinition.CENTRELINE),
+            accuracy_table(some, LengthDefinition.THREAD),
+            *(group_table(scored, factor, LengthDefinition.CENTRELINE) for factor in factors),
+        ):
+            titled = Table(f"{table.title}, {words}", table.columns, table.rows, table.comment)
+            tables.append(titled)
     return tables
 
 
-def _card_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of `results.json` that a model's card holds.
+def end_table(rows: Sequence[EndRow], title: str = "Ends") -> Table:
+    """Return how far the ends are off, and how often they are swapped.
 
-    Examples
-    --------
-    >>> _card_numbers({"pictures": 3, "groups": [1, 2], "photos": {"photos": 2, "false": [1]}})
-    {'pictures': 3, 'photos': {'photos': 2}}
+    Parameters
+    ----------
+    rows : sequence of EndRow
+        One a fruit.
+    title : str
+        The table's.
     """
-    card = {key: numbers[key] for key in _CARD_KEYS if numbers.get(key)}
-    photos = numbers.get("photos")
-    if photos:
-        card["photos"] = {key: value for key, value in photos.items() if key != "false"}
-    return card
+    frame = pd.DataFrame(rows, columns=[one.name for one in fields(EndRow)])
+    turned = frame[frame["swapped"].notna()]
+    swapped = share(turned["swapped"], turned["scene"])
+    ends = pd.concat(
+        frame.rename(columns={f"{end}_percent": "percent", f"{end}_seen": "seen"})[
+            ["percent", "seen", "scene"]
+        ].assign(end=f"{end} end")
+        for end in ("blossom", "stem")
+    ).dropna(subset="percent")
+    seen = ends["seen"].astype(bool)
+    groups = {
+        "all": ends,
+        "in sight": ends[seen],
+        "hidden": ends[~seen],
+        "blossom end": ends[ends["end"] == "blossom end"],
+        "stem end": ends[ends["end"] == "stem end"],
+    }
+    cells: list[tuple[Cell, ...]] = []
+    for name, some in groups.items():
+        if len(some):
+            median, p90 = (estimate(some["percent"], some["scene"], q) for q in (0.5, 0.9))
+            cells.append(
+                (name, median.count, median.groups, *_spanned(median, 2), *_spanned(p90, 2))
+            )
+    value = "–" if math.isnan(swapped.value) else f"{100 * swapped.value:.2f} %"
+    comment = (
+        "Distance between the true and the found end, in percent of the line through the fruit's "
+        "five true keypoints in the picture; fruit that the pose network found. Ends swapped on "
+        f"{value} of {swapped.count} fruit (95 % by scene: {_span(swapped, 2, 100)}); swapped ends "
+        "are judged as they are."
+    )
+    heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
+    heads += ["90th percentile (% of length)", "95 % by scene"]
+    return Table.of(title, heads, cells, comment)
 
 
-def write_detection_report(result: DetectionResult, summary: Summary, out: Path) -> Path:
-    """Write `results.json`, `card.json`, the CSV files and `report.html`.
+def photo_tables(photos: PhotoResult) -> list[Table]:
+    """Return what was found on real photos: shares, ends where they were read, and false finds."""
+    (_, whole), *settings = photos.scores
+    named = [("all", whole)]
+    named += [(f"test: {name}", one) for name, one in photos.tests]
+    named += [(f"half size: {name}", one) for name, one in photos.small]
+    named += [(f"where: {name}", one) for name, one in settings]
+    comment = (
+        f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
+        "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
+        "of which half lies in an ignored region are not counted. At half size each photo lies "
+        "shrunk in the middle of a grey picture. "
+        + f"{photos.photos} photos of {photos.scenes} scenes"
+        + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
+    )
+    ends = [end_table(photos.ends, "Ends on real photos")] if photos.ends else []
+    return [_share_table("Real photos", "photos", named, comment), *ends, _false_table(photos)]
 
-    Of real photos only figures, file names and boxes are written.
+
+def _false_table(photos: PhotoResult) -> Table:
+    """Return false detections on real photos by file and box, the most confident first."""
+    false = sorted((r for r in photos.found if r.outcome == "false"), key=lambda r: -r.score)
+    rows = [
+        (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
+        for r in false[:_FALSE_SHOWN]
+    ]
+    title = f"False detections on real photos ({len(false)})"
+    heads = ["photo", "scene", "confidence:.3", "box (px)"]
+    return Table.of(title, heads, rows, "The photos themselves are not shown.")
+
+
+def _span(one: Estimate, decimals: int = 3, scale: float = 1.0) -> str:
+    if math.isnan(one.low):
+        return "–"
+    return f"{scale * one.low:.{decimals}f} to {scale * one.high:.{decimals}f}"
+
+
+def _spanned(one: Estimate, decimals: int = 3) -> tuple[float, str]:
+    return one.value, _span(one, decimals)
+
+
+def _share_table(
+    title: str, first: str, named: Sequence[tuple[str, GroupScore]], comment: str = ""
+) -> Table:
+    """Return recall and precision by name."""
+    heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
+    heads += ["scenes with some", "precision:.3", "95 % of it by scene"]
+    rows = [(name, *_share_cells(one.recall), *_share_cells(one.precision)) for name, one in named]
+    return Table.of(title, heads, rows, comment)
+
+
+def _share_cells(one: Estimate | None) -> tuple[Cell, ...]:
+    return (None, None, None, "–") if one is None else (one.count, one.groups, *_spanned(one))
+
+
+def write_detection_report(
+    result: DetectionResult, summary: Summary, tables: Sequence[Table], out: Path
+) -> Path:
+    """Write `results.json` (all tables) and a CSV file each of fruit, detections, ends and lengths.
 
     Parameters
     ----------
     result : DetectionResult
-        What was seen.
+        As `evaluate_detection` gives it.
     summary : Summary
         Its figures.
+    tables : sequence of Table
+        Of them, by `detection_tables`.
     out : Path
         The folder, made if it is missing.
 
     Returns
     -------
     Path
-        The page.
+        The JSON file.
 
     Raises
     ------
     CucumberVisionError
-        If the folder cannot be written.
-    MissingExtraError
-        If matplotlib or Jinja2 is not installed; JSON and CSV are written before.
+        If it cannot be written.
     """
     with _made(out):
-        numbers = _numbers(result, summary)
-        write_json(out / _JSON_NAME, numbers)
-        write_json(out / _CARD_NAME, _card_numbers(numbers))
+        values = _provenance(result) | {"tables": [table.as_json() for table in tables]}
+        write_json(out / "results.json", values)
         _write_rows(out / "fruit.csv", summary.fruit, FruitRow)
         _write_rows(out / "detections.csv", summary.found, FoundRow)
-        _write_rows(out / "ends.csv", summary.end_rows, EndRow)
-        _write_rows(out / "masks.csv", result.overlaps, OverlapRow)
-        readings = readings_frame(result.records) if result.records else pd.DataFrame()
-        _write_csv(out / "lengths.csv", readings.reindex(columns=_LENGTH_COLUMNS))
-        if result.photos:
-            _write_photo_rows(result.photos, out)
-        (out / HTML_NAME).write_text(_page(result, summary), encoding="utf-8")
-    return out / HTML_NAME
+        _write_rows(out / "ends.csv", summary.ends, EndRow)
+        _write_csv(out / "lengths.csv", summary.readings.reindex(columns=_LENGTH_COLUMNS))
+    return out / "results.json"
 
 
-def photo_tables(photos: PhotoResult) -> list[Table]:
-    """Return the tables of what was found on real photos: shares, and ends where they were read."""
-    return [photo_table(photos)] + ([photo_end_table(photos)] if photos.ends else [])
-
-
-def write_photo_report(photos: PhotoResult, out: Path) -> Path:
+def write_photo_report(photos: PhotoResult, tables: Sequence[Table], out: Path) -> Path:
     """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`: figures, names and boxes.
 
     Parameters
     ----------
     photos : PhotoResult
-        What was found on real photos.
+        As `evaluate_photos` gives it.
+    tables : sequence of Table
+        Of it, by `photo_tables`.
     out : Path
         The folder, made if it is missing.
-
-    Returns
-    -------
-    Path
-        `photos.json`.
 
     Raises
     ------
     CucumberVisionError
-        If a file cannot be written.
+        If it cannot be written.
     """
-    file = out / "photos.json"
     with _made(out):
-        write_json(file, {"confidence": photos.confidence} | _photo_numbers(photos))
-        _write_photo_rows(photos, out)
-    return file
+        values = {"confidence": photos.confidence, "tables": [one.as_json() for one in tables]}
+        write_json(out / "photos.json", values)
+        _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
+        _write_rows(out / "photo_detections.csv", photos.found, FoundRow)
+    return out / "photos.json"
 
 
 @contextmanager
 def _made(out: Path) -> Iterator[None]:
-    """Make a folder to write into; say in one line what cannot be written."""
+    """Make a folder to write into; name in one line what cannot be written."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         yield
@@ -215,166 +369,25 @@ def _made(out: Path) -> Iterator[None]:
         ) from error
 
 
-def _write_photo_rows(photos: PhotoResult, out: Path) -> None:
-    _write_rows(out / "photo_fruit.csv", photos.fruit, FruitRow)
-    _write_rows(out / "photo_detections.csv", photos.found, FoundRow)
-
-
-def _page(result: DetectionResult, summary: Summary) -> str:
-    confidence, photos = result.plan.confidence, result.photos
-    first, *rest = main_tables(summary, confidence, None)
-    sections = [Section("Main figures", (), tuple(rest)), _group_section(summary)]
-    if summary.end_rows:
-        caption = "How many ends are set off by at most so much; lines at 2 % and 6 %."
-        plot = Plot(caption, plots.end_error_plot(summary.end_rows))
-        sections.append(Section("Keypoints", (), (plot,)))
-    sections += _overlap_sections(result)
-    sections += _length_sections(summary)
-    if photos is not None:
-        sections.append(Section("Real photos", (), (*photo_tables(photos), false_table(photos))))
-    sections += _worst_sections(result, summary)
-    notes = [("", _intro(result))]
-    return render_page(
-        "Detection evaluation: what the networks find",
-        notes,
-        first,
-        sections,
-        _provenance(result),
-        glossary=_GLOSSARY,
-        numbers=_JSON_NAME,
-    )
-
-
-def _intro(result: DetectionResult) -> str:
-    plan = result.plan
-    fruit = sum(one.required for frame in result.frames for one in frame.true)
-    scenes = len({frame.scene for frame in result.frames})
-    return (
-        f"{len(result.frames)} pictures of {scenes} scenes with {fruit} fruit to be found "
-        f"(split '{plan.split}' of {plan.data.name}). SAM and lengths: at most {plan.sam_limit} "
-        "of these pictures, evenly spread."
-    )
-
-
-def _group_section(summary: Summary) -> Section:
-    factors = list(dict.fromkeys(one.factor for one in summary.groups))
-    caption = "Recall (blue) and precision (orange) of what is reported; bars: 95 % by scene."
-    entries: list[Table | Plot] = [Plot(caption, plots.recall_plot(summary.groups))]
-    entries += [group_table(summary, factor) for factor in factors]
-    intro = (
-        "Recall goes by the fruit's own properties, precision by the detection's: its box's size, "
-        "whether it reaches the border, and the depth in its middle. How much of a false "
-        "detection is hidden is not known.",
-    )
-    return Section("By distance, size, occlusion and edge", intro, tuple(entries))
-
-
-def _overlap_sections(result: DetectionResult) -> list[Section]:
-    entries = []
-    for name, simulated in (("Drawn", True), ("Real", False)):
-        rows = [r for r in result.overlaps if r.simulated is simulated]
-        if rows:
-            caption = f"{name} pictures: how many masks overlap by at least so much."
-            entries.append(Plot(caption, plots.overlap_plot(rows)))
-    return [Section("Masks, one by one", (), tuple(entries))] if entries else []
-
-
-def _length_sections(summary: Summary) -> list[Section]:
-    asked = list(dict.fromkeys((one.truth, one.group) for one in summary.lengths))
-    tables = [length_table(summary, truth, group) for truth, group in asked]
-    intro = (
-        "Every fruit measured twice: on its true mask and keypoints, and on what the networks "
-        "made of it (SAM, where it took part, prompted by box and centre).",
-    )
-    return [Section("Lengths", intro, tuple(tables))] if tables else []
-
-
-def _worst_sections(result: DetectionResult, summary: Summary) -> list[Section]:
-    cases = worst_cases(result, summary)
-    sheets = []
-    for kind, words in KINDS.items():
-        some = [case for case in cases if case.kind == kind]
-        if some:
-            caption = f"{words} Green: what is there; orange: what was found."
-            sheets.append(Plot(caption, draw_sheet(some, result)))
-    return [Section("The worst cases", (), tuple(sheets))] if sheets else []
-
-
 def _provenance(result: DetectionResult) -> dict[str, Any]:
-    seconds = {
-        f"{name} (median s a picture)": f"{np.median(values):.3f}"
-        for name, values in result.seconds.items()
-    }
+    frames = result.frames
     return {
         "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
         "data set": result.plan.data.name,
         "split": result.plan.split,
+        "pictures": len(frames),
+        "scenes": len({frame.scene for frame in frames}),
+        "fruit to be found": sum(one.required for frame in frames for one in frame.true),
         "confidence": result.plan.confidence,
         "input sizes (px)": list(result.plan.input_sizes) or "each network's own",
         "networks": result.models,
-        **seconds,
-        "duration (s)": f"{result.duration_s:.0f}",
+        "median seconds a picture": {
+            name: round(float(np.median(values)), 3) for name, values in result.seconds.items()
+        },
+        "duration (s)": round(result.duration_s),
         "versions": installed_versions(),
     }
-
-
-def _numbers(result: DetectionResult, summary: Summary) -> dict[str, Any]:
-    return {
-        **_provenance(result),
-        "licence": LICENCE,
-        "pictures": len(result.frames),
-        "average_precision": [
-            {"stage": str(one.stage), "of": one.judged.name.lower()}
-            | _estimates(one, leave=("stage", "judged"))
-            for one in summary.precisions
-        ],
-        "overall": {str(stage): _scores(one) for stage, one in summary.overall},
-        "groups": [_estimates(one, leave=("middle",)) for one in summary.groups],
-        **_end_numbers(summary.ends, summary.swapped),
-        "masks": [_estimates(one) for one in summary.overlaps],
-        "parts": [_estimates(one) for one in summary.parts],
-        "lengths": [
-            {**_estimates(one, leave=("metrics",)), **json_value(vars(one.metrics))}
-            for one in summary.lengths
-        ],
-        "photos": None if result.photos is None else _photo_numbers(result.photos),
-    }
-
-
-def _end_numbers(ends: Sequence[EndScore], swapped: Estimate) -> dict[str, Any]:
-    scores = {one.ends: _estimates(one, leave=("ends",)) for one in ends}
-    return {"ends": scores, "ends_swapped": _estimate(swapped)}
-
-
-def _estimates(one: Any, leave: Sequence[str] = ()) -> dict[str, Any]:
-    """Return a score's fields as JSON holds them, but for those to leave out."""
-    return {
-        name: _estimate(value) if isinstance(value, Estimate) else json_value(value)
-        for name, value in vars(one).items()
-        if name not in leave
-    }
-
-
-def _estimate(one: Estimate) -> dict[str, Any]:
-    interval = {"value": one.value, "low": one.low, "high": one.high}
-    return {**json_value(interval), "n": one.count, "scenes": one.groups}
-
-
-def _photo_numbers(photos: PhotoResult) -> dict[str, Any]:
-    return {
-        "photos": photos.photos,
-        "scenes": photos.scenes,
-        "missing": photos.missing,
-        "scores": {name: _scores(one) for name, one in photos.scores},
-        "tests": {name: _scores(one) for name, one in photos.tests},
-        **_end_numbers(*score_ends(photos.ends)),
-        "half_size": {name: _scores(one) for name, one in photos.small},
-        "false": [json_value(asdict(r)) for r in photos.found if r.outcome == "false"],
-    }
-
-
-def _scores(one: GroupScore) -> dict[str, Any]:
-    return _estimates(one, leave=("factor", "group", "middle"))
 
 
 def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
@@ -384,6 +397,6 @@ def _write_rows(path: Path, rows: Sequence[Any], kind: type) -> None:
 
 
 def _write_csv(path: Path, frame: pd.DataFrame) -> None:
-    """Write a frame as CSV; what is not known stays empty, and no text becomes a formula."""
+    """Write a frame as CSV; unknown values stay empty, and no text becomes a formula."""
     texts = frame.map(lambda cell: defused(cell) if isinstance(cell, str) else cell)
     texts.round(6).to_csv(path, index=False, lineterminator="\r\n")

@@ -1,4 +1,4 @@
-"""The whole evaluation: what is asked, what comes out, picture by picture in between."""
+"""The whole evaluation: its options, its result, picture by picture in between."""
 
 from __future__ import annotations
 
@@ -7,29 +7,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cucumbervision.capture.files import read_color
-from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.detection.lengths import length_records
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import (
-    Networks,
-    OverlapRow,
-    PictureResult,
-    capture_overlaps,
     detect_picture,
-    draw_by_prompt,
     found_by_fruit,
     open_networks,
-    overlap_row,
 )
 from cucumbervision_lab.detection.pictures import (
-    DRAWN,
     HeldOut,
     capture_of,
     frame_of,
@@ -41,12 +30,9 @@ from cucumbervision_lab.detection.pictures import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
-    from cucumbervision.perception.instances import Instance
+    from cucumbervision_lab.benchmark.records import LengthRecord
     from cucumbervision_lab.detection.photos import PhotoResult
     from cucumbervision_lab.detection.pictures import Frame
-    from cucumbervision_lab.report.records import LengthRecord
 
 
 @dataclass(frozen=True)
@@ -71,10 +57,6 @@ class DetectionPlan:
         Pictures at most, evenly spread.
     sam_limit : int
         Pictures at most for SAM and for lengths, evenly spread.
-    captures : tuple of Path
-        Real captures with true masks, for SAM's prompts.
-    photos : Path, optional
-        Folder of the audited real photos.
     input_sizes : tuple of int
         Long sides that the detectors see, pixels; empty for their own.
     """
@@ -88,8 +70,6 @@ class DetectionPlan:
     split: str = "test"
     limit: int | None = None
     sam_limit: int = 40
-    captures: tuple[Path, ...] = ()
-    photos: Path | None = None
     input_sizes: tuple[int, ...] = ()
 
 
@@ -100,17 +80,13 @@ class DetectionResult:
     Parameters
     ----------
     plan : DetectionPlan
-        What was asked.
+        Its options.
     held_out : HeldOut
         The pictures.
     frames : tuple of Frame
         Their truth and what was found, in the same order.
-    overlaps : tuple of OverlapRow
-        SAM's masks against true ones.
     records : tuple of LengthRecord
         Lengths on true and on perceived masks.
-    photos : PhotoResult, optional
-        On real photos, as figures.
     models : list of dict
         File, SHA-256 and runtime of each network.
     seconds : dict of str to list of float
@@ -122,9 +98,7 @@ class DetectionResult:
     plan: DetectionPlan
     held_out: HeldOut
     frames: tuple[Frame, ...]
-    overlaps: tuple[OverlapRow, ...] = ()
     records: tuple[LengthRecord, ...] = ()
-    photos: PhotoResult | None = None
     models: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, list[float]] = field(default_factory=dict)
     duration_s: float = 0.0
@@ -187,7 +161,6 @@ def evaluate_detection(
     )
     measured = {picture.file for picture in spread(held_out.pictures, plan.sam_limit)}
     frames: list[Frame] = []
-    overlaps: list[OverlapRow] = []
     records: list[LengthRecord] = []
     seconds: dict[str, list[float]] = {}
     for picture in held_out.pictures:
@@ -197,35 +170,22 @@ def evaluate_detection(
         focal_px = None if capture is None else capture.intrinsics.fx_px
         frame = frame_of(picture, held_out.data, depth_m)
         result = detect_picture(frame, color, networks, depth_m, focal_px)
-        if picture.file in measured:
-            masked, rows = _segment(result, color, networks, picture.source == DRAWN)
-            overlaps += rows
-            if capture is not None:
-                records += length_records(result.frame, capture, masked)
+        if picture.file in measured and capture is not None:
+            found = found_by_fruit(result, networks.confidence)
+            if networks.segmenter is not None:
+                drawn = networks.segmenter.segment(color, list(found.values()))
+                found = dict(zip(found, drawn, strict=True))
+            records += length_records(result.frame, capture, found)
         frames.append(result.frame)
         for name, one in result.seconds.items():
             seconds.setdefault(name, []).append(one)
         if report is not None:
             report("pictures", 1, len(held_out.pictures))
-    overlaps += _captures(plan, networks, report)
-    photos = None
-    if plan.photos is not None:
-        photos = evaluate_real_photos(
-            plan.photos,
-            plan.segment,
-            plan.pose,
-            runtime=plan.runtime,
-            confidence=plan.confidence,
-            input_sizes=plan.input_sizes,
-            report=report,
-        )
     return DetectionResult(
         plan,
         held_out,
         tuple(frames),
-        tuple(overlaps),
         tuple(records),
-        photos,
         networks.models,
         seconds,
         time.perf_counter() - start,
@@ -280,43 +240,3 @@ def evaluate_real_photos(
     )
     tell = None if report is None else (lambda count: report("photos", count, len(photos)))
     return evaluate_photos(photos, networks, missing, tell)
-
-
-def _segment(
-    result: PictureResult, color: NDArray[np.uint8], networks: Networks, simulated: bool
-) -> tuple[dict[int, Instance], list[OverlapRow]]:
-    """Draw SAM's masks of what was found, by both prompts; the second is the shipped one.
-
-    Without SAM the detector's own masks stay.
-    """
-    frame, found = result.frame, found_by_fruit(result, networks.confidence)
-    if networks.segmenter is None:
-        return found, []
-    drawn = draw_by_prompt(networks.segmenter, color, list(found.values()))
-    rows = [
-        overlap_row(
-            (frame.name, frame.scene, number),
-            decode_rle(code["counts"], *code["size"]),
-            instance,
-            masks,
-            simulated=simulated,
-        )
-        for (number, instance), *masks in zip(found.items(), *drawn, strict=True)
-        if (code := frame.true[number].code) is not None
-    ]
-    return dict(zip(found, drawn[-1], strict=True)), rows
-
-
-def _captures(
-    plan: DetectionPlan, networks: Networks, report: Callable[[str, int, int], None] | None
-) -> list[OverlapRow]:
-    if networks.segmenter is None or not plan.captures:
-        return []
-    rows: list[OverlapRow] = []
-    for path in plan.captures:
-        source = open_source(path)
-        for ref in source:
-            rows += capture_overlaps(ref.load(), networks.segmenter, path.name)
-            if report is not None:
-                report(path.name, 1, source.total or 0)
-    return rows

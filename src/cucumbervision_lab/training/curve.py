@@ -104,9 +104,9 @@ class Curve:
         boxes = average_precision(frames, Judged.BOXES, stage)
         other = average_precision(frames, Judged.MASKS if seg else Judged.KEYPOINTS, stage)
         return {
-            "drawn_map50": boxes.map50.value,
-            "drawn_map50_95": boxes.map50_95.value,
-            "drawn_masks_map50_95" if seg else "drawn_points_map50_95": other.map50_95.value,
+            "drawn_map50": boxes.map50,
+            "drawn_map50_95": boxes.map50_95,
+            "drawn_masks_map50_95" if seg else "drawn_points_map50_95": other.map50_95,
         }
 
 

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
 from cucumbervision.perception.instances import Instance, MaskSource
+from cucumbervision_lab.benchmark.records import Masks, read_records
 from cucumbervision_lab.detection import learn_intervals
 from cucumbervision_lab.detection.learn_intervals import set_records
 from cucumbervision_lab.detection.pictures import frame_of
-from cucumbervision_lab.report.records import Masks, read_records
 from cucumbervision_lab.synthesis.frame import FrameOptions
 from cucumbervision_lab.synthesis.generate import SynthOptions, generate
 

@@ -13,7 +13,6 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.capture.files import write_png
 from cucumbervision.perception.instances import Instance
-from cucumbervision_lab.detection.figures import false_table, photo_end_table, photo_table
 from cucumbervision_lab.detection.photos import (
     Photo,
     PhotoResult,
@@ -23,6 +22,7 @@ from cucumbervision_lab.detection.photos import (
 )
 from cucumbervision_lab.detection.picture_result import Networks
 from cucumbervision_lab.detection.pictures import FoundFruit, Frame, TrueFruit
+from cucumbervision_lab.detection.report import photo_tables
 
 ENDS = ("blossom end", "stem end")
 SPOTS = [np.array([0.0, 30 * k, 90, 30 * k + 20]) for k in range(8)]
@@ -65,10 +65,10 @@ def test_recall_and_precision_of_photos() -> None:
 
 
 def test_false_ones_are_listed_by_file_and_box() -> None:
-    table = false_table(scored())
+    shares, table = photo_tables(scored())
     assert [row[0] for row in table.rows] == ["c.jpg", "d.jpg"]
     assert table.rows[0][3] == "0, 120 to 90, 140"
-    assert "2 of the audit's photos are missing" in photo_table(scored()).comment
+    assert "2 of the audit's photos are missing" in shares.comment
 
 
 class Reader:
@@ -100,7 +100,7 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
         assert negatives is not None
         assert negatives.value == 0.0
     assert [name for name, _ in found.small] == ["all", "negatives", "on the plant"]
-    rows = [row[0] for row in photo_table(found).rows]
+    rows = [row[0] for row in photo_tables(found)[0].rows]
     assert rows == [
         "all",
         *("test: negatives", "test: on the plant"),
@@ -109,7 +109,7 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
     ]
 
 
-def test_ends_on_photos_are_held_against_the_straight_line_between_them() -> None:
+def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     line = np.linspace([10.0, 10.0], [110.0, 10.0], 5)
     true = TrueFruit(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
@@ -123,7 +123,7 @@ def test_ends_on_photos_are_held_against_the_straight_line_between_them() -> Non
         3.0,
         False,
     )
-    assert [r[0] for r in photo_end_table(found).rows] == ["all", "in sight", *ENDS]
+    assert [r[0] for r in photo_tables(found)[1].rows] == ["all", "in sight", *ENDS]
 
 
 @pytest.mark.realdata

@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -21,7 +20,8 @@ pytest.importorskip("onnx")
 
 import onnx
 
-from cucumbervision.capture.files import read_color, write_png
+from cucumbervision.accuracy.table import Cell
+from cucumbervision.capture.files import write_png
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -30,24 +30,21 @@ from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.networks import Detectors, NetworkLoader
 from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision_lab.benchmark.records import Masks
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.average_precision import Judged
-from cucumbervision_lab.detection.figures import summarise
 from cucumbervision_lab.detection.photo_audit import Audit, AuditedBox, AuditedPhoto, AuditKind
-from cucumbervision_lab.detection.photos import score_photos
 from cucumbervision_lab.detection.picture_result import detect_picture, open_networks, shipped
-from cucumbervision_lab.detection.pictures import FoundFruit, Frame, Stage, TrueFruit
-from cucumbervision_lab.detection.plots import WorstCase, draw_sheet, worst_cases
-from cucumbervision_lab.detection.report import write_detection_report
+from cucumbervision_lab.detection.pictures import Frame, Stage
+from cucumbervision_lab.detection.report import detection_tables, summarise
 from cucumbervision_lab.detection.run import (
     DetectionPlan,
     DetectionResult,
     chosen_networks,
     evaluate_detection,
 )
-from cucumbervision_lab.report.records import Masks
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 
@@ -184,16 +181,16 @@ def test_average_precision_and_recall(result: DetectionResult) -> None:
     # Hit, false alarm, hit, all of one confidence: precision 1 up to a recall of 0.5, then 2/3.
     expected = (51 + 50 * 2 / 3) / 101
     for key in ((Stage.SEGMENTED, Judged.BOXES), (Stage.POSED, Judged.BOXES)):
-        assert found[key].map50.value == pytest.approx(expected)
-        assert found[key].map50_95.value == pytest.approx(expected, abs=1e-6)
+        assert found[key].map50 == pytest.approx(expected)
+        assert found[key].map50_95 == pytest.approx(expected, abs=1e-6)
     masks = found[Stage.SEGMENTED, Judged.MASKS]
-    assert masks.map50.value == pytest.approx(expected)
+    assert masks.map50 == pytest.approx(expected)
     # All five are 3 px off: OKS = exp(-9 / (2 area 0.1²)).
     area = _area(result)
     similarity = math.exp(-9 / (2 * area * 0.1**2))
     passed = sum(similarity >= t for t in np.arange(0.5, 0.96, 0.05).round(2))
     keypoints = found[Stage.POSED, Judged.KEYPOINTS]
-    assert keypoints.map50_95.value == pytest.approx(expected * passed / 10)
+    assert keypoints.map50_95 == pytest.approx(expected * passed / 10)
     assert 5 <= passed <= 9
     for _, one in summary.overall:
         assert (one.recall.value, one.recall.count, one.recall.groups) == (1.0, 2, 2)
@@ -207,80 +204,55 @@ def _area(result: DetectionResult) -> int:
     return label.mask_code.area_px
 
 
+def tables_of(result: DetectionResult) -> dict[str, dict[Cell, dict[str, Cell]]]:
+    """Give the tables' rows by title and first cell, each by the columns' heads."""
+    return {
+        table.title: {
+            row[0]: dict(zip([c.head for c in table.columns], row, strict=True))
+            for row in table.rows
+        }
+        for table in detection_tables(summarise(result), result.plan.confidence)
+    }
+
+
 def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
-    summary = summarise(result)
     length = float(np.linalg.norm(scene.keypoints[4, :2] - scene.keypoints[0, :2]))
-    every = {one.ends: one for one in summary.ends}["all"]
-    assert every.median_percent.count == 4
+    every = tables_of(result)["Ends"]["all"]
+    assert every["n"] == 4
     # The network's points are 3 px off; the outline's axis ends within a pixel of the fruit's.
-    assert every.median_percent.value < 100 * 1 / length
-    assert summary.swapped.value == 0.0
+    assert cast(float, every["median (% of length)"]) < 100 * 1 / length
+    assert [row.swapped for row in summarise(result).ends] == [False, False]
 
 
 def test_masks_and_lengths(result: DetectionResult) -> None:
-    summary = summarise(result)
-    overlaps = {one.masks: one for one in summary.overlaps}
-    assert overlaps["network alone"].mean_iou.value > 0.9  # blocks of four pixels
-    assert overlaps["SAM, box"].mean_iou.value > 0.93
-    assert overlaps["SAM, box + centre"].mean_iou.value > 0.93
-    assert {one.mean_iou.count for one in overlaps.values()} == {1}
+    tables = tables_of(result)
+    masks = tables["Masks"]
+    assert (masks["detector"]["fruit"], masks["what is measured"]["fruit"]) == (2, 1)
+    assert cast(float, masks["detector"]["mean IoU"]) > 0.9  # blocks of four pixels
+    assert cast(float, masks["what is measured"]["mean IoU"]) > 0.93  # drawn by SAM
     assert {r.masks for r in result.records} == {Masks.EXACT, Masks.PERCEIVED}
-    scores = {
-        (one.masks, one.method): one
-        for one in summary.lengths
-        if one.truth == "centreline" and one.group == "whole"
-    }
-    for masks in (Masks.EXACT, Masks.PERCEIVED):
-        best = scores[masks, "selector best"]
-        assert (best.missed, best.metrics.measured, best.metrics.count) == (0, 1.0, 1)
-        assert best.metrics.mape_percent < 5
-    assert scores[Masks.PERCEIVED, "M4"].metrics.measured == 1.0
+    for words in ("true masks", "perceived masks"):
+        lengths = tables[f"Accuracy against the centreline, {words}"]
+        best = lengths["selector best"]
+        assert (best["measured (%)"], best["captures"]) == (100.0, 1)
+        assert cast(float, best["MAPE (%)"]) < 5
+    assert lengths["M4"]["measured (%)"] == 100.0
 
 
 def test_missed_fruit_count_in_full(scene: DrawnFruit, tmp_path: Path) -> None:
     blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
     plan = DetectionPlan(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
-    summary = summarise(evaluate_detection(plan))
-    assert summary.overall[0][1].recall.value == 0.0
-    found = [one for one in summary.lengths if one.group == "whole" and one.truth == "thread"]
-    perceived = [one for one in found if one.masks is Masks.PERCEIVED]
-    assert {one.missed for one in perceived} == {2}
-    assert [one.metrics.mape_percent for one in perceived] == pytest.approx(
-        [100.0] * len(perceived)
-    )
-    assert {one.error_of_measured_percent.count for one in perceived} == {0}
-    assert all(one.missed == 0 for one in found if one.masks is Masks.EXACT)
-
-
-def test_only_drawn_pictures_are_ever_shown(result: DetectionResult) -> None:
-    summary = summarise(result)
-    cases = worst_cases(result, summary)
-    assert {case.kind for case in cases} == {"false", "masks", "keypoints"}
-    assert [case.picture for case in cases if case.kind == "false"] == ["images/b.png"]
-    assert draw_sheet(cases[:1], result).startswith(b"\x89PNG")
-    real = tuple(replace(p, source="photo") for p in result.held_out.pictures)
-    photos = replace(result, held_out=replace(result.held_out, pictures=real))
-    assert worst_cases(photos, summary) == []
-    with pytest.raises(ValueError, match="no drawn picture"):
-        draw_sheet([WorstCase("false", "images/b.png", (0, 0, 9, 9), "")], photos)
-
-
-def test_a_sheet_shows_truth_in_green_and_finds_in_orange(
-    result: DetectionResult, tmp_path: Path
-) -> None:
-    cases = [case for case in worst_cases(result, summarise(result)) if case.kind == "keypoints"]
-    (tmp_path / "sheet.png").write_bytes(draw_sheet(cases, result))
-    sheet = read_color(tmp_path / "sheet.png").astype(int)
-    assert sheet.shape == (244, 2 * 324, 3)
-    for ink in ((0, 200, 140), (255, 110, 0)):
-        assert (np.abs(sheet - ink).sum(axis=2) < 30).sum() > 40
+    result = evaluate_detection(plan)
+    assert summarise(result).overall[0][1].recall.value == 0.0
+    rows = tables_of(result)["Accuracy against the thread, perceived masks"].values()
+    assert {row["captures"] for row in rows} == {2}
+    assert {row["measured (%)"] for row in rows} == {0.0}
+    assert {row["MAPE (%)"] for row in rows} == {100.0}
 
 
 def test_the_command_writes_everything(
     scene: DrawnFruit, networks: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("jinja2")
     out = tmp_path / "out"
     arguments = ["evaluate", "models", str(scene.folder), "--out", str(out)]
     arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]
@@ -289,24 +261,16 @@ def test_the_command_writes_everything(
     assert found.exit_code == 0, found.output
     assert "Average precision" in found.output
     numbers = json.loads((out / "results.json").read_text())
-    assert numbers["overall"]["what is reported"]["recall"]["value"] == 1.0
-    assert numbers["overall"]["what is reported"]["recall"]["n"] == 2
+    tables = {table["title"]: table["rows"] for table in numbers["tables"]}
+    reported = tables["Recall and precision"][0]
+    assert (reported["stage"], reported["recall"], reported["fruit"]) == ("what is reported", 1, 2)
     assert [one["name"] for one in numbers["networks"]] == ["seg.onnx", "pose.onnx"]
-    (best,) = (
-        one
-        for one in numbers["lengths"]
-        if (one["truth"], one["group"], one["masks"], one["method"])
-        == ("thread", "whole", "perceived", "M6 thread")
-    )
-    assert (best["error_percent"]["n"], best["missed"]) == (2, 0)
-    assert best["error_percent"]["value"] < 10
+    lengths = {r["method"]: r for r in tables["Accuracy against the thread, perceived masks"]}
+    assert (lengths["M6 thread"]["captures"], lengths["M6 thread"]["measured (%)"]) == (2, 100.0)
+    assert lengths["M6 thread"]["MAPE (%)"] < 10
     with (out / "detections.csv").open(encoding="utf-8") as stream:
         outcomes = [row["outcome"] for row in csv.DictReader(stream)]
     assert outcomes == ["hit", "false", "hit"]
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert "The worst cases" in page
-    assert "results.json" in page
-    assert page.count("data:image/png") == 5  # recall, ends, and three sheets
 
 
 def test_photos_are_judged_by_a_command_of_their_own(
@@ -333,9 +297,10 @@ def test_photos_are_judged_by_a_command_of_their_own(
     assert found.exit_code == 0, found.output
     assert "test: on the plant" in found.output
     numbers = json.loads((tmp_path / "out" / "photos.json").read_text(encoding="utf-8"))
-    assert numbers["tests"]["on the plant"]["recall"]["value"] == 1.0
-    assert numbers["tests"]["negatives"]["precision"]["value"] == 0.0
-    assert numbers["half_size"]["on the plant"]["recall"]["value"] == 0.0
+    shares = {row["photos"]: row for row in numbers["tables"][0]["rows"]}
+    assert shares["test: on the plant"]["recall"] == 1.0
+    assert shares["test: negatives"]["precision"] == 0.0
+    assert shares["half size: on the plant"]["recall"] == 0.0
     with (tmp_path / "out" / "photo_detections.csv").open(encoding="utf-8") as stream:
         assert [row["outcome"] for row in csv.DictReader(stream)] == ["hit", "false"]
 
@@ -343,27 +308,6 @@ def test_photos_are_judged_by_a_command_of_their_own(
     empty.mkdir()
     refused = CliRunner().invoke(app, ["evaluate", "photos", str(empty), "--out", "x"])
     assert refused.exit_code != 0
-
-
-def test_of_photos_only_figures_are_written(result: DetectionResult, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("jinja2")
-    boxes = np.array([[0.0, 0, 50, 10], [0, 40, 50, 50]])
-    seen = tuple(FoundFruit(box, 0.9) for box in boxes)
-    photo = Frame("web/leaf.jpg", "s1", 60, 60, (TrueFruit(boxes[0]),), kept=seen)
-    judged = replace(result, photos=score_photos([photo], ["plant"], 0.3))
-    summary = summarise(judged)
-    pages = [
-        write_detection_report(one, summary, tmp_path / name).read_text(encoding="utf-8")
-        for name, one in (("with", judged), ("without", result))
-    ]
-    assert pages[0].count("data:image/png") == pages[1].count("data:image/png")
-    assert "web/leaf.jpg" in pages[0]
-    text = (tmp_path / "with" / "results.json").read_text(encoding="utf-8")
-    assert "NaN" not in text
-    assert json.loads(text)["photos"]["false"][0]["picture"] == "web/leaf.jpg"
-    with (tmp_path / "with" / "photo_detections.csv").open(encoding="utf-8") as stream:
-        assert [row["outcome"] for row in csv.DictReader(stream)] == ["hit", "false"]
 
 
 class Replay:

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_lab.report.records import readings_frame
+from cucumbervision_lab.benchmark.records import readings_frame
 
 pytest.importorskip("matplotlib")
 
-from cucumbervision_lab.report import plots
+from cucumbervision_lab.benchmark import plots
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
-    from tests.lab.report.conftest import MakeRecord
+    from tests.lab.benchmark.conftest import MakeRecord
 
 # Three hues that no other of these methods, nor text or grid, has.
 COLOURS = {"M6": (0xD5, 0x5E, 0x00), "M5": (0x00, 0x72, 0xB2), "M1": (0xE6, 0x9F, 0x00)}
@@ -64,19 +64,6 @@ def readings(make_record: MakeRecord) -> pd.DataFrame:
         for k in range(7)
     ]
     return readings_frame(records)
-
-
-def test_tracking_puts_a_right_length_on_the_truth_and_a_short_one_below(
-    readings: pd.DataFrame,
-) -> None:
-    png = plots.tracking(readings, LengthDefinition.CENTRELINE)
-    m5 = pixels(png, "M5")
-    right = m5[m5[:, 1] > 0.7 * picture(png).shape[1]]
-    m6 = pixels(png, "M6")
-    star = m6[m6[:, 1] > 0.7 * picture(png).shape[1]]
-    assert len(right)
-    assert len(star)
-    assert right[:, 0].min() > star[:, 0].max()  # lower in the picture
 
 
 def test_errors_spread_from_right_to_wrong(readings: pd.DataFrame) -> None:

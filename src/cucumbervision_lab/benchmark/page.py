@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.about import LICENCE, installed_versions, source_offer
+from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import MissingExtraError
 
@@ -65,15 +65,14 @@ class Section:
 def write_report(
     out: Path,
     title: str,
-    glance: Table,
     sections: Sequence[Section],
     *,
-    notes: Sequence[tuple[str, str]] = (),
+    glance: Table,
+    notes: Sequence[str] = (),
     provenance: Mapping[str, object] | None = None,
     glossary: Sequence[tuple[str, str]] = (),
-    numbers: Mapping[str, object] | None = None,
 ) -> Path:
-    """Write `report.html` and `benchmark.json`.
+    """Write `report.html`, which needs nothing else, and its numbers as `benchmark.json`.
 
     Parameters
     ----------
@@ -81,18 +80,16 @@ def write_report(
         The folder, made if it is missing.
     title : str
         The page's head.
+    sections : sequence of Section
+        In order.
     glance : Table
         What stands first.
-    sections : sequence of Section
-        The rest, in order.
-    notes : sequence of (str, str)
-        Heads (or nothing) and texts at the top, paragraphs parted by an empty line.
+    notes : sequence of str
+        Paragraphs at the top.
     provenance : mapping of str to object, optional
         How the numbers came about: seeds, versions, machine, duration.
     glossary : sequence of (str, str)
         Terms and what they mean.
-    numbers : mapping of str to object, optional
-        What else `benchmark.json` is to say.
 
     Returns
     -------
@@ -105,13 +102,21 @@ def write_report(
         If Jinja2 is not installed.
     """
     origin = {name: _plain_text(value) for name, value in (provenance or {}).items()}
-    origin.setdefault("versions", _plain_text(installed_versions()))
-    page = render_page(title, notes, glance, sections, origin, glossary=glossary)
+    page = _template().render(
+        title=title,
+        notes=notes,
+        glance=glance,
+        sections=sections,
+        glossary=glossary,
+        provenance=origin.items(),
+        licence=LICENCE,
+        source=source_offer(),
+        numbers=JSON_NAME,
+    )
     content = {
         "title": title,
-        "notes": {head or "summary": text for head, text in notes},
+        "notes": list(notes),
         "provenance": origin,
-        **(numbers or {}),
         "glance": glance.as_json(),
         "sections": [section.as_json() for section in sections],
     }
@@ -120,53 +125,6 @@ def write_report(
     (out / JSON_NAME).write_text(text + "\n", encoding="utf-8")
     (out / HTML_NAME).write_text(page, encoding="utf-8")
     return out / HTML_NAME
-
-
-def render_page(
-    title: str,
-    notes: Sequence[tuple[str, str]],
-    glance: Table,
-    sections: Sequence[Section],
-    provenance: Mapping[str, object],
-    *,
-    glossary: Sequence[tuple[str, str]] = (),
-    numbers: str = JSON_NAME,
-) -> str:
-    """Return a report as one page of HTML that needs nothing else.
-
-    Parameters
-    ----------
-    title : str
-        The page's head.
-    notes : sequence of (str, str)
-        Heads and texts at the top, paragraphs parted by an empty line.
-    glance : Table
-        What stands first.
-    sections : sequence of Section
-        The rest, in order.
-    provenance : mapping of str to object
-        How the numbers came about.
-    glossary : sequence of (str, str)
-        Terms and what they mean.
-    numbers : str
-        Name of the file beside it that holds all numbers.
-
-    Raises
-    ------
-    MissingExtraError
-        If Jinja2 is not installed.
-    """
-    return _template().render(
-        title=title,
-        notes=notes,
-        glance=glance,
-        sections=sections,
-        glossary=glossary,
-        provenance=[(name, _plain_text(value)) for name, value in provenance.items()],
-        licence=LICENCE,
-        source=source_offer(),
-        numbers=numbers,
-    )
 
 
 def _anchor(text: str) -> str:
@@ -190,7 +148,7 @@ def _template() -> Template:
     except ModuleNotFoundError:
         raise MissingExtraError("jinja2", "benchmark") from None
     environment = Environment(
-        loader=PackageLoader("cucumbervision_lab.report", "templates"),
+        loader=PackageLoader("cucumbervision_lab.benchmark", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

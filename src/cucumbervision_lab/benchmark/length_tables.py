@@ -1,20 +1,17 @@
-"""From readings to tables: accuracy, which method errs less, fruit one by one, and by groups."""
+"""Tables of readings: every method's accuracy, over all fruit and by groups."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 
-from cucumbervision.accuracy.statistics import Estimate, Metrics, compare, estimate, score
+from cucumbervision.accuracy.statistics import Estimate, Metrics, estimate, score
 from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
 """Kinds of true length, in the order of every report."""
@@ -33,10 +30,8 @@ DESCRIPTIONS = {
     "rectangle": "smallest rectangle",
     "selector best": "what this program reports",
     "selector paper": "what the paper's selector reports",
-    "reported": "what the run reported",
-    "oracle": "the true tube, ends by the outline",
 }
-"""Methods in the order of every table; others stand before the oracle."""
+"""Methods in the order of every table; others come last."""
 
 PAPER_METHODS = ("M1", "M2", "M3", "M4", "M5")
 _COUNT_OF_RESAMPLES = 10_000
@@ -47,9 +42,8 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
     """Return the readings that are comparable with one kind of true length, with their errors.
 
     M1 to M5 and other tools are compared with every kind: they do not say which they
-    measure. M6's own kinds and the oracle's are compared with their own; M6's centreline also
-    against the thread, since that is what the paper would do. What a run reported is compared with
-    the kind that it names, if it names one.
+    measure. M6's own kinds are compared with their own; M6's centreline also with the thread,
+    as the paper would do.
 
     Parameters
     ----------
@@ -66,8 +60,8 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
 
     Examples
     --------
-    >>> from cucumbervision_lab.report.records import Masks, LengthRecord, readings_frame
-    >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22, "oracle": 0.2}
+    >>> from cucumbervision_lab.benchmark.records import Masks, LengthRecord, readings_frame
+    >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22}
     >>> one = LengthRecord("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
     ...     1.0, lengths_m=read)
     >>> frame = readings_frame([one])
@@ -75,7 +69,7 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
     ['M6', 'M1', 'M6 thread']
     >>> scored = against(frame, LengthDefinition.CENTRELINE)
     >>> scored.set_index("method").error_percent.round(1).to_dict()
-    {'M6': 5.0, 'M1': 50.0, 'oracle': 0.0}
+    {'M6': 5.0, 'M1': 50.0}
     >>> len(against(frame, LengthDefinition.CHORD))
     0
     """
@@ -84,20 +78,14 @@ def against(readings: pd.DataFrame, truth: LengthDefinition) -> pd.DataFrame:
         f" {kind}" for kind in (LengthDefinition.THREAD, LengthDefinition.CHORD) if kind != truth
     )
     fits = true.notna() & ~method.str.endswith(others)
-    if truth is not LengthDefinition.CENTRELINE:
-        fits &= method != "oracle"
     if truth is LengthDefinition.CHORD:
         fits &= ~method.isin(["M6", "selector best"])
-    if "reported_kind" in readings:
-        kind = readings["reported_kind"]
-        fits &= (method != "reported") | (kind == truth) | ~kind.isin([str(k) for k in _TRUTHS])
     scored = readings[fits].copy()
     scored["true_m"] = true[fits]
     scored["error_cm"] = 100 * (scored["length_m"].fillna(0) - scored["true_m"]).abs()
     scored["error_percent"] = scored["error_cm"] / scored["true_m"]
     order = {name: k for k, name in enumerate(DESCRIPTIONS)}
-    last = len(order) - 1.5
-    found = sorted(scored["method"].unique(), key=lambda name: (order.get(name, last), name))
+    found = sorted(scored["method"].unique(), key=lambda name: (order.get(name, len(order)), name))
     scored["method"] = pd.Categorical(scored["method"], found, ordered=True)
     return scored
 
@@ -108,10 +96,10 @@ def truths_of(readings: pd.DataFrame) -> list[LengthDefinition]:
 
 
 def shown_methods(scored: pd.DataFrame, truth: LengthDefinition) -> list[str]:
-    """Return the methods to show one by one: M6 by its own kind, no selectors, not 'reported'."""
+    """Return the methods to show one by one: M6 by its own kind, and no selectors."""
     methods = list(scored["method"].cat.categories)
     doubled = "M6" if f"M6 {truth}" in methods else None
-    return [m for m in methods if m not in ("reported", doubled) and not m.startswith("selector")]
+    return [m for m in methods if m != doubled and not m.startswith("selector")]
 
 
 def method_metrics(scored: pd.DataFrame) -> dict[str, Metrics]:
@@ -143,14 +131,14 @@ _LOWEST_IS_BEST = ("mae_cm", "rmse_cm", "mape_percent", "median_percent", "worst
 
 
 def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
-    """Return every method's accuracy; the best of all but the oracle in bold.
+    """Return every method's accuracy; the best in bold.
 
     Parameters
     ----------
     readings : DataFrame
         Of one suite and one kind of masks.
     truth : LengthDefinition
-        What to hold them against.
+        The true length to compare with.
     """
     rows: list[dict[str, Any]] = []
     for method, part in against(readings, truth).groupby("method", observed=True):
@@ -167,105 +155,16 @@ def accuracy_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
                 "words": DESCRIPTIONS.get(str(method), ""),
             }
         )
-    ranked = [k for k, row in enumerate(rows) if row["method"] != "oracle"]
     bold = frozenset(
-        (min(ranked, key=lambda k: float(rows[k][name])), list(_ACCURACY).index(name))
+        (min(range(len(rows)), key=lambda k: float(rows[k][name])), list(_ACCURACY).index(name))
         for name in _LOWEST_IS_BEST
-        if len(ranked) > 1
+        if len(rows) > 1
     )
     comment = (
         f"Errors against the true {truth}. A fruit that a method did not measure counts as 100 % "
-        "error. Captures of one fruit resemble each other, so the interval by fruit is the "
-        "honest one."
+        "error. Captures of one fruit resemble each other: use the interval by fruit."
     )
     return Table.of_records(f"Accuracy against the {truth}", _ACCURACY, rows, comment, bold)
-
-
-def comparison_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table | None:
-    """Test M5 against M1 to M4, as the paper does, and M6 against every method but the oracle.
-
-    Returns
-    -------
-    Table or None
-        None where neither was run beside another on at least five captures.
-    """
-    scored = against(readings, truth)
-    errors = scored.pivot(index=["fruit", "case"], columns="method", values="error_cm")
-    methods = [str(name) for name in errors.columns]
-    own = next((m for m in (f"M6 {truth}", "M6") if m in methods), None)
-    ours = ("oracle", "reported")
-    rivals = [m for m in methods if m not in ours and not m.startswith(("M6", "selector"))]
-    rows = _tests(errors, "M5", [m for m in PAPER_METHODS[:4] if m in methods])
-    rows += _tests(errors, own, rivals) if own else []
-    if not rows:
-        return None
-    comment = (
-        "Wilcoxon's signed-rank test of the absolute errors, two-sided, Bonferroni's correction. "
-        "A negative difference means that the first errs less. The test takes captures for "
-        "independent, which captures of one fruit are not; 'p by fruit' therefore tests each "
-        "fruit's mean error (with seven fruit it cannot fall below 0.016)."
-    )
-    return Table.of_records(f"Who errs less, against the {truth}", _TESTS, rows, comment)
-
-
-_TESTS = {
-    "method": "method",
-    "against": "against",
-    "captures": "captures",
-    "difference": "median difference (cm):+.3",
-    "p": "p",
-    "level": "level (0.05 / tests):.4",
-    "differ": "differ",
-    "fruit": "fruit",
-    "p_by_fruit": "p by fruit",
-}
-
-
-def _tests(errors: pd.DataFrame, first: str, others: Sequence[str]) -> list[dict[str, Any]]:
-    rows = []
-    for second in others:
-        both = errors[[first, second]].dropna() if first in errors else errors[:0]
-        if len(both) < 5:
-            continue
-        by_fruit = both.groupby(level="fruit").mean()
-        result = compare(both[first], both[second], len(others))
-        fruit = compare(by_fruit[first], by_fruit[second], len(others))
-        rows.append(
-            {
-                "method": first,
-                "against": second,
-                "captures": len(both),
-                "difference": result.median_difference,
-                "p": _p_text(result.p_value),
-                "level": result.alpha,
-                "differ": result.significant,
-                "fruit": len(by_fruit),
-                "p_by_fruit": _p_text(fruit.p_value),
-            }
-        )
-    return rows
-
-
-def fruit_table(readings: pd.DataFrame, truth: LengthDefinition) -> Table:
-    """Return each capture as the paper's validation table: length and signed error a method."""
-    scored = against(readings, truth)
-    methods = [
-        str(m)
-        for m in scored["method"].cat.categories
-        if m not in ("oracle", "reported") and not m.startswith("selector")
-    ]
-    heads = ["fruit", f"true {truth} (cm)", *(f"{method} (cm)" for method in methods)]
-    rows: list[tuple[Cell, ...]] = []
-    for case, part in scored.groupby("case", sort=False):
-        fruit, true_m = part["fruit"].iloc[0], float(part["true_m"].iloc[0])
-        lengths = part.set_index("method")["length_m"]
-        cells = [length_and_error(lengths.get(method, np.nan), true_m) for method in methods]
-        rows.append((fruit if fruit == case else f"{fruit} ({case})", 100 * true_m, *cells))
-    found = method_metrics(scored)
-    rows.append(("MAE (cm)", None, *[found[m].mae_cm for m in methods]))
-    rows.append(("MAPE (%)", None, *[found[m].mape_percent for m in methods]))
-    comment = "Length read and, in brackets, read less true, both in cm."
-    return Table.of(f"Fruit by fruit, against the {truth}", heads, rows, comment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,6 +255,11 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
         factors.append(Factor(head, groups, f"{comment}{_LOWER}"))
     conditions = {str(name): frame["condition"] == name for name in frame["condition"].unique()}
     factors.append(Factor("condition", conditions))
+    if "m6_flags" in frame:
+        flagged = frame["m6_flags"].map(
+            lambda flags: bool(flags) if isinstance(flags, list) else True
+        )
+        factors.append(Factor("M6's flags", {"none": ~flagged, "some, or not measured": flagged}))
     return [f for f in factors if sum(inside.any() for inside in f.groups.values()) > 1]
 
 
@@ -407,21 +311,3 @@ def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:
     if isinstance(interval, Estimate):
         interval = None if np.isnan(interval.low) else (interval.low, interval.high)
     return None if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}"
-
-
-def length_and_error(length_m: float, true_m: float) -> str:
-    """Return a length and, in brackets, its signed error, in cm.
-
-    Examples
-    --------
-    >>> length_and_error(0.2359, 0.2570), length_and_error(np.nan, 0.2)
-    ('23.59 (−2.11)', 'not measured')
-    """
-    if np.isnan(length_m):
-        return "not measured"
-    error = f"{100 * (length_m - true_m):+.2f}".replace("-", "−")
-    return f"{100 * length_m:.2f} ({error})"
-
-
-def _p_text(p_value: float) -> str:
-    return "< 0.0001" if p_value < 1e-4 else f"{p_value:.4f}"

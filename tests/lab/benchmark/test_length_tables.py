@@ -6,21 +6,19 @@ import pytest
 
 from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_lab.report.length_tables import (
+from cucumbervision_lab.benchmark.length_tables import (
     accuracy_table,
     against,
-    comparison_table,
     factors_of,
-    fruit_table,
     group_table,
     method_metrics,
 )
-from cucumbervision_lab.report.records import LengthRecord, readings_frame
+from cucumbervision_lab.benchmark.records import LengthRecord, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tests.lab.report.conftest import MakeRecord
+    from tests.lab.benchmark.conftest import MakeRecord
 
 
 def methods_against(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[str]:
@@ -32,11 +30,11 @@ def cell(table: Table, row: str, head: str) -> Cell:
     return next(line[place] for line in table.rows if line[0] == row)
 
 
-def test_each_method_is_held_against_what_it_measures(make_record: MakeRecord) -> None:
-    names = ["oracle", "M6 chord", "M6 thread", "M6", "M5", "new tool", "rectangle", "M1"]
+def test_each_method_is_compared_with_what_it_measures(make_record: MakeRecord) -> None:
+    names = ["M6 chord", "M6 thread", "M6", "M5", "new tool", "rectangle", "M1"]
     records = [make_record(lengths_m=dict.fromkeys(names, 0.2))]
     assert methods_against(records, LengthDefinition.CENTRELINE) == [
-        *("M1", "M5", "M6", "rectangle", "new tool", "oracle")
+        *("M1", "M5", "M6", "rectangle", "new tool")
     ]
     assert methods_against(records, LengthDefinition.THREAD) == [
         *("M1", "M5", "M6", "M6 thread", "rectangle", "new tool")
@@ -44,15 +42,6 @@ def test_each_method_is_held_against_what_it_measures(make_record: MakeRecord) -
     assert methods_against(records, LengthDefinition.CHORD) == [
         *("M1", "M5", "M6 chord", "rectangle", "new tool")
     ]
-
-
-def test_what_was_reported_counts_only_by_its_own_kind(make_record: MakeRecord) -> None:
-    said = {"reported_kind": "thread"}
-    records = [make_record(lengths_m={"reported": 0.22}, details=said)]
-    assert methods_against(records, LengthDefinition.THREAD) == ["reported"]
-    assert methods_against(records, LengthDefinition.CENTRELINE) == []
-    raw = [make_record(lengths_m={"reported": 0.22}, details={"reported_kind": "surface-arc"})]
-    assert methods_against(raw, LengthDefinition.CENTRELINE) == ["reported"]
 
 
 def test_accuracy_by_hand(make_record: MakeRecord) -> None:
@@ -84,9 +73,9 @@ def test_accuracy_by_hand(make_record: MakeRecord) -> None:
 
 
 def test_metrics_by_method_stand_in_the_tables_order(make_record: MakeRecord) -> None:
-    frame = readings_frame([make_record(lengths_m={"oracle": 0.2, "M6": 0.21, "M1": None})])
+    frame = readings_frame([make_record(lengths_m={"skan": 0.2, "M6": 0.21, "M1": None})])
     found = method_metrics(against(frame, LengthDefinition.CENTRELINE))
-    assert list(found) == ["M1", "M6", "oracle"]
+    assert list(found) == ["M1", "M6", "skan"]
     assert found["M6"].mape_percent == pytest.approx(5.0)
     assert found["M1"].measured == 0.0
 
@@ -101,62 +90,14 @@ def test_a_method_that_was_not_run_is_not_punished(make_record: MakeRecord) -> N
     assert cell(table, "skan", "MAPE (%)") == pytest.approx(5.0)
 
 
-def test_the_best_but_for_the_oracle_is_bold(make_record: MakeRecord) -> None:
-    records = [make_record(lengths_m={"M1": 0.19, "M6": 0.199, "oracle": 0.2})]
+def test_the_best_is_bold(make_record: MakeRecord) -> None:
+    records = [make_record(lengths_m={"M1": 0.19, "M6": 0.199})]
     table = accuracy_table(readings_frame(records), LengthDefinition.CENTRELINE)
     heads = [column.head for column in table.columns]
     assert {table.rows[row][0] for row, _ in table.bold} == {"M6"}
     assert {heads[column] for _, column in table.bold} == {
         *("MAE (cm)", "RMSE (cm)", "MAPE (%)", "median error (%)", "worst error (%)")
     }
-
-
-def test_comparisons_as_in_the_paper(make_record: MakeRecord) -> None:
-    # M5 errs by 1.0, 1.1, … cm, everybody else by exactly 1 cm more: all ten differences have one
-    # sign, so that p = 2 / 2^10 = 0.00195, below 0.05 / 4.
-    records = [
-        make_record(
-            f"c{k}",
-            fruit=f"f{k % 5}",
-            lengths_m={
-                "M5": 0.19 - 0.001 * k,
-                **dict.fromkeys(("M1", "M2", "M3", "M4"), 0.18 - 0.001 * k),
-            },
-        )
-        for k in range(10)
-    ]
-    table = comparison_table(readings_frame(records), LengthDefinition.CENTRELINE)
-    assert table is not None
-    assert [row[1] for row in table.rows] == ["M1", "M2", "M3", "M4"]
-    assert cell(table, "M5", "median difference (cm)") == pytest.approx(-1.0)
-    assert cell(table, "M5", "level (0.05 / tests)") == 0.0125
-    assert cell(table, "M5", "p") == "0.0020"
-    assert cell(table, "M5", "differ") is True
-    # Five fruit, one sign: 2 / 2^5.
-    assert cell(table, "M5", "p by fruit") == "0.0625"
-
-
-def test_m6_is_tested_by_the_kind_it_reads(make_record: MakeRecord) -> None:
-    lengths = {"M6": 0.2, "M6 thread": 0.22, "M1": 0.1, "oracle": 0.2}
-    records = [make_record(f"c{k}", lengths_m=lengths) for k in range(6)]
-    thread = comparison_table(readings_frame(records), LengthDefinition.THREAD)
-    assert thread is not None
-    assert [row[:2] for row in thread.rows] == [("M6 thread", "M1")]
-    assert comparison_table(readings_frame(records[:4]), LengthDefinition.THREAD) is None
-
-
-def test_validation_reads_as_in_the_paper(make_record: MakeRecord) -> None:
-    records = [
-        make_record("v1", lengths_m={"M1": 0.2011, "M5": None}),
-        make_record("v2", fruit="Cu-2", centreline_m=0.1, lengths_m={"M1": 0.095, "M5": 0.1}),
-    ]
-    table = fruit_table(readings_frame(records), LengthDefinition.CENTRELINE)
-    assert table.text_rows()[:2] == [
-        ["v1", "20.00", "20.11 (+0.11)", "not measured"],
-        ["Cu-2 (v2)", "10.00", "9.50 (−0.50)", "10.00 (+0.00)"],
-    ]
-    assert cell(table, "MAE (cm)", "M1 (cm)") == pytest.approx((0.11 + 0.5) / 2)
-    assert cell(table, "MAPE (%)", "M5 (cm)") == pytest.approx(50.0)
 
 
 def group_tables(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[Table]:
@@ -231,3 +172,18 @@ def test_both_ends_in_sight_is_a_group_of_its_own(make_record: MakeRecord) -> No
         {"0": 1, "above 0 to 20": 1, "20 to 40": 2, "40 to 60": 2},
         {"0": 1, "above 0 to 20": 1, "20 to 40": 2},
     ]
+
+
+def test_fruit_that_m6_flags_are_a_group_of_their_own(make_record: MakeRecord) -> None:
+    flags: list[list[str] | None] = [[], [], ["end-hidden"], None]
+    records = [
+        make_record(
+            f"c{k}",
+            details={} if some is None else {"m6_flags": some},
+            lengths_m={"M6": None if some is None else 0.2},
+        )
+        for k, some in enumerate(flags)
+    ]
+    (table,) = group_tables(records, LengthDefinition.CENTRELINE)
+    assert table.columns[0].head == "M6's flags"
+    assert [row[:2] for row in table.rows] == [("none", 2), ("some, or not measured", 2)]

@@ -39,7 +39,7 @@ class LengthRecord:
     case : str
         The capture's name, unique within the suite.
     suite : str
-        Which part of a benchmark, or 'own': a grower's own fruit.
+        Which part of a benchmark.
     masks : Masks
         Whose masks and keypoints.
     fruit : str
@@ -62,8 +62,8 @@ class LengthRecord:
         The camera's true depth scale: what it reads over what is.
     lengths_m : dict of str to float or None
         What each method read, metres; None where it refused, no key where it was not run. Keys:
-        'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord', 'oracle', 'reported', and other
-        people's tools by name.
+        'M1' … 'M5', 'M6' (centreline), 'M6 thread', 'M6 chord', the selectors, and other people's
+        tools by name.
     details : dict
         What else was noted, by name.
     """

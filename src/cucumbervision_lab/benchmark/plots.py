@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.report.length_tables import against, shown_methods
+from cucumbervision_lab.benchmark.length_tables import against, shown_methods
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,9 +30,9 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "skan": ("#777777", "x", ":"),
     "PlantCV": ("#777777", "+", "--"),
     "rectangle": ("#AAAAAA", "s", "-."),
-    "oracle": ("#000000", ".", "--"),
 }
-_OTHERS = ("skan", "PlantCV", "rectangle", "oracle")
+
+
 _SMALLEST_CM = 0.001  # what a logarithmic axis starts at
 
 
@@ -44,7 +44,7 @@ def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> 
     readings : DataFrame
         Of one suite and one kind of masks, as `readings_frame` gives them.
     truth : LengthDefinition
-        What to hold them against.
+        The true length to compare with.
 
     Returns
     -------
@@ -78,42 +78,6 @@ def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> 
         ax.set_visible(False)
     figure.supxlabel(f"true {truth} (cm)")
     figure.supylabel("measured (cm)")
-    return as_png(figure)
-
-
-def tracking(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
-    """Plot the truth and each method's length, capture by capture from short to long.
-
-    Parameters
-    ----------
-    readings, truth
-        As for `predicted_against_truth`.
-    """
-    scored = against(readings, truth)
-    methods = [m for m in shown_methods(scored, truth) if m not in _OTHERS]
-    known = scored.groupby("case")["true_m"].first().reset_index().sort_values(["true_m", "case"])
-    lengths = scored.pivot(index="case", columns="method", values="length_m").loc[known["case"]]
-    figure = new_figure(4.6)
-    ax = figure.subplots()
-    place = np.arange(1, len(known) + 1)
-    ax.step(
-        place,
-        100 * known["true_m"],
-        where="mid",
-        color="black",
-        linewidth=1.4,
-        label=f"true {truth}",
-    )
-    for method in methods:
-        colour, marker, _ = method_style(method)
-        size = 9 if marker == "*" else 5
-        read = 100 * lengths[method]
-        ax.plot(place, read, marker, color=colour, markersize=size, alpha=0.8, label=method)
-    ax.set_xlabel("capture, ordered by true length")
-    ax.set_ylabel("length (cm)")
-    ax.set_ylim(bottom=0)
-    ax.grid(alpha=0.3)
-    ax.legend(ncols=2, fontsize=9)
     return as_png(figure)
 
 

@@ -1,1 +1,0 @@
-"""Reports of benchmarks: tables and plots over readings, set out as one page."""

@@ -39,13 +39,12 @@ from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Method
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision.pipeline.engines import Engine, Processes, in_process
+from cucumbervision.pipeline.batch import Engine, Processes, in_process
 from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.output import OutputFolder
-from cucumbervision.pipeline.run import BatchOptions, measure_inputs
-from cucumbervision.pipeline.work import Task, Worker
+from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
 from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -149,9 +148,9 @@ def processor_ms(rounds: int) -> tuple[float, float]:
     """
     inside, beyond, clock = [], [], NetworkClock()
     with tempfile.TemporaryDirectory() as tmp:
-        worker = Worker(MODELS, OutputFolder(Path(tmp)))
+        worker = FolderWorker(Measurer(MODELS), OutputFolder(Path(tmp)))
         captures = list_captures([example_captures()], MODELS.reading)
-        tasks = [Task(one) for one in captures if isinstance(one, Listed)]
+        tasks = [Task(**vars(one)) for one in captures if isinstance(one, Listed)]
         for turn in range(rounds + 1):
             clock.start()
             begun = time.process_time()

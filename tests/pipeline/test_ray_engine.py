@@ -7,7 +7,7 @@ import pytest
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.engines import choose_engine
+from cucumbervision.pipeline.batch import choose_engine
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 

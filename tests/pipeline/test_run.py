@@ -26,8 +26,7 @@ from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.inputs import count_captures
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import BatchOptions, measure_inputs
-from cucumbervision.pipeline.work import Outcome
+from cucumbervision.pipeline.run import BatchOptions, Step, measure_inputs
 
 ROW_A = "simulated-row-a"
 
@@ -39,7 +38,7 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     broken = folder / "broken"
     shutil.copytree(example_captures() / "simulated-bench", broken)
     (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
-    seen: list[Outcome] = []
+    seen: list[Step] = []
     result = measure_inputs(
         [broken, example_captures(), folder / "missing"],
         folder / "out",

@@ -22,8 +22,7 @@ from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import BatchOptions, RunResult, measure_inputs
-from cucumbervision.pipeline.work import Outcome
+from cucumbervision.pipeline.run import BatchOptions, RunResult, Step, measure_inputs
 
 NAMES = ("simulated-bench", "simulated-row-a", "simulated-row-b")
 OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
@@ -51,7 +50,7 @@ class Watched:
         self.measured.clear()
         return measure_inputs(inputs or [self.house], self.out, options, self._note, batch)
 
-    def _note(self, outcome: Outcome) -> None:
+    def _note(self, outcome: Step) -> None:
         if outcome.record is not None and not outcome.before:
             self.measured.append(outcome.name)
 

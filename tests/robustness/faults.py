@@ -66,10 +66,11 @@ def _folder_gone(folder: Path) -> Outcome:
     command("measure", source, "--out", folder / "whole", *MASKS)
     # As soon as the first picture of the run is drawn, what is left to read goes.
     gone = (
-        "import shutil\nfrom cucumbervision.pipeline.work import Worker\nadd = Worker._draw\n"
+        "import shutil\nfrom cucumbervision.pipeline.run import FolderWorker\n"
+        "add = FolderWorker.draw\n"
         f"gone = {str(source)!r}\n"
         "def once(self, result):\n    add(self, result)\n    shutil.rmtree(gone, True)\n"
-        "Worker._draw = once"
+        "FolderWorker.draw = once"
     )
     ran = command("measure", source, "--out", folder / "out", *MASKS, before=gone)
     whole, rows = rows_in(folder / "whole"), rows_in(folder / "out")

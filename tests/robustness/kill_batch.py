@@ -38,8 +38,7 @@ from cucumbervision.measurement.result import Method
 from cucumbervision.pipeline.journal import Journal
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.output import OutputFolder
-from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision.pipeline.work import Outcome
+from cucumbervision.pipeline.run import Step, measure_inputs
 
 OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))
 TABLES = ("measurements.csv", "failures.csv")
@@ -70,11 +69,11 @@ def child(house: Path, out: Path, blow: Blow, said: int) -> None:
     """Measure, and write a line for each record that is acknowledged."""
     acknowledged = 0
 
-    def tell(outcome: Outcome) -> None:
+    def tell(outcome: Step) -> None:
         nonlocal acknowledged
         if outcome.record is not None and not outcome.before:
             acknowledged += 1
-            os.write(said, f"{outcome.place}\n".encode())
+            os.write(said, f"{outcome.record.place}\n".encode())
 
     if blow.write:
         die_in_write(blow.write, lambda: acknowledged > 0)

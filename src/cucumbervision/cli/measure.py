@@ -88,7 +88,7 @@ def measure(
     from cucumbervision.capture.readers import open_source
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.intake.recordings import open_guarded
-    from cucumbervision.pipeline.engines import choose_engine
+    from cucumbervision.pipeline.batch import choose_engine
     from cucumbervision.pipeline.options import parse_methods
     from cucumbervision.pipeline.run import BatchOptions
 

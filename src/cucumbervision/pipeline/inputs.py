@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import unique_name
+from cucumbervision.capture.source import CaptureRef, unique_name
 from cucumbervision.capture.urls import is_remote
 from cucumbervision.pipeline.measurer import Boundary, Failure
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
+    from cucumbervision.capture.source import CaptureSource, ReadOptions
 
 _log = logging.getLogger(__name__)
 
@@ -42,6 +43,30 @@ class Listed:
     input: str
     ref: CaptureRef
     name: str
+
+    @classmethod
+    def of(cls, capture: Capture) -> Listed:
+        """Return a capture that is in memory."""
+        ref = CaptureRef(capture.name, capture.frame or 0, partial(_itself, capture))
+        return cls(capture.source or capture.name, ref, capture.name)
+
+    def portable(self) -> Listed:
+        """Return the capture as another process can read it.
+
+        What comes from no file of its own is read here: a recording is played in one process.
+
+        Raises
+        ------
+        CucumberVisionError
+            If it cannot be read.
+        """
+        if self.ref.parts is not None:
+            return self
+        return replace(self, ref=replace(self.ref, load=partial(_itself, self.ref.load())))
+
+
+def _itself(capture: Capture) -> Capture:
+    return capture
 
 
 def list_captures(

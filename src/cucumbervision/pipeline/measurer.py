@@ -165,6 +165,12 @@ class CaptureResult:
     def __repr__(self) -> str:
         return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
 
+    @classmethod
+    def failed(cls, capture: Capture, error: Exception) -> CaptureResult:
+        """Return the result of a capture in which nothing was measured."""
+        named = named_error(error, capture.source or capture.name)
+        return cls(capture, (), (Failure.of(named, capture.source, capture.name),), named)
+
     @property
     def seen(self) -> tuple[NumberedFruit, ...]:
         """The fruit, numbered from 1."""
@@ -208,7 +214,6 @@ class Measurer:
         self, options: MeasureOptions | None = None, registry: Registry | None = None
     ) -> None:
         self.options = options or MeasureOptions()
-        self.site: SiteCalibration | None = None
         self._registry = registry
         self._finder: Finder | None = None
 
@@ -221,6 +226,21 @@ class Measurer:
         """Return the networks that took part in some stages, as in `models`."""
         by_stage = {} if self._finder is None else self._finder.by_stage
         return [model for stage in stages for model in by_stage.get(stage, [])]
+
+    @cached_property
+    def site(self) -> SiteCalibration | None:
+        """The site's calibration, if the options name one.
+
+        Raises
+        ------
+        CalibrationError
+            If it cannot be read.
+        """
+        if self.options.calibration is None:
+            return None
+        from cucumbervision.calibration.calibration_file import read_site_calibration
+
+        return read_site_calibration(self.options.calibration)
 
     @cached_property
     def hashes(self) -> StageHashes:
@@ -236,10 +256,7 @@ class Measurer:
             If a network, the file of instances or the calibration cannot be loaded.
         """
         if self._finder is None:
-            if self.options.calibration is not None:
-                from cucumbervision.calibration.calibration_file import read_site_calibration
-
-                self.site = read_site_calibration(self.options.calibration)
+            _ = self.site  # a calibration that cannot be read is known before networks are loaded
             self._finder = make_finder(self.options, self._registry)
         return self._finder
 
@@ -316,7 +333,6 @@ class Measurer:
 
     def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:
         """Measure one fruit of a capture whose depth is scaled already."""
-        self.load()
         options = self.options
         fruit = measure_fruit(
             capture,
@@ -332,29 +348,14 @@ class Measurer:
 
     def attempt(self, capture: Capture) -> CaptureResult:
         """Measure a capture; whatever goes wrong is in the result."""
-        return self.attempt_measure(self.attempt_detect(capture))
-
-    def attempt_detect(self, capture: Capture) -> DetectedCapture | CaptureResult:
-        """Find the fruit of a capture: the first half of `attempt`; a result if that failed."""
         try:
-            return self.detect(capture)
+            return self.measure(capture)
         except Exception as error:
-            return _failed(error, capture)
+            return CaptureResult.failed(capture, error)
 
-    def attempt_measure(self, detected: DetectedCapture | CaptureResult) -> CaptureResult:
-        """Measure fruit that were found: the second half of `attempt`."""
-        if isinstance(detected, CaptureResult):
-            return detected
-        try:
-            return self.measure_detected(detected)
-        except Exception as error:
-            return _failed(error, detected.capture)
-
-
-def _failed(error: Exception, capture: Capture) -> CaptureResult:
-    named = named_error(error, capture.source or capture.name)
-    failure = Failure.of(named, capture.source, capture.name)
-    return CaptureResult(capture, (), (failure,), named)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Send another process what it needs to load its own networks."""
+        return Measurer, (self.options, self._registry)
 
 
 def accepted_fruit(fruit: FruitMeasurement, limits_m: tuple[float, float]) -> FruitMeasurement:

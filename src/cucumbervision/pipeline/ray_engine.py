@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.perception.runtime import limit_threads
-from cucumbervision.pipeline.work import Outcome, Task, Worker
+from cucumbervision.pipeline.batch import Outcome, portable
+from cucumbervision.pipeline.measurer import Failure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
-    from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.output import OutputFolder
-    from cucumbervision.pipeline.work import Batch
+    from cucumbervision.pipeline.batch import Item, Worker
 
 _MEASURING = 0.75
 """Share of the CPUs that the measuring actors claim together: actors that claim every core starve
@@ -42,8 +41,10 @@ class RayEngine:
     address: str = ""
     workers: int = 0
 
-    def __call__(self, batch: Batch) -> Iterator[Outcome]:
-        """Do the tasks; Ray Data bounds what is in memory between reading and measuring.
+    def __call__(
+        self, items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+    ) -> Iterator[Outcome[Any]]:
+        """Do the items; Ray Data bounds what is in memory between reading and measuring.
 
         Raises
         ------
@@ -53,28 +54,23 @@ class RayEngine:
             If the cluster cannot be reached, or nothing can be measured at all.
         """
         ray = _import_ray()
-        listed = list(batch.tasks)
-        if not any(isinstance(one, Task) for one in listed):
-            yield from (one for one in listed if isinstance(one, Outcome))
-            return
-        self._connect(ray)
-        try:
-            dataset = self._dataset(ray, listed, batch.options, batch.out)
-            done = 0
-            for row in dataset.iter_rows():
-                outcome = pickle.loads(row["done"])
-                if isinstance(outcome, CucumberVisionError):
-                    raise outcome
-                done += 1
-                yield outcome
-                if batch.stop():
-                    break
-        finally:
-            ray.shutdown()
+        listed = list(items)
+        done = 0
+        if not all(isinstance(one, Failure) for one in listed):
+            self._connect(ray)
+            try:
+                for row in self._dataset(ray, listed, worker).iter_rows():
+                    outcome = pickle.loads(row["done"])
+                    if isinstance(outcome, CucumberVisionError):
+                        raise outcome
+                    done += 1
+                    yield outcome
+                    if stop():
+                        break
+            finally:
+                ray.shutdown()
         for one in listed[done:]:
-            left = one if isinstance(one, Outcome) else one.dropped()
-            if left is not None:
-                yield left
+            yield Outcome(failures=(one,)) if isinstance(one, Failure) else Outcome()
 
     def _connect(self, ray: Any) -> None:
         try:
@@ -88,9 +84,7 @@ class RayEngine:
                 remedy="check --address, or leave it out for this machine alone",
             ) from None
 
-    def _dataset(
-        self, ray: Any, listed: list[Task | Outcome], options: MeasureOptions, out: OutputFolder
-    ) -> Any:
+    def _dataset(self, ray: Any, listed: list[Item], worker: Worker[Any]) -> Any:
         there = ray.cluster_resources()
         cpus, gpus = float(there.get("CPU", 1)), float(there.get("GPU", 0))
         workers = self.workers or max(1, int(cpus))
@@ -99,38 +93,35 @@ class RayEngine:
         context.execution_options.preserve_order = True
         context.enable_progress_bars = False
         logging.getLogger("ray.data").setLevel(logging.ERROR)
-        items = [
-            {"task": pickle.dumps(one if isinstance(one, Outcome) else one.portable())}
-            for one in listed
-        ]
+        items = [{"item": pickle.dumps(portable(one))} for one in listed]
+        on_gpus = worker.measurer.options.runtime in ("cuda", "tensorrt")
         dataset = ray.data.from_items(items, override_num_blocks=len(items))
-        dataset = dataset.map(_Reading(options, out), num_cpus=_READING)
+        dataset = dataset.map(_Reading(worker), num_cpus=_READING)
         return dataset.map(
             _Measuring,
-            fn_constructor_args=(options, out, max(1, int(share))),
+            fn_constructor_args=(worker, max(1, int(share))),
             compute=ray.data.ActorPoolStrategy(size=workers),
             num_cpus=share,
-            num_gpus=gpus / workers if options.runtime in ("cuda", "tensorrt") else 0,
+            num_gpus=gpus / workers if on_gpus else 0,
         )
 
 
 class _Reading:
     """Reads a capture: a task of its own for Ray, which needs no network."""
 
-    def __init__(self, options: MeasureOptions, out: OutputFolder) -> None:
-        self._worker = Worker(options, out)
+    def __init__(self, worker: Worker[Any]) -> None:
+        self._worker = worker
 
     def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
-        task = pickle.loads(row["task"])
-        return {"read": pickle.dumps(self._worker.read(task) if isinstance(task, Task) else task)}
+        return {"read": pickle.dumps(self._worker.read(pickle.loads(row["item"])))}
 
 
 class _Measuring:
     """Measures captures in an actor, whose networks are loaded once."""
 
-    def __init__(self, options: MeasureOptions, out: OutputFolder, threads: int) -> None:
+    def __init__(self, worker: Worker[Any], threads: int) -> None:
         limit_threads(threads)
-        self._worker = Worker(options, out)
+        self._worker = worker
 
     def __call__(self, row: dict[str, Any]) -> dict[str, bytes]:
         try:

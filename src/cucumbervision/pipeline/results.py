@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.urls import as_path
 from cucumbervision.errors import MissingExtraError
+from cucumbervision.pipeline.batch import Item, ResultWorker, measure_all
 from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.inputs import read_captures
+from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 
@@ -115,18 +116,14 @@ def measure(
     measurer = Measurer(options or MeasureOptions(**choices))
     measurer.load()
     given = [captures] if isinstance(captures, Capture | Path | str) else captures
-    results, failures = list[CaptureResult](), list[Failure]()
-    for one in given:
-        if isinstance(one, Capture):
-            found: Iterable[Capture | Failure] = (one,)
-        else:
-            found = read_captures([as_path(one)], measurer.options.reading)
-        for capture in found:
-            if isinstance(capture, Failure):
-                failures.append(capture)
-                continue
-            result = measurer.attempt(capture)
-            failures += result.failures
-            if result.error is None:
-                results.append(result)
-    return Results(tuple(results), tuple(failures))
+
+    def items() -> Iterator[Item]:
+        for one in given:
+            if isinstance(one, Capture):
+                yield Listed.of(one)
+            else:
+                yield from list_captures([as_path(one)], measurer.options.reading)
+
+    done = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
+    results = [one.value for one in done if one.value is not None and one.value.error is None]
+    return Results(tuple(results), tuple(failure for one in done for failure in one.failures))

@@ -2,43 +2,85 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
+
+from cucumbervision.capture.files import each_file_read_once, json_value, read_bytes
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.urls import as_path
-from cucumbervision.errors import InstancesError
+from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instance_files import read_instances
-from cucumbervision.pipeline.engines import in_process
-from cucumbervision.pipeline.inputs import distinct, each_once, list_captures
-from cucumbervision.pipeline.journal import JOURNAL, Journal, JournalRecord
-from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
+from cucumbervision.pipeline.batch import (
+    Engine,
+    Item,
+    Outcome,
+    ReadCapture,
+    Worker,
+    in_process,
+    measure_all,
+    never,
+)
+from cucumbervision.pipeline.inputs import Listed, distinct, each_once, list_captures
+from cucumbervision.pipeline.journal import JOURNAL, Journal, JournalRecord, place_of
+from cucumbervision.pipeline.measurer import (
+    Boundary,
+    CaptureResult,
+    Failure,
+    Measurer,
+    exit_code,
+)
 from cucumbervision.pipeline.options import INSTANCE_SOURCES
 from cucumbervision.pipeline.output import OutputFolder
-from cucumbervision.pipeline.stages import StageHashes
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import (
     TABLES,
+    capture_json,
     import_arrow,
     provenance_of,
     rows_of,
     write_reports,
 )
-from cucumbervision.pipeline.work import Batch, Outcome, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from cucumbervision.pipeline.engines import Engine
+    from cucumbervision.capture.frames import Capture
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.inputs import Listed, Opener
+    from cucumbervision.pipeline.inputs import Opener
     from cucumbervision.pipeline.options import MeasureOptions
 
-Report: TypeAlias = Callable[[Outcome], None]
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One capture of a run that is done, or an input that could not be listed.
+
+    Parameters
+    ----------
+    name : str
+        What the tables call the capture; empty where the input failed.
+    record : JournalRecord, optional
+        What was measured; None where nothing was.
+    before : bool
+        Whether an earlier run measured it.
+    failures : tuple of Failure
+        What went wrong.
+    """
+
+    name: str
+    record: JournalRecord | None
+    before: bool
+    failures: tuple[Failure, ...]
+
+
+Report: TypeAlias = Callable[[Step], None]
 
 
 @dataclass(frozen=True)
@@ -61,7 +103,7 @@ class BatchOptions:
 
     fresh: bool = False
     parquet: bool = False
-    stop: Callable[[], bool] = lambda: False
+    stop: Callable[[], bool] = never
     opener: Opener = open_source
     engine: Engine = in_process
 
@@ -140,7 +182,7 @@ def measure_inputs(
     options : MeasureOptions
         The run's choices.
     report : callable, optional
-        Called after each capture with its outcome; for progress bars.
+        Called after each capture; for progress bars.
     batch : BatchOptions, optional
         How to go about it.
 
@@ -162,8 +204,119 @@ def measure_inputs(
         if batch.fresh:
             folder.put_aside([JOURNAL, *TABLES, "overlays"])
         with Journal(folder) as journal:
-            run = _Run(journal, folder, options, batch)
+            run = _Run(journal, folder, Measurer(options), batch)
             return run.measure([as_path(path) for path in inputs], report)
+
+
+@dataclass(frozen=True)
+class Task(Listed):
+    """A capture of a run.
+
+    Parameters
+    ----------
+    known : str
+        Hash of the content that was measured before in the same way; empty where none was.
+    """
+
+    known: str = ""
+
+    @property
+    def place(self) -> str:
+        """The key of its place in the journal."""
+        return place_of(self.ref.at or self.input, self.name)
+
+
+class FolderWorker(Worker[JournalRecord]):
+    """Measures what has changed, draws it into an output folder, and says what to journal.
+
+    Parameters
+    ----------
+    measurer : Measurer
+        What measures.
+    out : OutputFolder
+        Gets the pictures.
+    """
+
+    def __init__(self, measurer: Measurer, out: OutputFolder) -> None:
+        super().__init__(measurer)
+        self._out = out
+
+    def read(self, item: Item) -> Outcome[JournalRecord] | ReadCapture:
+        """Read a capture, unless it was measured before."""
+        if not isinstance(item, Task):
+            return super().read(item)
+        with each_file_read_once():
+            content = content_of(item.ref.parts()) if item.ref.parts is not None else ""
+            if self._is_known(item, content):
+                return Outcome()
+            read = super().read(item)
+        if isinstance(read, Outcome):
+            return read
+        content = content or _content_of_capture(read.capture)
+        return Outcome() if self._is_known(item, content) else replace(read, content=content)
+
+    def _is_known(self, task: Task, content: str) -> bool:
+        return bool(content) and content == task.known and self._out.has(_picture(task.name))
+
+    def make(self, result: CaptureResult, content: str) -> Outcome[JournalRecord]:
+        """Return the record of a measured capture, and write its picture."""
+        failures, capture = list(result.failures), result.capture
+        record = picture = None
+        if result.error is None:
+            with Boundary(failures, capture.source, capture.name):
+                said = capture_json(result, result.rows())
+                digest = self.measurer.hashes.of(result.stages)
+                models = self.measurer.models_of(result.stages)
+                stages = tuple(map(str, result.stages))
+                record = JournalRecord("", content, stages, digest, said, (), models, None)
+        if record is not None:
+            with Boundary(failures, capture.source, capture.name):
+                self.draw(result)
+                picture = _picture(capture.name)
+            record = replace(record, failures=tuple(failures), picture=picture)
+        return Outcome(record, tuple(failures))
+
+    def draw(self, result: CaptureResult) -> None:
+        """Write the annotated picture."""
+        import cv2
+
+        from cucumbervision.pipeline.overlay import draw_overlay
+
+        _, data = cv2.imencode(".png", draw_overlay(result.capture, result.fruit)[..., ::-1])
+        self._out.write(_picture(result.capture.name), data.tobytes())
+
+
+def _picture(name: str) -> str:
+    return f"overlays/{name}.png"
+
+
+def content_of(parts: Iterable[Path | bytes]) -> str:
+    """Hash what a capture is read from; empty where a part of it cannot be read.
+
+    Examples
+    --------
+    >>> content_of([b"camera"]) == content_of([b"camera"]) != content_of([b"other"])
+    True
+    """
+    digest = hashlib.sha256()
+    try:
+        for part in parts:
+            name, data = ("", part) if isinstance(part, bytes) else (part.name, read_bytes(part))
+            digest.update(f"{len(data)} {name}\n".encode(errors="surrogatepass"))
+            digest.update(data)
+    except (CucumberVisionError, OSError):  # loading it raises the error
+        return ""
+    return digest.hexdigest()
+
+
+def _content_of_capture(capture: Capture) -> str:
+    """Hash a capture that comes from no file of its own."""
+    about = [capture.frame, capture.burst_frame, capture.burst_size, capture.timestamp_s]
+    camera = [vars(capture.intrinsics), vars(capture.stop), capture.source]
+    digest = hashlib.sha256(json.dumps(json_value([about, camera])).encode())
+    for array in (capture.color, capture.depth_m, *capture.masks):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 @dataclass
@@ -172,7 +325,7 @@ class _Run:
 
     journal: Journal
     out: OutputFolder
-    options: MeasureOptions
+    measurer: Measurer
     batch: BatchOptions
     started: datetime = field(default_factory=lambda: datetime.now(UTC))
     summary: Summary = field(default_factory=Summary)
@@ -180,31 +333,30 @@ class _Run:
     notes: list[str] = field(default_factory=list)
     order: list[bytes] = field(default_factory=list)
     before: int = 0
-    listed: int = 0
-    taken: int = 0
+    interrupted: bool = False
     seen: list[tuple[tuple[str, ...], int | None]] = field(default_factory=list)
 
     def measure(self, inputs: Sequence[Path], report: Report | None) -> RunResult:
         if self.journal.damaged:
             damaged = f"{self.journal.damaged} records of the journal are damaged"
             self.notes.append(f"{self.out.path}: {damaged}; their captures are measured again")
-        site = self._site()
-        hashes = StageHashes(self.options)
-        listed = list_captures(
-            distinct(inputs, self.notes.append), self.options.reading, self.batch.opener
+        options, site = self.measurer.options, self.measurer.site
+        paths = distinct(inputs, self.notes.append)
+        listed = each_once(
+            list_captures(paths, options.reading, self.batch.opener), self.notes.append
         )
-        tasks = self._tasks(each_once(listed, self.notes.append), hashes)
-        batch = Batch(tasks, self.options, self.out, self.batch.stop)
-        for outcome in self.batch.engine(batch):
-            done = self._take(outcome)
-            if report is not None:
-                report(done)
+        worker = FolderWorker(self.measurer, self.out)
+        tasks = map(self._task, listed)
+        for one, outcome in measure_all(tasks, worker, self.batch.engine, self.batch.stop):
+            step = self._take(one, outcome)
+            if report is not None and step is not None:
+                report(step)
         with Boundary(self.failures, str(self.out.path)):
             self.journal.flush()
-        with Boundary(self.failures, self.options.instances):
-            self._note_instances()
+        with Boundary(self.failures, options.instances):
+            self._note_instances(options.instances)
         self.notes += self.summary.doubts()
-        about = provenance_of(self.options, self.summary.models, site, self.started)
+        about = provenance_of(options, self.summary.models, site, self.started)
         self.failures += write_reports(
             self.out,
             self._records,
@@ -218,50 +370,38 @@ class _Run:
             self.summary,
             self.before,
             self.notes,
-            self.taken < self.listed,
+            self.interrupted,
             self.out.path,
             self._records,
         )
 
-    def _site(self) -> Any:
-        if self.options.calibration is None:
-            return None
-        from cucumbervision.calibration.calibration_file import read_site_calibration
+    def _task(self, one: Item) -> Task | Failure:
+        """Return a capture with what the journal knows of it."""
+        if isinstance(one, Failure):
+            return one
+        task = Task(one.input, one.ref, one.name)
+        known = self.journal.find(task.place)
+        if known is None or not known.picture:
+            return task
+        same = self.measurer.hashes.still_hold(known.stages, known.digest)
+        return replace(task, known=known.content) if same else task
 
-        return read_site_calibration(self.options.calibration)
-
-    def _tasks(
-        self, listed: Iterable[Listed | Failure], hashes: StageHashes
-    ) -> Iterator[Task | Outcome]:
-        for one in listed:
-            self.listed += 1
-            if isinstance(one, Failure):
-                yield Outcome(one.input, failures=(one,))
-                continue
-            task = Task(one)
-            known = self.journal.find(task.place)
-            if known is not None and not (
-                known.picture and hashes.still_hold(known.stages, known.digest)
-            ):
-                known = None
-            if known is not None:
-                task = replace(task, known=known.content, trusted=self.batch.stop())
-            if known is not None or not self.batch.stop():
-                yield task
-
-    def _take(self, outcome: Outcome) -> Outcome:
+    def _take(self, one: Task | Failure, outcome: Outcome[JournalRecord]) -> Step | None:
         """Journal what was measured, count it, and note what went wrong."""
-        self.taken += 1
-        record, failures = outcome.record, list(outcome.failures)
-        if outcome.before:
-            record = self.journal.find(outcome.place)
+        name = one.name if isinstance(one, Task) else ""
+        record, failures, before = outcome.value, list(outcome.failures), False
+        if isinstance(one, Task) and record is None and not failures:
+            if not one.known:
+                self.interrupted = True
+                return None
+            record, before = self.journal.find(one.place), True
             failures += record.failures if record is not None else ()
             self.before += 1
-        elif record is not None:
-            before = len(failures)
-            with Boundary(failures, outcome.input, outcome.name):
+        elif isinstance(one, Task) and record is not None:
+            record, noted = replace(record, place=one.place), len(failures)
+            with Boundary(failures, one.input, name):
                 self.journal.append(record)
-            record = record if len(failures) == before else None
+            record = record if len(failures) == noted else None
         if record is not None:
             self.summary.add(record.rows, record.models)
             self.order.append(bytes.fromhex(record.place))
@@ -269,12 +409,12 @@ class _Run:
             names = (str(capture["name"]), str(capture.get("source") or ""))
             self.seen.append((names, capture.get("frame")))
         self.failures += failures
-        return replace(outcome, record=record, failures=tuple(failures))
+        return Step(name, record, before, tuple(failures))
 
-    def _note_instances(self) -> None:
+    def _note_instances(self, instances: str) -> None:
         """Note which captures and which pictures of a file of instances have no counterpart."""
-        path = Path(self.options.instances)
-        if self.options.instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":
+        path = Path(instances)
+        if instances in INSTANCE_SOURCES or path.suffix.lower() == ".onnx":
             return
         missing, unused = read_instances(path).coverage(self.seen)
         if missing and len(missing) == len(self.seen):

@@ -21,7 +21,7 @@ from cucumbervision.capture.source import (
 )
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.engines import Processes, choose_engine, in_process
+from cucumbervision.pipeline.batch import Processes, choose_engine, in_process
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 

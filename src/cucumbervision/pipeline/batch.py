@@ -1,0 +1,403 @@
+"""The one loop over captures: each is read, searched and measured, and its outcome comes in order.
+
+Whoever measures is a source of captures, a `Worker` that says what is made of each, and a loop over
+the outcomes of `measure_all`. Failures are values: none ends the loop but one of the networks or
+the calibration, without which nothing can be measured at all.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+
+from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.perception.runtime import limit_threads
+from cucumbervision.pipeline.inputs import Listed
+from cucumbervision.pipeline.measurer import (
+    Boundary,
+    CaptureResult,
+    DetectedCapture,
+    Failure,
+    Measurer,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+
+T = TypeVar("T")
+ItemT = TypeVar("ItemT", bound="Listed | Failure")
+Item: TypeAlias = Listed | Failure
+"""A capture that is to be measured, or why there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome(Generic[T]):
+    """The outcome of one capture, or of an input that could not be listed.
+
+    Parameters
+    ----------
+    value : object, optional
+        What the worker made of it. None without a failure: nothing was to be done, or the loop was
+        stopped before its turn.
+    failures : tuple of Failure
+        What went wrong.
+    """
+
+    value: T | None = None
+    failures: tuple[Failure, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ReadCapture:
+    """A capture in memory, and a hash of what it was read from where its worker asks for one."""
+
+    capture: Capture
+    content: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedCapture:
+    """A capture whose fruit were found, or what went wrong, on its way to be measured."""
+
+    read: ReadCapture
+    detected: DetectedCapture | CaptureResult
+
+
+class Worker(ABC, Generic[T]):
+    """Does the work of one capture, in this process or as a copy in another.
+
+    Parameters
+    ----------
+    measurer : Measurer
+        What measures; its networks are loaded with the first capture that was read.
+    """
+
+    def __init__(self, measurer: Measurer) -> None:
+        self.measurer = measurer
+
+    def __call__(self, item: Item) -> Outcome[T]:
+        """Do all of it: `read`, `detect` and `measure`."""
+        return self.measure(self.detect(self.read(item)))
+
+    def read(self, item: Item) -> Outcome[T] | ReadCapture:
+        """Read a capture; what goes wrong is in the outcome."""
+        if isinstance(item, Failure):
+            return Outcome(failures=(item,))
+        failures: list[Failure] = []
+        with Boundary(failures, item.input, item.name):
+            return ReadCapture(replace(item.ref.load(), name=item.name))
+        return Outcome(failures=tuple(failures))
+
+    def detect(self, read: Outcome[T] | ReadCapture) -> Outcome[T] | SearchedCapture:
+        """Find the fruit of what was read; whatever goes wrong in the capture stays in it.
+
+        Raises
+        ------
+        CucumberVisionError
+            If nothing can be measured at all, as `Measurer.load`.
+        """
+        if isinstance(read, Outcome):
+            return read
+        self.measurer.load()
+        try:
+            return SearchedCapture(read, self.measurer.detect(read.capture))
+        except Exception as error:
+            return SearchedCapture(read, CaptureResult.failed(read.capture, error))
+
+    def measure(self, seen: Outcome[T] | SearchedCapture) -> Outcome[T]:
+        """Measure the fruit that were found, and make of them what is wanted."""
+        if isinstance(seen, Outcome):
+            return seen
+        result = seen.detected
+        if isinstance(result, DetectedCapture):
+            try:
+                result = self.measurer.measure_detected(result)
+            except Exception as error:
+                result = CaptureResult.failed(seen.read.capture, error)
+        return self.make(result, seen.read.content)
+
+    @abstractmethod
+    def make(self, result: CaptureResult, content: str) -> Outcome[T]:
+        """Return what is wanted of a measured capture; its `error` says if it could not be."""
+
+
+class ResultWorker(Worker[CaptureResult]):
+    """Keeps results as they are; one that could not be measured has an `error`."""
+
+    def make(self, result: CaptureResult, content: str) -> Outcome[CaptureResult]:  # noqa: ARG002
+        """Return the result."""
+        return Outcome(result, result.failures)
+
+
+Engine: TypeAlias = Callable[
+    [Iterable[Item], Worker[Any], Callable[[], bool]], Iterator[Outcome[Any]]
+]
+"""Does the work of all items, and yields the outcome of each, in order, as they are done."""
+
+
+def in_turn(
+    items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+) -> Iterator[Outcome[Any]]:
+    """Do one item after the other, and ask for none before the one before is dealt with."""
+    for item in items:
+        yield Outcome() if _is_dropped(item, stop) else worker(item)
+
+
+def in_process(
+    items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+) -> Iterator[Outcome[Any]]:
+    """Do items one after the other in this process.
+
+    While networks look at one capture, the next is read and the one before is measured.
+    """
+    waiting: deque[tuple[Item, Future[Any]]] = deque()
+    found: deque[Future[Outcome[Any]]] = deque()
+    begun = False
+
+    def look() -> Iterator[Outcome[Any]]:
+        nonlocal begun
+        item, reading = waiting.popleft()
+        read = Outcome() if _is_dropped(item, stop) else reading.result()
+        found.append(measurers.submit(worker.measure, worker.detect(read)))
+        # The first outcome comes at once: somebody waits for it.
+        while len(found) > begun:
+            begun = True
+            yield found.popleft().result()
+
+    with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as measurers:
+        for item in items:
+            dropped = _is_dropped(item, stop)
+            waiting.append((item, _done() if dropped else readers.submit(worker.read, item)))
+            if len(waiting) > 1:
+                yield from look()
+        while waiting:
+            yield from look()
+        while found:
+            yield found.popleft().result()
+
+
+def _is_dropped(item: Item, stop: Callable[[], bool]) -> bool:
+    return isinstance(item, Listed) and stop()
+
+
+def _done(outcome: Outcome[Any] | None = None) -> Future[Outcome[Any]]:
+    future = Future[Outcome[Any]]()
+    future.set_result(outcome or Outcome())
+    return future
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Does items in several processes of this machine; each loads the networks once.
+
+    Parameters
+    ----------
+    workers : int
+        How many; they share the machine's cores among them.
+    """
+
+    workers: int
+
+    def __call__(
+        self, items: Iterable[Item], worker: Worker[Any], stop: Callable[[], bool]
+    ) -> Iterator[Outcome[Any]]:
+        """Do the items: at most two a worker are begun or wait for their turn.
+
+        A process that is killed costs no row: what it had is done again in a process of its own,
+        and is a failure if that one is killed, too.
+        """
+        pool = _Pool(self.workers, worker)
+        waiting: deque[tuple[Item, Future[Outcome[Any]]]] = deque()
+
+        def first() -> Outcome[Any]:
+            item, future = waiting.popleft()
+            if _is_dropped(item, stop) and future.cancel():
+                return Outcome()
+            return pool.result(item, future)
+
+        try:
+            for item in items:
+                if _is_dropped(item, stop):
+                    waiting.append((item, _done()))
+                else:
+                    ready = portable(item)
+                    waiting.append((ready, pool.submit(ready)))
+                if len(waiting) > 2 * self.workers:
+                    yield first()
+            while waiting:
+                yield first()
+        finally:
+            pool.close()
+
+
+class _Pool:
+    """Processes with a worker each, made anew when one of them was killed."""
+
+    def __init__(self, workers: int, worker: Worker[Any]) -> None:
+        self._workers, self._worker = workers, worker
+        self._pool = self._new(workers)
+
+    def _new(self, workers: int) -> ProcessPoolExecutor:
+        # Forking a process that runs threads of OpenCV or a runtime may hang.
+        context = multiprocessing.get_context("spawn")
+        threads = max(1, cores() // self._workers)
+        return ProcessPoolExecutor(workers, context, _begin, (self._worker, threads))
+
+    def submit(self, item: Item) -> Future[Outcome[Any]]:
+        if isinstance(item, Failure):
+            return _done(Outcome(failures=(item,)))
+        try:
+            return self._pool.submit(_do, item)
+        except BrokenProcessPool:
+            self.close()
+            self._pool = self._new(self._workers)
+            return self._pool.submit(_do, item)
+
+    def result(self, item: Item, future: Future[Outcome[Any]]) -> Outcome[Any]:
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            with self._new(1) as alone:
+                try:
+                    return alone.submit(_do, item).result()
+                except BrokenProcessPool:
+                    return _outcome_of_killed(item)
+
+    def close(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _outcome_of_killed(item: Item) -> Outcome[Any]:
+    """Return the outcome of a capture whose process was killed twice."""
+    if isinstance(item, Failure):
+        return Outcome(failures=(item,))
+    error = CaptureError(
+        "the process that measured it was killed twice",
+        source=item.name,
+        remedy="look whether there is enough memory, or measure it alone",
+    )
+    return Outcome(failures=(Failure.of(error, item.input, item.name),))
+
+
+def portable(item: Item) -> Item:
+    """Return an item as another process can do it, or why it cannot."""
+    if isinstance(item, Failure):
+        return item
+    failures: list[Failure] = []
+    with Boundary(failures, item.input, item.name):
+        return item.portable()
+    return failures[0]
+
+
+_worker: list[Worker[Any]] = []  # this process's
+
+
+def _begin(worker: Worker[Any], threads: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command ends its workers itself
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    limit_threads(threads)
+    _worker.append(worker)
+
+
+def _do(item: Item) -> Outcome[Any]:
+    return _worker[0](item)
+
+
+def _end_with_parent() -> None:
+    """End this process when the command has been killed: nobody would fetch its results."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def choose_engine(name: str, workers: int = 0, address: str = "") -> Engine:
+    """Return what the command's options ask for.
+
+    Parameters
+    ----------
+    name : str
+        'local' or 'ray'.
+    workers : int
+        Processes; 0 for one, or with Ray for one a CPU.
+    address : str
+        Of the Ray cluster; empty for one on this machine.
+
+    Raises
+    ------
+    CucumberVisionError
+        If an address is given without Ray.
+    """
+    if name == "ray":
+        from cucumbervision.pipeline.ray_engine import RayEngine
+
+        return RayEngine(address, workers)
+    if address:
+        raise CucumberVisionError(
+            "only a Ray cluster has an address", source="--address", remedy="add --engine ray"
+        )
+    return Processes(workers) if workers > 1 else in_process
+
+
+def never() -> bool:
+    """Return False: nobody asks the loop to stop."""
+    return False
+
+
+def measure_all(
+    items: Iterable[ItemT],
+    worker: Worker[T],
+    engine: Engine = in_process,
+    stop: Callable[[], bool] = never,
+) -> Iterator[tuple[ItemT, Outcome[T]]]:
+    """Measure captures, and yield each item with its outcome, in order.
+
+    Parameters
+    ----------
+    items : iterable of Listed or Failure
+        The captures; a failure among them is passed on in its turn.
+    worker : Worker
+        Reads and measures each, and makes of it what is wanted.
+    engine : Engine
+        Where the work is done: `in_turn`, `in_process`, `Processes` or a `RayEngine`.
+    stop : callable
+        Once it returns True, running captures are finished and no more are begun.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing can be measured at all: a network or the calibration cannot be loaded.
+
+    Examples
+    --------
+    >>> from cucumbervision import MeasureOptions, example_captures
+    >>> from cucumbervision.pipeline.inputs import list_captures
+    >>> worker = ResultWorker(Measurer(MeasureOptions(instances="dataset", methods=("M1",))))
+    >>> listed = list_captures([example_captures()], worker.measurer.options.reading)
+    >>> [(one.name, len(outcome.value.fruit)) for one, outcome in measure_all(listed, worker)]
+    [('simulated-bench', 3), ('simulated-row-a', 3), ('simulated-row-b', 2)]
+    """
+    given: deque[ItemT] = deque()
+
+    def noted() -> Iterator[ItemT]:
+        for item in items:
+            given.append(item)
+            yield item
+
+    for outcome in engine(noted(), worker, stop):
+        yield given.popleft(), outcome

@@ -38,13 +38,13 @@ def test_a_measured_capture_is_saved_and_comes_back_whole(
 ) -> None:
     walk = RoundRecord(name="morning")
     measurer = Measurer(OPTIONS)
-    measurer.load().models.append({"name": "sam", "sha256": "ab"})
+    networks = ({"name": "sam", "sha256": "ab"},)
     failure = Failure("folder", "b", "CaptureError", str(CaptureError("is empty")))
     with open_store(tmp_path / "house.db") as store:
         store.save_round(walk)
         stop = stop_record(
             walk.key,
-            [replace(measured, failures=(failure,))],
+            [replace(measured, failures=(failure,), models=networks)],
             measurer,
             position_sd_m=0.03,
             images=store.images,

@@ -19,7 +19,7 @@ from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.masks import box_of_mask, mask_iou
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.rounds.adding import Place, measured_stop
+from cucumbervision.rounds.adding import Placed
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
 from cucumbervision.rounds.stop_records import fruit_record, stored_capture
 from cucumbervision.store.records import new_key
@@ -115,8 +115,9 @@ class SharedMeasurer:
         CucumberVisionError
             If it cannot be saved.
         """
-        measurer = self.with_options(options)
-        result, stop = measured_stop(capture, 0, Place(), measurer, store.images)
+        placed, measurer = Placed.of(capture), self.with_options(options)
+        result = measurer.attempt(placed.capture)
+        stop = placed.stop(result, measurer, store.images)
         stop = replace(stop, key=key or new_key(), round_key=round_key)
         store.save_stop(stop)
         return TakenStop(stop.key, result)

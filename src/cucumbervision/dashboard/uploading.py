@@ -14,10 +14,9 @@ from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.rounds.adding import (
-    Place,
+    Placed,
     capture_sha256,
     measured_otherwise,
-    spot_and_camera,
 )
 from cucumbervision.rounds.demonstration import round_for_capture
 from cucumbervision.rounds.walking import last_step, refuse_taken
@@ -187,7 +186,7 @@ def _saved(
             words = "is in the round already" if fruit is None else again
             return UploadOutcome(name, fruit is not None, words)
         capture = replace(capture, stop=stop)
-        refuse_taken(store, home, *spot_and_camera(capture, 0, Place()))
+        refuse_taken(store, home, *Placed.of(capture).spot_and_camera)
         taken = measurer.take_stop(store, home, capture, options, key=key)
     except CucumberVisionError as error:
         return UploadOutcome(name, False, error.message)

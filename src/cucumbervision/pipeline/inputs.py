@@ -89,26 +89,33 @@ def list_captures(
         A capture, or why one or a whole input cannot be listed.
     """
     for path in inputs:
-        failures: list[Failure] = []
-        refs = None
-        with Boundary(failures, str(path)):
-            refs = iter(opener(path, reading))
-        while refs is not None:
-            ref = None
-            with Boundary(failures, str(path)):
-                ref = next(refs, None)
-            if ref is None:  # the end, or the source itself broke: nothing more will come
-                break
-            yield Listed(str(path), ref, ref.name)
-        yield from failures
+        yield from list_source(str(path), partial(opener, path, reading))
 
 
-def read_captures(inputs: Iterable[Path], reading: ReadOptions) -> Iterator[Capture | Failure]:
+def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[Listed | Failure]:
+    """List the captures of one source, as `list_captures`; `name` is what its sender calls it."""
+    failures: list[Failure] = []
+    refs = None
+    with Boundary(failures, name):
+        refs = iter(opener())
+    while refs is not None:
+        ref = None
+        with Boundary(failures, name):
+            ref = next(refs, None)
+        if ref is None:  # the end, or the source itself broke: nothing more will come
+            break
+        yield Listed(name, ref, ref.name)
+    yield from failures
+
+
+def read_captures(
+    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
+) -> Iterator[Capture | Failure]:
     """Read the captures of all inputs, each when its turn comes, and an input given twice once.
 
     Parameters
     ----------
-    inputs, reading
+    inputs, reading, opener
         As for `list_captures`.
 
     Yields
@@ -116,7 +123,7 @@ def read_captures(inputs: Iterable[Path], reading: ReadOptions) -> Iterator[Capt
     Capture or Failure
         A capture, or why one or a whole input cannot be read.
     """
-    for one in list_captures(distinct(inputs, _log.warning), reading):
+    for one in list_captures(distinct(inputs, _log.warning), reading, opener):
         if isinstance(one, Failure):
             yield one
             continue

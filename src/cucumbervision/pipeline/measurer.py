@@ -154,6 +154,8 @@ class CaptureResult:
         Why nothing was measured; None where the capture was measured, even without fruit.
     stages : tuple of Stage
         What the fruit went through.
+    models : tuple of dict
+        Name, SHA-256 and runtime of each network that took part.
     """
 
     capture: Capture
@@ -161,6 +163,7 @@ class CaptureResult:
     failures: tuple[Failure, ...] = ()
     error: CucumberVisionError | None = None
     stages: tuple[Stage, ...] = ()
+    models: tuple[dict[str, Any], ...] = ()
 
     def __repr__(self) -> str:
         return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
@@ -221,11 +224,6 @@ class Measurer:
     def models(self) -> list[dict[str, Any]]:
         """Name, SHA-256 and runtime of each network that was loaded so far."""
         return [] if self._finder is None else self._finder.models
-
-    def models_of(self, stages: Iterable[Stage]) -> list[dict[str, Any]]:
-        """Return the networks that took part in some stages, as in `models`."""
-        by_stage = {} if self._finder is None else self._finder.by_stage
-        return [model for stage in stages for model in by_stage.get(stage, [])]
 
     @cached_property
     def site(self) -> SiteCalibration | None:
@@ -329,7 +327,9 @@ class Measurer:
         for number in found.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
-        return CaptureResult(capture, tuple(fruit), tuple(refused), stages=found.stages)
+        by_stage = {} if self._finder is None else self._finder.by_stage
+        models = tuple(model for stage in found.stages for model in by_stage.get(stage, []))
+        return CaptureResult(capture, tuple(fruit), tuple(refused), None, found.stages, models)
 
     def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:
         """Measure one fruit of a capture whose depth is scaled already."""

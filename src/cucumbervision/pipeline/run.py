@@ -75,7 +75,7 @@ class Step:
     """
 
     name: str
-    record: JournalRecord | None
+    record: JournalRecord | None = field(repr=False)
     before: bool
     failures: tuple[Failure, ...]
 
@@ -266,8 +266,7 @@ class FolderWorker(Worker[JournalRecord]):
             with Boundary(failures, capture.source, capture.name):
                 said = capture_json(result, result.rows())
                 digest = self.measurer.hashes.of(result.stages)
-                models = self.measurer.models_of(result.stages)
-                stages = tuple(map(str, result.stages))
+                stages, models = tuple(map(str, result.stages)), list(result.models)
                 record = JournalRecord("", content, stages, digest, said, (), models, None)
         if record is not None:
             with Boundary(failures, capture.source, capture.name):

@@ -11,8 +11,19 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import RoundError
-from cucumbervision.pipeline.inputs import read_captures
+from cucumbervision.pipeline.batch import (
+    Engine,
+    Item,
+    Outcome,
+    ReadCapture,
+    ResultWorker,
+    in_process,
+    measure_all,
+    never,
+)
+from cucumbervision.pipeline.inputs import Listed, read_captures
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.rounds.poses import (
     MIDDLE_SD_M,
@@ -28,12 +39,13 @@ from cucumbervision.store.records import Saved, key_of
 from cucumbervision.store.views import CameraAt
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.pipeline.inputs import Opener
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
@@ -106,6 +118,29 @@ class Added:
     failure: Failure | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class _Adding(Listed):
+    """A capture on its way into a round.
+
+    `there` says whether the round has it: None where it does not, True where somebody deleted it.
+    """
+
+    key: str = ""
+    place: Placed | None = None
+    there: bool | None = None
+    same: bool = False
+
+
+class _Changed(ResultWorker):
+    """Measures what is new in a round, or would be measured otherwise now."""
+
+    def read(self, item: Item) -> Outcome[CaptureResult] | ReadCapture:
+        """Read a capture, unless nothing is to be done with it."""
+        if isinstance(item, _Adding) and (item.there or item.same):
+            return Outcome()
+        return super().read(item)
+
+
 def add_captures(
     store: Store,
     round_key: str,
@@ -113,6 +148,10 @@ def add_captures(
     options: MeasureOptions,
     place: Place | None = None,
     report: Report | None = None,
+    *,
+    opener: Opener = open_source,
+    engine: Engine = in_process,
+    stop: Callable[[], bool] = never,
 ) -> list[Added]:
     """Measure captures and save each as a stop of a round.
 
@@ -135,43 +174,76 @@ def add_captures(
         Where they were taken.
     report : callable, optional
         Called after each capture; for progress bars.
+    opener, engine, stop
+        As for `BatchOptions`.
+
+    Returns
+    -------
+    list of Added
+        One a capture, in order; none for those that `stop` left.
 
     Raises
     ------
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
-    place = place or Place()
-    measurer = Measurer(options)
-    done = []
-    for number, read in enumerate(read_captures(inputs, options.reading)):
-        if isinstance(read, Failure):
-            added = Added(read.capture or read.input, failure=read)
-        else:
-            added = Added(read.name, key_of(round_key, read.name, capture_sha256(read)))
-            deleted = store.stop_is_deleted(added.stop_key)
-            added = replace(added, deleted=bool(deleted))
+    measurer, done = Measurer(options), list[Added]()
+
+    def items() -> Iterator[Item]:
+        for number, read in enumerate(read_captures(inputs, options.reading, opener)):
+            if isinstance(read, Failure):
+                yield read
+                continue
             failures: list[Failure] = []
-            if deleted is None:
-                measurer.load()
-                with Boundary(failures, read.source, read.name):
-                    refuse_taken(store, round_key, *spot_and_camera(read, number, place))
-                    result, stop = measured_stop(read, number, place, measurer, store.images)
-                    failures += () if result.error is None else result.failures
-                    if not failures:
-                        stop = replace(stop, key=added.stop_key, round_key=round_key)
-                        new = store.save_stop(stop) is Saved.NEW
-                        added = replace(added, fruit=len(result.fruit) if new else 0, new=new)
-            elif not deleted:
-                with Boundary(failures, read.source, read.name):
-                    fruit = measured_otherwise(store, added.stop_key, read, measurer)
-                    added = replace(added, fruit=fruit or 0, again=fruit is not None)
-            if failures:
-                added = Added(read.name, failure=failures[0])
+            with Boundary(failures, read.source, read.name):
+                key = key_of(round_key, read.name, capture_sha256(read))
+                there = store.stop_is_deleted(key)
+                same = there is False and holds_still(store.stop(key).artifacts, read, measurer)
+                placed = Placed.of(read, number, place) if there is None else None
+                one = Listed.of(read if placed is None else placed.capture)
+                yield _Adding(one.input, one.ref, one.name, key, placed, there, same)
+            yield from failures
+
+    for item, outcome in measure_all(items(), _Changed(measurer), engine, stop):
+        failures = list(outcome.failures) if outcome.value is None else []
+        added = Added(item.capture or item.input) if isinstance(item, Failure) else None
+        if isinstance(item, _Adding):
+            with Boundary(failures, item.input, item.name):
+                added = _added(store, round_key, item, outcome.value, measurer)
+        if failures:
+            added = Added(failures[0].capture or failures[0].input, failure=failures[0])
+        if added is None:  # stopped before its turn
+            continue
         done.append(added)
         if report is not None:
             report(added)
     return done
+
+
+def _added(
+    store: Store, round_key: str, item: _Adding, result: CaptureResult | None, measurer: Measurer
+) -> Added | None:
+    """Save what was measured, and say what became of it; None where nothing was yet to be.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing was measured, its place is taken, or it cannot be saved.
+    """
+    added = Added(item.name, item.key, deleted=bool(item.there))
+    if result is None:
+        return added if item.there or item.same else None
+    if result.error is not None:
+        raise result.error
+    if item.place is None:
+        fruit = measure_stop_again(store, item.key, [result], measurer)
+        return replace(added, fruit=fruit, again=True)
+    if store.stop_is_deleted(item.key) is not None:  # the same capture given twice
+        return added
+    refuse_taken(store, round_key, *item.place.spot_and_camera)
+    stop = item.place.stop(result, measurer, store.images)
+    new = store.save_stop(replace(stop, key=item.key, round_key=round_key)) is Saved.NEW
+    return replace(added, fruit=len(result.fruit) if new else 0, new=new)
 
 
 def measured_otherwise(
@@ -189,9 +261,11 @@ def measured_otherwise(
     CucumberVisionError
         If it cannot be measured; the stop is then as it was.
     """
-    if holds_still(store.stop(stop_key).artifacts, capture, measurer):
+    stop = store.stop(stop_key)
+    if holds_still(stop.artifacts, capture, measurer):
         return None
-    return measure_stop_again(store, stop_key, [capture], measurer)
+    result = measurer.attempt(replace(capture, name=stop.captures[0].name))
+    return measure_stop_again(store, stop_key, [result], measurer)
 
 
 def capture_sha256(capture: Capture) -> str:
@@ -201,77 +275,88 @@ def capture_sha256(capture: Capture) -> str:
     return digest.hexdigest()
 
 
-def measured_stop(
-    capture: Capture, number: int, place: Place, measurer: Measurer, images: ImageStore | None
-) -> tuple[CaptureResult, StopRecord]:
-    """Measure a capture as a stop of a round.
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A capture with its place in a house.
 
     Parameters
     ----------
     capture : Capture
-        The frame.
-    number : int
-        How many came before it, for its position and step where nothing else says them.
-    place : Place
-        Where it was taken.
-    measurer : Measurer
-        What measures.
-    images : ImageStore, optional
-        Takes the pictures.
-
-    Returns
-    -------
-    result : CaptureResult
-        Its `error` says why nothing was measured.
-    stop : StopRecord
-        With the fruit's offsets along the row; the failure where nothing was measured. It has no
-        key and no round yet.
-
-    Raises
-    ------
-    RoundError
-        If a pose file has no line for it.
-    StoreError
-        If a picture cannot be written.
+        Its `stop` says where it was taken.
+    position_sd_m : float, optional
+        How sure the position is; None without one.
+    pose : ndarray of float64, shape (4, 4)
+        The camera's.
     """
-    spot, sd_m, pose = _spot(capture, number, place)
-    result = measurer.attempt(replace(capture, stop=spot))
-    stop = stop_record("", [result], measurer, key="", position_sd_m=sd_m, images=images)
-    captures = tuple(
-        replace(one, fruit=tuple(placed_fruit(fruit, pose) for fruit in one.fruit))
-        for one in stop.captures
-    )
-    return result, replace(stop, captures=captures, pose=tuple(pose.round(9).ravel().tolist()))
 
+    capture: Capture
+    position_sd_m: float | None
+    pose: NDArray[np.float64]
 
-def spot_and_camera(capture: Capture, number: int, place: Place) -> tuple[Stop, CameraAt]:
-    """Return where a capture was taken and by what, as its stop will say."""
-    spot, _, pose = _spot(capture, number, place)
-    camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
-    return spot, CameraAt(pose.ravel().tolist(), {}, camera)
+    @classmethod
+    def of(cls, capture: Capture, number: int = 0, place: Place | None = None) -> Placed:
+        """Place a capture.
 
+        Parameters
+        ----------
+        capture : Capture
+            The frame.
+        number : int
+            How many came before it, for its position and step where nothing else says them.
+        place : Place, optional
+            Where it was taken.
 
-def _spot(
-    capture: Capture, number: int, place: Place
-) -> tuple[Stop, float | None, NDArray[np.float64]]:
-    """Return row, side, position and step; how sure the position is; and the camera's pose."""
-    own, line = capture.stop, place.poses.get(capture.name)
-    if place.poses and line is None:
-        raise RoundError(
-            "the pose file has no line for this capture",
-            source=capture.name,
-            remedy="add one, or leave the pose file out",
+        Raises
+        ------
+        RoundError
+            If a pose file has no line for it.
+        """
+        place, own = place or Place(), capture.stop
+        line = place.poses.get(capture.name)
+        if place.poses and line is None:
+            raise RoundError(
+                "the pose file has no line for this capture",
+                source=capture.name,
+                remedy="add one, or leave the pose file out",
+            )
+        position = own.position_m
+        if place.position_m is not None:
+            position = place.position_m + number * (place.spacing_m or 0.0)
+        row, side = place.row or own.row, place.side or own.side
+        step = number + 1 if own.step is None else own.step
+        sd, turned = place.position_sd_m, {}
+        if line is not None:
+            row, side, position = line.row or row, line.side or side, line.position_m
+            sd = line.position_sd_m
+            turned = {name: getattr(line, name) or 0.0 for name in _TURNED}
+        sign = sign_of_side(side) if place.sign is None else place.sign
+        pose = pose_matrix(position or 0.0, sign, **turned)
+        spot = Stop(row, side, position, step)
+        return cls(replace(capture, stop=spot), None if position is None else sd, pose)
+
+    @property
+    def spot_and_camera(self) -> tuple[Stop, CameraAt]:
+        """Where it was taken and by what, as its stop will say."""
+        camera = CameraModel.of(self.capture.intrinsics).model_dump(mode="json")
+        return self.capture.stop, CameraAt(self.pose.ravel().tolist(), {}, camera)
+
+    def stop(
+        self, result: CaptureResult, measurer: Measurer, images: ImageStore | None
+    ) -> StopRecord:
+        """Return the stop of what was measured in it, with the fruit's offsets along the row.
+
+        It has no key and no round yet. Where nothing was measured, it has the failure.
+
+        Raises
+        ------
+        StoreError
+            If a picture cannot be written.
+        """
+        sd_m = self.position_sd_m
+        stop = stop_record("", [result], measurer, key="", position_sd_m=sd_m, images=images)
+        captures = tuple(
+            replace(one, fruit=tuple(placed_fruit(fruit, self.pose) for fruit in one.fruit))
+            for one in stop.captures
         )
-    position = own.position_m
-    if place.position_m is not None:
-        position = place.position_m + number * (place.spacing_m or 0.0)
-    row, side = place.row or own.row, place.side or own.side
-    step = number + 1 if own.step is None else own.step
-    sd, turned = place.position_sd_m, {}
-    if line is not None:
-        row, side, position = line.row or row, line.side or side, line.position_m
-        sd = line.position_sd_m
-        turned = {name: getattr(line, name) or 0.0 for name in _TURNED}
-    sign = sign_of_side(side) if place.sign is None else place.sign
-    pose = pose_matrix(position or 0.0, sign, **turned)
-    return Stop(row, side, position, step), None if position is None else sd, pose
+        pose = tuple(self.pose.round(9).ravel().tolist())
+        return replace(stop, captures=captures, pose=pose)

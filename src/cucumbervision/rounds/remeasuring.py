@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.calibration.calibration_file import SiteCalibration
+from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
+from cucumbervision.pipeline.batch import (
+    Engine,
+    ResultWorker,
+    in_process,
+    measure_all,
+    never,
+)
 from cucumbervision.pipeline.fields import NumberedFruit
+from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
 from cucumbervision.rounds.poses import placed_fruit, stored_pose
 from cucumbervision.rounds.stop_records import (
@@ -24,7 +35,7 @@ from cucumbervision.rounds.stop_records import (
 from cucumbervision.store.views import DetectionFilter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.pipeline.measurer import CaptureResult
@@ -40,6 +51,9 @@ def measure_round_again(
     round_key: str,
     options: MeasureOptions,
     report: Callable[[int, int], None] | None = None,
+    *,
+    engine: Engine = in_process,
+    stop: Callable[[], bool] = never,
 ) -> tuple[int, list[Failure]]:
     """Measure all stops of a round again from the captures that the store keeps.
 
@@ -53,6 +67,8 @@ def measure_round_again(
         How to measure.
     report : callable, optional
         Given how many stops are done, and of how many.
+    engine, stop
+        As `batch.measure_all` takes them.
 
     Returns
     -------
@@ -61,16 +77,32 @@ def measure_round_again(
     failures : list of Failure
         Why others were not; these are as they were.
     """
-    measurer, failures = Measurer(options), list[Failure]()
-    stops = store.stops(round_key)
-    for number, view in enumerate(stops, 1):
-        with Boundary(failures, store.name, f"stop {view.step or view.key[:8]}"):
-            stop = store.stop(view.key)
-            captures = [_as_read(store, one, stop) for one in stop.captures]
-            measure_stop_again(store, view.key, captures, measurer)
+    measurer, failures, done = Measurer(options), list[Failure](), 0
+    stops = {view.key: f"stop {view.step or view.key[:8]}" for view in store.stops(round_key)}
+
+    def items() -> Iterator[Listed | Failure]:
+        for key, name in stops.items():
+            try:
+                stop = store.stop(key)
+            except CucumberVisionError as error:
+                yield Failure.of(error, key, name)
+                continue
+            for one in stop.captures:
+                ref = CaptureRef(one.name, one.frame or 0, partial(_as_read, store, one, stop))
+                yield Listed(key, ref, one.name)
+
+    measured = measure_all(items(), ResultWorker(measurer), engine, stop)
+    for number, (key, group) in enumerate(groupby(measured, lambda pair: pair[0].input), 1):
+        outcomes = [outcome for _, outcome in group]
+        results = [one.value for one in outcomes if one.value is not None]
+        failures += [why for one in outcomes if one.value is None for why in one.failures]
+        if len(results) == len(outcomes):
+            with Boundary(failures, store.name, stops[key]):
+                measure_stop_again(store, key, results, measurer)
+                done += 1
         if report is not None:
             report(number, len(stops))
-    return len(stops) - len(failures), failures
+    return done, failures
 
 
 def _as_read(store: Store, record: CaptureRecord, stop: StopRecord) -> Capture:
@@ -92,9 +124,9 @@ def _as_read(store: Store, record: CaptureRecord, stop: StopRecord) -> Capture:
 
 
 def measure_stop_again(
-    store: Store, key: str, captures: Sequence[Capture], measurer: Measurer
+    store: Store, key: str, results: Sequence[CaptureResult], measurer: Measurer
 ) -> int:
-    """Measure a stop of the store again, and return how many fruit it shows; logged.
+    """Save a stop as it was measured again, and return how many fruit it shows; logged.
 
     Its place stays as it is. A fruit that is found again keeps its key, and with it verdict, pick
     and links. One of which somebody said something is measured with its old mask where it is not
@@ -106,15 +138,15 @@ def measure_stop_again(
         Where it is.
     key : str
         The stop's.
-    captures : sequence of Capture
-        What was taken there, under the names that the store has.
+    results : sequence of CaptureResult
+        What was measured in its captures, in order.
     measurer : Measurer
         What measures.
 
     Raises
     ------
     CucumberVisionError
-        If nothing can be measured; the stop is then as it was.
+        If one of them could not be measured; the stop is then as it was.
     """
     stop = store.stop(key)
     views = store.detections(stop.round_key, DetectionFilter(stop_key=key))
@@ -127,8 +159,7 @@ def measure_stop_again(
     found: list[CaptureResult] = []
     same: dict[str, tuple[str, int]] = {}
     corrected: dict[str, DetectionRecord] = {}
-    for capture, taken in zip(captures, stop.captures, strict=True):
-        result = measurer.attempt(replace(capture, name=taken.name))
+    for result, taken in zip(results, stop.captures, strict=True):
         if result.error is not None:
             raise CucumberVisionError(result.error.message, source=taken.name)
         own = {one.number: one for one in taken.fruit}

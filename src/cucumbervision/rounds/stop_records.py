@@ -259,7 +259,8 @@ def _artifact_records(
         ArtifactRecord("software", f"cucumbervision {__version__}"),
         ArtifactRecord("config", "measure", options.sha256, options.as_json()),
     ]
-    for model in measurer.models:
+    models = [model for result in results for model in result.models]
+    for model in [one for k, one in enumerate(models) if one not in models[:k]]:
         rest = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
         sha256 = str(model.get("sha256") or "")
         records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(rest)))

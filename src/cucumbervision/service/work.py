@@ -6,6 +6,8 @@ import shutil
 import tempfile
 import threading
 from contextlib import contextmanager
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -19,8 +21,10 @@ from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import clean_name
 from cucumbervision.intake.file_checks import HEAD_BYTES, PICTURES, check_picture, file_kind
 from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.pipeline.batch import ResultWorker, measure_all
 from cucumbervision.pipeline.detect import coco_fields
 from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.pipeline.inputs import list_source
 from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer
 
 if TYPE_CHECKING:
@@ -163,18 +167,18 @@ class Work:
         CucumberVisionError
             If no file can be processed: too many files, a full disk, no networks.
         """
-        settings = self.settings
-        results: list[CaptureResult] = []
-        failures: list[Failure] = []
+        settings, results, failures = self.settings, list[CaptureResult](), list[Failure]()
         with self.turn(), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()
             given = accept_uploads(files, Path(folder), settings.limits, burst=settings.burst)
-            for source in given.sources:
-                with Boundary(failures, source.title):
-                    for ref in source.open(self.measurer.options.reading):
-                        with Boundary(failures, source.title, ref.name):
-                            results.append(self.measurer.measure(ref.load()))
-        failures += [failure for one in results for failure in one.failures]
+            reading = self.measurer.options.reading
+            listed = chain.from_iterable(
+                list_source(one.title, partial(one.open, reading)) for one in given.sources
+            )
+            for _, outcome in measure_all(listed, ResultWorker(self.measurer)):
+                failures += outcome.failures
+                if outcome.value is not None and outcome.value.error is None:
+                    results.append(outcome.value)
         refused = [
             NotRead(name=one.name, error=one.error.code, message=str(one.error))
             for one in given.refused

@@ -6,7 +6,7 @@ A fruit hangs at 0.5 to 0.9 m and tilts by 15 degrees (one standard deviation), 
 leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree. Outlines are disturbed by 1.5 px in
 each view anew, or with --perceived found and drawn by the networks in painted pictures. The best
 view is the one of the narrowest interval, 'combined' weighs the views' lengths by their intervals
-(`rounds.row_fruit.combined_length`), 'one tube' is `measurement.views`, and rounds take that
+(`rounds.row_fruit.pooled_length`), 'one tube' is `measurement.views`, and rounds take that
 unless the combined lengths contradict it. Coverage is that of the 90 % interval, depth scale known.
 """
 
@@ -25,14 +25,14 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.frames import Capture, median_depth
-from cucumbervision.measurement.result import LengthDefinition, Method, Selector
+from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition, Method, Selector
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.rounds.row_fruit import LENGTH_Z, combined_length, joint_tube_is_used
+from cucumbervision.rounds.row_fruit import joint_tube_is_used, pooled_length
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -137,9 +137,9 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
         some = row["alone"][:count]
         some = [one for one in some if one[3]] or some  # as rounds do
         lengths, low, high = np.array([one[:3] for one in some]).T
-        sds = np.log(high / low) / (2 * LENGTH_Z)
-        combined, sd_m = combined_length(lengths, sds, np.zeros(len(some), bool)) or (0.0, 0.0)
-        spread = float(np.exp(LENGTH_Z * sd_m / combined))
+        sds = np.log(high / low) / (2 * INTERVAL_Z)
+        combined, sd_m = pooled_length(lengths, sds, np.zeros(len(some), bool)) or (0.0, 0.0)
+        spread = float(np.exp(INTERVAL_Z * sd_m / combined))
         (one_m, *ends, _), ms = row["one"][count - 1]
         best = int(np.argmin(sds))
         ways = {
@@ -147,7 +147,7 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
             "combined": (combined, combined / spread, combined * spread),
             "one tube": (one_m, *ends),
         }
-        stands = joint_tube_is_used((one_m, *ends), (combined, sd_m))
+        stands = joint_tube_is_used(Length(one_m, low_m=ends[0], high_m=ends[1]), (combined, sd_m))
         ways["as rounds"] = ways["one tube" if stands else "combined"]
         for way, (length, least, most) in ways.items():
             found[f"{way} {count}"] = 100 * (length / true_m - 1)

@@ -2,11 +2,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from cucumbervision.agronomy.grades import OUT_OF_GRADE, GradingTraits, LengthBelief, Verdict, grade
+from cucumbervision.agronomy.grades import (
+    OUT_OF_GRADE,
+    GradeStatus,
+    GradingTraits,
+    grade,
+    share_below,
+)
 from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.result import Length, LengthDefinition
 
 LONG = load_profile("long-cucumber")
 STRICT = LONG.model_copy(update={"size_rules": "decide"})
@@ -21,12 +28,10 @@ SOUND = GradingTraits(
 
 
 def sure(centreline_m: float, half: float) -> GradingTraits:
-    belief = LengthBelief.from_interval(
-        centreline_m, centreline_m / (1 + half), centreline_m * (1 + half)
-    )
-    return replace(
-        SOUND, centreline_m=centreline_m, belief=belief, belief_of=LengthDefinition.CENTRELINE
-    )
+    interval = centreline_m / (1 + half), centreline_m * (1 + half)
+    kind = LengthDefinition.CENTRELINE
+    length = Length(centreline_m, kind, *interval, interval_of=kind)
+    return replace(SOUND, centreline_m=centreline_m, length=length)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +51,7 @@ def test_classes_of_the_paper_hold_their_lower_end(
     found = grade(replace(SOUND, centreline_m=centreline_m), LONG)
     assert found.name == name
     assert said in found.rules[0]
-    assert found.verdict is (Verdict.OUT if name == OUT_OF_GRADE else Verdict.IN_CLASS)
+    assert found.verdict is (GradeStatus.OUT if name == OUT_OF_GRADE else GradeStatus.IN_CLASS)
 
 
 @pytest.mark.parametrize(
@@ -75,13 +80,13 @@ def test_mass_is_volume_times_the_profiles_density() -> None:
 
 def test_light_fruit_is_in_no_class() -> None:
     found = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
-    assert (found.verdict, found.name) == (Verdict.OUT, OUT_OF_GRADE)
+    assert (found.verdict, found.name) == (GradeStatus.OUT, OUT_OF_GRADE)
     assert found.rules[0].startswith("too light: about 249 g, at least 250 g required (Reg")
 
 
 def test_weight_is_a_remark_where_the_profile_says_so() -> None:
     found = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
-    assert (found.verdict, found.name) == (Verdict.IN_CLASS, "I")
+    assert (found.verdict, found.name) == (GradeStatus.IN_CLASS, "I")
     assert found.rules[0].startswith("class I: ")
     assert found.rules[1].startswith("remark: too light: about 249 g")
 
@@ -97,10 +102,10 @@ def test_heavy_fruit_must_be_long_for_class_one() -> None:
 def test_probabilities_come_from_the_interval() -> None:
     found = grade(sure(0.25, 0.02), LONG)
     assert found.probabilities == pytest.approx({"I": 0.5, "II": 0.5, OUT_OF_GRADE: 0.0}, abs=1e-6)
-    assert found.verdict is Verdict.BORDERLINE
+    assert found.verdict is GradeStatus.BORDERLINE
     assert found.rules[0].startswith("borderline: ")
     clear = grade(sure(0.30, 0.02), LONG)
-    assert clear.verdict is Verdict.IN_CLASS
+    assert clear.verdict is GradeStatus.IN_CLASS
     assert clear.probabilities["I"] > 0.999
 
 
@@ -108,18 +113,19 @@ def test_borderline_begins_at_80_percent() -> None:
     # 5 % of each side is beyond an end of the interval: the end at 25 cm leaves 95 % for class I.
     assert grade(sure(0.25 * 1.02, 0.02), LONG).probabilities["I"] == pytest.approx(0.95, abs=1e-6)
     # Half a standard deviation above the limit leaves 69 %.
-    assert grade(sure(0.25 * 1.02 ** (0.5 / 1.6449), 0.02), LONG).verdict is Verdict.BORDERLINE
+    assert grade(sure(0.25 * 1.02 ** (0.5 / 1.6449), 0.02), LONG).verdict is GradeStatus.BORDERLINE
 
 
 def test_shape_moves_probability_to_the_class_it_allows() -> None:
     found = grade(replace(sure(0.25, 0.02), inner_arc_mm_per_10cm=15.0), LONG)
     assert found.probabilities == pytest.approx({"I": 0.0, "II": 1.0, OUT_OF_GRADE: 0.0}, abs=1e-6)
-    assert found.verdict is Verdict.IN_CLASS
+    assert found.verdict is GradeStatus.IN_CLASS
 
 
 def test_interval_of_another_length_says_nothing() -> None:
-    belief = LengthBelief.from_interval(0.28, 0.27, 0.29)
-    found = grade(replace(SOUND, belief=belief, belief_of=LengthDefinition.THREAD), LONG)
+    thread = LengthDefinition.THREAD
+    length = Length(0.28, thread, 0.27, 0.29, interval_of=thread)
+    found = grade(replace(SOUND, length=length), LONG)
     assert found.probabilities == {}
     assert found.missing == ("interval of the centreline length: no probabilities",)
 
@@ -133,14 +139,14 @@ def test_missing_traits_are_named() -> None:
         "interval of the centreline length",
     ]
     nothing = grade(GradingTraits(thread_m=0.3), LONG)
-    assert (nothing.verdict, nothing.name) == (Verdict.MISSING, "")
+    assert (nothing.verdict, nothing.name) == (GradeStatus.MISSING, "")
     assert nothing.missing[0].startswith("centreline length: no tube could be fitted")
 
 
 @pytest.mark.parametrize(("centreline_m", "refused"), [(0.049, True), (0.05, False), (0.801, True)])
 def test_lengths_that_cannot_be_are_refused(centreline_m: float, refused: bool) -> None:
     found = grade(GradingTraits(centreline_m=centreline_m), LONG)
-    assert (found.verdict is Verdict.REFUSED) == refused
+    assert (found.verdict is GradeStatus.REFUSED) == refused
     if refused:
         assert "is accepted from 5 to 80 cm; measure again" in found.rules[0]
 
@@ -172,10 +178,12 @@ def test_row_of_a_table_is_read_with_its_calibration() -> None:
         "diameter_max_mm": None,
     }
     traits = GradingTraits.from_row(row)
-    assert (traits.centreline_m, traits.chord_m, traits.diameter_max_m) == (0.26, 0.24, None)
-    assert traits.belief is not None
-    assert traits.belief.median_m == 0.26
-    assert grade(traits, LONG).verdict is Verdict.IN_CLASS
+    assert (traits.centreline_m, traits.chord_m, traits.diameter_max_m) == (0.252, 0.24, None)
+    kind = LengthDefinition.CENTRELINE
+    assert traits.length == Length(0.26, kind, 0.255, 0.265, interval_of=kind)
+    found = grade(traits, LONG)
+    assert found.verdict is GradeStatus.IN_CLASS
+    assert "centreline length 26.0 cm" in found.rules[0]  # the calibrated one
 
 
 def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:
@@ -187,4 +195,18 @@ def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:
         "interval_high_cm": 26.0,
         "interval_of": "thread",
     }
-    assert grade(GradingTraits.from_row(row), LONG).verdict is Verdict.MISSING
+    assert grade(GradingTraits.from_row(row), LONG).verdict is GradeStatus.MISSING
+
+
+def test_ends_and_median_are_the_intervals_quantiles() -> None:
+    length = Length(0.25, low_m=0.24, high_m=0.28)
+    np.testing.assert_allclose(
+        share_below(length, [0.24, 0.25, 0.28]), [0.05, 0.5, 0.95], atol=1e-5
+    )
+
+
+def test_side_without_width_is_a_step() -> None:
+    length = Length(0.25, low_m=0.25, high_m=0.26)
+    np.testing.assert_allclose(share_below(length, [0.2499, 0.25, 0.26]), [0, 0.5, 0.95], atol=1e-5)
+    exact = Length(0.25, low_m=0.25, high_m=0.25)
+    assert share_below(exact, [0.2499, 0.25, 0.2501]).tolist() == [0.0, 0.0, 1.0]

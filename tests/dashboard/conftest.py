@@ -99,10 +99,11 @@ def long_round(store: Store, template: StopRecord, stops: int) -> None:
                     one,
                     number=k + 1,
                     methods=one.methods[-2:],
-                    length_m=length_m,
+                    length=one.length
+                    and replace(
+                        one.length, value_m=length_m, low_m=0.98 * length_m, high_m=1.02 * length_m
+                    ),
                     thread_m=length_m,
-                    interval_low_m=0.98 * length_m,
-                    interval_high_m=1.02 * length_m,
                     centre_y_m=float(rng.uniform(-0.4, 0.4)),
                     offset_m=float(rng.uniform(-0.2, 0.2)),
                 )

@@ -18,6 +18,7 @@ from cucumbervision.dashboard.round_tables import grade_round, length_lines, map
 from cucumbervision.dashboard.settings import Units
 from cucumbervision.dashboard.views.accuracy import measured_round
 from cucumbervision.exports.build import round_tables
+from cucumbervision.measurement.result import Length
 from cucumbervision.rounds.from_store import find_round, read_round
 from cucumbervision.rounds.fruit_table import fruit_table
 from cucumbervision.rounds.merge_and_link import DAY_S, merge_round
@@ -58,7 +59,7 @@ def walked(store: Store) -> str:
     deleted, picked, hidden = best[0], best[1], best[2]
     page("results", one.key, fruit=deleted.key, press="Delete")
     store.pick([picked.key])
-    store.correct(hidden.key, replace(hidden.record, flags="end-hidden", length_m=0.36))
+    store.correct(hidden.key, replace(hidden.record, flags="end-hidden", length=Length(0.36)))
     return one.key
 
 

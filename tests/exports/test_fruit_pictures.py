@@ -12,6 +12,7 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.fruit_pictures import draw_fruit
+from cucumbervision.measurement.result import Length
 from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (
     CaptureRecord,
@@ -40,7 +41,7 @@ def hanging() -> tuple[DetectionRecord, CaptureRecord]:
         box_x2_px=339.5,
         box_y2_px=299.5,
         method="M6",
-        length_m=0.2,
+        length=Length(0.2),
         distance_m=0.6,
         mask=encode_rle(mask),
         methods=(MethodRecord("M1", 0.3), MethodRecord("M6", 0.2, path_m=path)),

@@ -26,6 +26,7 @@ from cucumbervision.exports.build import round_tables
 from cucumbervision.exports.tables import COLUMNS, ExportTable, RoundTables
 from cucumbervision.exports.workbook import SHEETS, reading_table
 from cucumbervision.exports.writers import render_sheet, write_exports
+from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.pipeline.fields import Cell, Column, defused
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -42,6 +43,7 @@ from cucumbervision.store.views import Verdict
 EVIL = '=HYPERLINK("https://x")<script>alert(1)</script>'
 WALK = RoundRecord(key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber")
 CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
+THREAD = LengthDefinition.THREAD
 ROOT = Path(__file__).parents[2]
 
 
@@ -63,14 +65,10 @@ def fruit(number: int, length_m: float | None) -> DetectionRecord:
         return replace(record, method=None, reason="no-tube", flags="")
     return replace(
         record,
-        length_m=length_m,
-        length_kind="thread",
+        length=Length(length_m, THREAD, 0.97 * length_m, 1.03 * length_m, THREAD),
         thread_m=length_m,
         chord_m=0.9 * length_m,
         centreline_m=0.95 * length_m,
-        interval_low_m=0.97 * length_m,
-        interval_high_m=1.03 * length_m,
-        interval_of="thread",
         inner_arc_m=0.004,
         diameter_max_m=0.045,
         volume_m3=330e-6,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.images import DEPTH_UNIT_M, ImageStore
 from cucumbervision.store.records import (
@@ -115,9 +116,7 @@ def _fruit(rng: np.random.Generator, number: int, width: int, height: int) -> De
         box_y2_px=float(y + 50),
         method="M6",
         reason="tube",
-        length_m=tube.thread_m,
-        length_kind="thread",
-        length_sd_m=0.003,
+        length=Length(tube.thread_m or 0.0, LengthDefinition.THREAD),
         centreline_m=length,
         thread_m=tube.thread_m,
         chord_m=tube.chord_m,

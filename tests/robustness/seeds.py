@@ -18,6 +18,7 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.geometry.camera import Distortion
+from cucumbervision.measurement.result import Length
 from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (
     ArtifactRecord,
@@ -269,7 +270,7 @@ def stop_of(opened: Store) -> tuple[RoundRecord, StopRecord]:
         DetectionRecord(
             k,
             method="M6",
-            length_m=0.2 + 0.01 * k,
+            length=Length(0.2 + 0.01 * k),
             offset_m=0.1,
             offset_sd_m=0.03,
             view_score=0.5,

@@ -8,6 +8,7 @@ from typing import Protocol
 import pytest
 from tests.simulated_rows import Walk
 
+from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.store.records import (
     CaptureRecord,
     DetectionRecord,
@@ -17,6 +18,7 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.repository import Store, open_store
 
+THREAD = LengthDefinition.THREAD
 MORNING = RoundRecord(key_of("rounds", "morning"), "morning", "house 1", 86400.0, "long-cucumber")
 
 
@@ -53,12 +55,10 @@ def _stop(walk: Walk, number: int, record: RoundRecord, row: str) -> StopRecord:
             len(fruit) + 1,
             score=float(views.score[k]),
             flags="end-hidden" if views.partial[k] else "",
-            length_m=length,
-            length_kind="thread",
+            length=Length(
+                length, THREAD, length * (1 - 1.645 * sd), length * (1 + 1.645 * sd), THREAD
+            ),
             thread_m=length,
-            interval_low_m=length * (1 - 1.645 * sd),
-            interval_high_m=length * (1 + 1.645 * sd),
-            interval_of="thread",
             diameter_max_m=float(views.diameter_m[k]),
             centre_x_m=sign * x,
             centre_y_m=-up,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from cucumbervision.measurement.result import Length
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_context import around, least_sure_first
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
@@ -28,7 +29,7 @@ def stop(round_key: str, number: int, offsets: tuple[float, ...]) -> StopRecord:
         DetectionRecord(
             n,
             score=0.3 + 0.1 * n,
-            length_m=0.2,
+            length=Length(0.2),
             centre_x_m=x,
             centre_y_m=0.0,
             centre_z_m=0.7,

@@ -70,11 +70,9 @@ def test_joint_tube_is_used_for_fruit_that_several_stops_show(merged: Store) -> 
         assert record.reason == Choice.SEVERAL_VIEWS
         nearest = min(truth, key=lambda at_m: abs(at_m - (line.view.along_m or 0.0)))
         assert record.centreline_m == pytest.approx(truth[nearest], rel=0.03)
-        low, high = record.interval_low_m, record.interval_high_m
-        assert low is not None
-        assert high is not None
-        assert low < (record.length_m or 0.0) < high
-        assert record.length_m == line.length_m
+        assert record.length is not None
+        assert record.length.sides is not None
+        assert record.length.sides[0] == record.length_m  # the interval is about it
         # What is the view's own stays so.
         assert (record.number, record.score) == (alone.number, alone.score)
 
@@ -86,7 +84,10 @@ def test_what_is_measured_is_not_measured_again_until_a_view_changes(merged: Sto
     detail = merged.detection(views[0].key)
     mask = decode_rle(detail.view.record.mask or "", CAMERA.height, CAMERA.width)
     assert mask.any()
-    shorter = replace(detail.view.record, length_m=0.9 * (detail.view.record.length_m or 0.0))
+    length = detail.view.record.length
+    assert length is not None
+    length = replace(length, value_m=0.9 * length.value_m)
+    shorter = replace(detail.view.record, length=length)
     merged.correct(views[0].key, shorter)
     assert measure_jointly(merged, MORNING).fruit == 1
     content = read_round(merged, MORNING)
@@ -117,15 +118,15 @@ def test_the_tube_is_kept_with_the_cameras_that_saw_it(merged: Store) -> None:
         assert mask[v[inside], u[inside]].mean() > 0.9
 
 
-def test_without_pictures_lengths_stay_combined(merged: Store) -> None:
+def test_without_pictures_lengths_stay_those_of_the_views(merged: Store) -> None:
     content = read_round(merged, MORNING)
-    combined = [(one.view.key, one.length_m) for one in fruit_table(content)]
+    pooled = [(one.view.key, one.view.record.length) for one in fruit_table(content)]
     for path in merged.images.folder.rglob("*.png"):
         path.unlink()
     assert measure_jointly(merged, MORNING).fruit == len(joint_groups(content))
     after = read_round(merged, MORNING)
     assert {one.reason for one in after.joint.values()} == {"no-picture"}
-    assert [(one.view.key, one.length_m) for one in fruit_table(after)] == combined
+    assert [(one.view.key, one.view.record.length) for one in fruit_table(after)] == pooled
 
 
 def test_one_that_fails_loses_nothing_of_the_rest(

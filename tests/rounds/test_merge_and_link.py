@@ -12,6 +12,7 @@ from cucumbervision.agronomy.growth import GrowthPrior, fit_growth
 from cucumbervision.agronomy.picking import pick_list
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import RoundError
+from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision.rounds.forecasting import (
     forecast_for,
     fruit_states,
@@ -82,10 +83,9 @@ def test_a_fruit_has_the_length_of_all_its_whole_views(store: Store, row: Walk) 
         several += 1
         lengths = [one.length_m for one in whole if one.length_m]
         assert min(lengths) - 1e-9 <= (line.view.record.length_m or 0) <= max(lengths) + 1e-9
-        assert line.view.record.length_m == line.length_m
-        low, high = line.view.record.interval_low_m, line.view.record.interval_high_m
-        if low is not None and high is not None:
-            assert low < (line.length_m or 0) < high
+        assert line.view.record.length is not None
+        assert line.view.record.length.sides is not None
+        assert line.view.record.length.sides[0] == line.view.record.length_m
     assert several > 5
 
 
@@ -137,9 +137,7 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
 
 def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store) -> None:
     fruit = [
-        DetectionRecord(
-            k, length_m=0.25, length_kind="thread", interval_low_m=0.24, interval_high_m=0.26
-        )
+        DetectionRecord(k, length=Length(0.25, LengthDefinition.THREAD, 0.24, 0.26))
         for k in (1, 2, 3, 4)
     ]
     fruit[1] = DetectionRecord(2)  # found, and not measured
@@ -180,7 +178,7 @@ def test_growth_is_followed_through_three_rounds(store: Store) -> None:
     for day in (1, 2, 3):
         record = RoundRecord(key_of("three", day), f"day {day}", "", day * 86400.0)
         store.save_round(record)
-        fruit = DetectionRecord(1, length_m=0.1 + 0.03 * day, length_sd_m=0.002)
+        fruit = DetectionRecord(1, length=Length(0.1 + 0.03 * day))
         capture = CaptureRecord("c", fruit=(fruit,))
         stop = StopRecord(key_of("s", day), record.key, row="1", captures=(capture,))
         store.save_stop(stop)

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import pytest
 from tests.store.throwaway_postgres import missing_reason, throwaway_cluster
 
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.records import (
     ArtifactRecord,
     CaptureRecord,
@@ -97,7 +98,7 @@ def make_stop() -> MakeStop:
             DetectionRecord(
                 k,
                 method="M6",
-                length_m=0.1 * step + 0.01 * k,
+                length=Length(0.1 * step + 0.01 * k),
                 offset_m=0.1 * k,
                 offset_sd_m=0.03,
                 view_score=0.5,

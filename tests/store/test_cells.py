@@ -39,7 +39,10 @@ def _drawing(store: Store) -> object:
         ("measurements SET path_um = x'0102'", lambda store: store.stop(STOP)),
         ("marks SET value = 'perhaps'", lambda store: store.detections(WALK.key)),
         ("joint_measurements SET record = '" + "[" * 20_000 + "'", _joint),
-        ('joint_measurements SET record = \'{"number": 1, "length_m": "long"}\'', _joint),
+        (
+            'joint_measurements SET record = \'{"number": 1, "length": {"value_m": "long"}}\'',
+            _joint,
+        ),
         ("joint_measurements SET drawing = '{\"poses\": 3}'", _drawing),
     ],
 )

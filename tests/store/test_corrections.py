@@ -8,6 +8,7 @@ import pytest
 from sqlalchemy import text
 
 from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.engine import begin
 from cucumbervision.store.links import LinkKind, LinkRecord
 from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of, new_key
@@ -66,7 +67,7 @@ def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]
         lambda s, k: s.set_verdict(k, None),
         lambda s, k: s.pick(k, at_s=9.0),
         lambda s, k: s.unpick(k),
-        lambda s, k: s.correct(k[0], DetectionRecord(1, length_m=0.5)),
+        lambda s, k: s.correct(k[0], DetectionRecord(1, length=Length(0.5))),
         lambda s, k: s.merge(k[0], k[3]),
         lambda s, k: s.unmerge(k[1]),
     ],
@@ -75,7 +76,7 @@ def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]
 def test_every_action_can_be_taken_back(store: Store, keys: list[str], act: Any) -> None:
     store.set_verdict(keys[:2], Verdict.ACCEPTED)
     store.pick(keys[:1], at_s=4.0)
-    store.correct(keys[0], DetectionRecord(1, length_m=0.4))
+    store.correct(keys[0], DetectionRecord(1, length=Length(0.4)))
     store.save_merging(WALK, [LinkRecord(LinkKind.SAME, keys[1], keys[2], 0.8)])
     before = said(store)
     act(store, keys)
@@ -156,7 +157,7 @@ def test_a_corrected_fruit_stands_for_the_first_which_is_kept(
     store: Store, keys: list[str]
 ) -> None:
     original = store.detection(keys[1]).original
-    corrected = replace(original, length_m=0.333, mask="45", offset_m=0.7, flags="by-hand")
+    corrected = replace(original, length=Length(0.333), mask="45", offset_m=0.7, flags="by-hand")
     store.correct(keys[1], corrected, by="ana")
     detail = store.detection(keys[1])
     assert detail.view.record == corrected
@@ -178,7 +179,7 @@ def test_merged_views_are_one_fruit_of_which_the_best_stands(store: Store, keys:
     a, b, c, d = keys
     assert [one.best for one in store.detections(WALK)] == [True] * 4
     store.merge(a, c, by="ana")
-    store.correct(c, DetectionRecord(1, length_m=0.2, view_score=0.9))
+    store.correct(c, DetectionRecord(1, length=Length(0.2), view_score=0.9))
 
     def shown() -> list[DetectionView]:
         return store.detections(WALK, DetectionFilter(best=True))
@@ -277,7 +278,7 @@ def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
     store: Store, keys: list[str]
 ) -> None:
     before, stop = said(store), key_of(WALK, 1)
-    found = DetectionRecord(1, mask="abc", length_m=0.3, mask_source="sam")
+    found = DetectionRecord(1, mask="abc", length=Length(0.3), mask_source="sam")
     added = store.add_fruit(stop, "a", found, by="ana")
     *_, view = (one for one in store.detections(WALK) if one.stop_key == stop)
     assert (view.key, view.record.number, view.verdict) == (added, 3, Verdict.ACCEPTED)

@@ -8,6 +8,7 @@ import pytest
 from sqlalchemy import inspect, text
 
 from cucumbervision.errors import StoreError, StoreVersionError
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.engine import VERSION, VERSION_TABLE, begin, database_url, make_engine
 from cucumbervision.store.records import (
     CaptureRecord,
@@ -76,7 +77,7 @@ def test_an_empty_file_becomes_a_store(tmp_path: Path) -> None:
 
 def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
     walk, stop = RoundRecord(key_of("walk")), key_of("stop")
-    capture = CaptureRecord("a", fruit=(DetectionRecord(1, length_m=0.3, tilt_deg=4.0),))
+    capture = CaptureRecord("a", fruit=(DetectionRecord(1, length=Length(0.3), tilt_deg=4.0),))
     with open_store(address) as store:
         store.save_round(walk)
         store.save_stop(StopRecord(stop, walk.key, captures=(capture,)))

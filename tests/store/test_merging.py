@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cucumbervision.errors import StoreError
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.records import (
     DetectionRecord,
     JointRecord,
@@ -23,7 +24,7 @@ WHOLE = JointRecord(
     key_of("a"),
     "first",
     2,
-    record=DetectionRecord(1, length_m=0.21, methods=(TUBE,)),
+    record=DetectionRecord(1, length=Length(0.21), methods=(TUBE,)),
     poses={"second": POSE},
 )
 NOTHING = JointRecord(key_of("b"), "third", 0, "not-measured")
@@ -37,7 +38,7 @@ def test_they_are_read_as_they_were_saved(address: str) -> None:
         found = store.joint(WALK.key)
         assert set(found) == {WHOLE.key, NOTHING.key}
         # Lists leave out the path and the poses.
-        assert found[WHOLE.key].record == DetectionRecord(1, length_m=0.21)
+        assert found[WHOLE.key].record == DetectionRecord(1, length=Length(0.21))
         assert found[NOTHING.key] == NOTHING
         assert store.joint_drawing(WALK.key, WHOLE.key) == WHOLE
         assert store.joint_drawing(WALK.key, NOTHING.key) == NOTHING

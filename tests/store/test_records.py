@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import StoreError
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.records import (
     DetectionRecord,
     checked_key,
@@ -40,12 +41,12 @@ def test_a_key_is_the_same_however_it_is_written() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, np.float32(0.2), object()])
 def test_only_finite_plain_numbers_are_stored(value: float) -> None:
     with pytest.raises(StoreError, match="cannot be stored"):
-        record_json(DetectionRecord(1, length_m=value))
+        record_json(DetectionRecord(1, length=Length(value)))
 
 
 def test_a_content_hash_tells_records_apart_to_the_last_digit() -> None:
-    one = DetectionRecord(1, length_m=0.3)
-    assert content_sha256(one) == content_sha256(DetectionRecord(1, length_m=0.3))
+    one = DetectionRecord(1, length=Length(0.3))
+    assert content_sha256(one) == content_sha256(DetectionRecord(1, length=Length(0.3)))
     assert content_sha256(one) != content_sha256(
-        DetectionRecord(1, length_m=math.nextafter(0.3, 1))
+        DetectionRecord(1, length=Length(math.nextafter(0.3, 1)))
     )

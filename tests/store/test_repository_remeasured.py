@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cucumbervision.errors import StoreError
+from cucumbervision.measurement.result import Length
 from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import DetectionRecord, StopRecord, key_of
@@ -21,7 +22,7 @@ WALK, NEXT_DAY = key_of("walk"), key_of("next day")
 
 def with_fruit(stop: StopRecord, *lengths_m: float) -> StopRecord:
     """Return a stop with fruit of these lengths, numbered from 1."""
-    fruit = tuple(DetectionRecord(k, length_m=x) for k, x in enumerate(lengths_m, 1))
+    fruit = tuple(DetectionRecord(k, length=Length(x)) for k, x in enumerate(lengths_m, 1))
     return replace(stop, captures=(replace(stop.captures[0], fruit=fruit),))
 
 
@@ -34,13 +35,13 @@ def test_fruit_that_are_the_same_keep_their_keys_and_what_was_said_of_them(
     gone, kept, corrected = (v.key for v in store.detections(WALK) if v.stop_key == first.key)
     [beside] = (v.key for v in store.detections(WALK) if v.stop_key == other.key)
     store.set_verdict([kept], Verdict.ACCEPTED)
-    store.correct(corrected, replace(first.captures[0].fruit[2], length_m=0.5))
+    store.correct(corrected, replace(first.captures[0].fruit[2], length=Length(0.5)))
     store.merge(kept, beside)
     store.place_stop(first.key, StopPlace("4", "left", 2.0, 9))
 
     again = with_fruit(store.stop(first.key), 0.31, 0.32, 0.33)
     same = {kept: ("a", 1), corrected: ("a", 3)}
-    store.measure_again(again, same, {corrected: DetectionRecord(3, length_m=0.6)}, by="ana")
+    store.measure_again(again, same, {corrected: DetectionRecord(3, length=Length(0.6))}, by="ana")
 
     views = {v.key: v for v in store.detections(WALK) if v.stop_key == first.key}
     assert len(views) == 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
-from cucumbervision.streaming.track_length import FIXED, LENGTH_Z, TrackLength
+from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition, LengthKind
+from cucumbervision.streaming.track_length import FIXED, TrackLength
 
 HERE, THERE = np.array([0.0, 0.0, 0.5]), np.array([0.2, 0.0, 0.5])
 SCALE = 0.01
@@ -15,12 +15,12 @@ OWN_SD = 0.02
 
 def length(value_m: float, sd: float = np.hypot(OWN_SD, SCALE), shift: float = 0.0) -> Length:
     """A length whose interval is that of a relative standard deviation."""
-    low, high = value_m * np.exp(shift + LENGTH_Z * sd * np.array([-1, 1]))
+    low, high = value_m * np.exp(shift + INTERVAL_Z * sd * np.array([-1, 1]))
     return Length(value_m, LengthDefinition.THREAD, float(low), float(high))
 
 
 def relative_sd(one: Length) -> float:
-    return float(np.log(one.high_m / one.low_m)) / (2 * LENGTH_Z)  # type: ignore[operator]
+    return one.relative_sd or 0.0
 
 
 def test_one_frame_is_the_measurement_itself() -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from cucumbervision.errors import ForecastError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,88 +17,29 @@ if TYPE_CHECKING:
 
     from cucumbervision.agronomy.profiles import CropProfile
 
-_LENGTHS = {str(kind): f"{kind}_m" for kind in LengthDefinition}
-_INTERVAL_LEVEL = 0.90  # of the intervals in `interval_low_cm` and `interval_high_cm`
 
+def share_below(length: Length, limit_m: ArrayLike) -> NDArray[np.float64]:
+    """Return the probability that a length with an interval is below each limit in metres, float64.
 
-@dataclass(frozen=True)
-class LengthBelief:
-    """The distribution of one fruit's length: two half normals of its logarithm.
-
-    The intervals are conformal, with a miss rate of (1 - level) / 2 on either side, and may be
-    asymmetric. Their ends are taken as quantiles, the measured length as the median (the interval's
-    geometric middle if it lies outside), and each side as half a normal distribution of the
-    logarithm. Ends and median are exact; the shape between them is an assumption.
-
-    Parameters
-    ----------
-    median_m : float
-        Median, metres.
-    low_sd, high_sd : float
-        Relative standard deviations below and above it, of the logarithm.
+    The intervals are conformal, with a miss rate of 5 % on either side: their ends and the median
+    (`Length.sides`) are exact, the shape between them is an assumption.
 
     Examples
     --------
-    >>> belief = LengthBelief.from_interval(0.252, 0.246, 0.258)
-    >>> belief.below([0.25, 0.35]).round(2).tolist()
+    >>> share_below(Length(0.252, low_m=0.246, high_m=0.258), [0.25, 0.35]).round(2).tolist()
     [0.29, 1.0]
     """
+    from scipy.special import ndtr
 
-    median_m: float
-    low_sd: float
-    high_sd: float
-
-    @classmethod
-    def from_interval(
-        cls, length_m: float, low_m: float, high_m: float, level: float = _INTERVAL_LEVEL
-    ) -> LengthBelief:
-        """Read an interval as a distribution.
-
-        Parameters
-        ----------
-        length_m : float
-            The measured length, metres.
-        low_m, high_m : float
-            Its interval.
-        level : float
-            Coverage of the interval.
-
-        Raises
-        ------
-        ForecastError
-            If the interval is invalid.
-        """
-        if not (0 < low_m <= high_m < np.inf and 0 < level < 1 and length_m > 0):
-            raise ForecastError(
-                f"length {length_m} m with interval {low_m} to {high_m} m at level {level}",
-                remedy="give positive metres, the lower end first, and a level between 0 and 1",
-            )
-        median = length_m if low_m <= length_m <= high_m else float(np.sqrt(low_m * high_m))
-        z = _z_of(level)
-        return cls(median, float(np.log(median / low_m)) / z, float(np.log(high_m / median)) / z)
-
-    @property
-    def sd_m(self) -> float:
-        """Standard deviation, metres: the root mean square of both sides."""
-        return self.median_m * float(np.sqrt((self.low_sd**2 + self.high_sd**2) / 2))
-
-    def below(self, limit_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the probability that the length is below each limit in metres, float64."""
-        from scipy.special import ndtr
-
-        limit = np.asarray(limit_m, np.float64)
-        gap = np.log(np.maximum(limit, 1e-12) / self.median_m)
-        sd = np.where(gap < 0, self.low_sd, self.high_sd)
-        # A side without spread ends at the median: nothing is below a limit there.
-        z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
-        return np.asarray(ndtr(z), np.float64)
-
-
-@lru_cache
-def _z_of(level: float) -> float:
-    from scipy.special import ndtri
-
-    return float(ndtri(0.5 + level / 2))
+    limit = np.asarray(limit_m, np.float64)
+    if length.sides is None:
+        return np.full(limit.shape, np.nan)
+    median_m, low_sd, high_sd = length.sides
+    gap = np.log(np.maximum(limit, 1e-12) / median_m)
+    sd = np.where(gap < 0, low_sd, high_sd)
+    # A side without spread ends at the median: nothing is below a limit there.
+    z = np.where(sd > 0, gap / np.maximum(sd, 1e-12), np.where(gap > 0, np.inf, -np.inf))
+    return np.asarray(ndtr(z), np.float64)
 
 
 OUT_OF_GRADE = "out of grade"
@@ -108,7 +47,7 @@ OUT_OF_GRADE = "out of grade"
 BORDERLINE = 0.80  # below this probability of the likeliest class a grade is borderline
 
 
-class Verdict(StrEnum):
+class GradeStatus(StrEnum):
     """Status of a grade; stable codes for tables."""
 
     IN_CLASS = "in-class"
@@ -116,6 +55,25 @@ class Verdict(StrEnum):
     BORDERLINE = "borderline"
     REFUSED = "refused"
     MISSING = "missing"
+
+
+class _Gradable(Protocol):
+    """What grading asks of a fruit: `GradingTraits`, or a measurement as the store keeps it."""
+
+    @property
+    def thread_m(self) -> float | None: ...
+    @property
+    def centreline_m(self) -> float | None: ...
+    @property
+    def chord_m(self) -> float | None: ...
+    @property
+    def length(self) -> Length | None: ...
+    @property
+    def inner_arc_mm_per_10cm(self) -> float | None: ...
+    @property
+    def diameter_max_m(self) -> float | None: ...
+    @property
+    def volume_m3(self) -> float | None: ...
 
 
 @dataclass(frozen=True)
@@ -126,10 +84,8 @@ class GradingTraits:
     ----------
     thread_m, centreline_m, chord_m : float, optional
         The three lengths of a fitted tube, metres.
-    belief : LengthBelief, optional
-        Distribution of the length named by `belief_of`.
-    belief_of : LengthDefinition, optional
-        The length that `belief` describes.
+    length : Length, optional
+        The fruit's length with its interval; a site's calibration corrects only this one.
     inner_arc_mm_per_10cm : float, optional
         Inner arc height in mm for each 10 cm of chord.
     diameter_max_m : float, optional
@@ -141,16 +97,10 @@ class GradingTraits:
     thread_m: float | None = None
     centreline_m: float | None = None
     chord_m: float | None = None
-    belief: LengthBelief | None = None
-    belief_of: LengthDefinition | None = None
+    length: Length | None = None
     inner_arc_mm_per_10cm: float | None = None
     diameter_max_m: float | None = None
     volume_m3: float | None = None
-
-    def length_m(self, kind: LengthDefinition) -> float | None:
-        """Return one of the three lengths, metres."""
-        value: float | None = getattr(self, f"{kind}_m")
-        return value
 
     @classmethod
     def from_row(cls, row: Mapping[str, object]) -> GradingTraits:
@@ -163,59 +113,38 @@ class GradingTraits:
         >>> traits.thread_m, traits.volume_m3
         (0.235, None)
         """
-        in_metres = ("length", "thread", "centreline", "chord", "interval_low", "interval_high")
-        return cls.from_si(
-            {
-                **{f"{name}_m": _number(row, f"{name}_cm", 100) for name in in_metres},
-                "length_kind": row.get("length_kind"),
-                "interval_of": row.get("interval_of"),
-                "inner_arc_mm_per_10cm": _number(row, "inner_arc_mm_per_10cm"),
-                "diameter_max_m": _number(row, "diameter_max_mm", 1000),
-                "volume_m3": _number(row, "volume_ml", 1e6),
-            }
+        kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
+        value, low, high = (
+            _number(row, f"{name}_cm", 100) for name in ("length", "interval_low", "interval_high")
         )
-
-    @classmethod
-    def from_si(cls, values: Mapping[str, Any]) -> GradingTraits:
-        """Read a measurement with the field names of the store, in metres.
-
-        Parameters
-        ----------
-        values : mapping
-            `thread_m`, `centreline_m`, `chord_m`; `length_m` of `length_kind`; the interval
-            `interval_low_m` to `interval_high_m` of `interval_of`; `diameter_max_m`, `volume_m3`;
-            and `inner_arc_mm_per_10cm`, or `inner_arc_m`, which is divided by the chord.
-
-        Examples
-        --------
-        >>> values = {"length_m": 0.31, "length_kind": "thread"}
-        >>> values |= {"inner_arc_m": 0.01, "chord_m": 0.25}
-        >>> traits = GradingTraits.from_si(values)
-        >>> traits.thread_m, traits.inner_arc_mm_per_10cm
-        (0.31, 4.0)
-        """
-        lengths = {kind: values.get(name) for kind, name in _LENGTHS.items()}
-        arc_mm = values.get("inner_arc_mm_per_10cm")
-        if arc_mm is None and values.get("inner_arc_m") is not None and lengths["chord"]:
-            arc_mm = 100 * values["inner_arc_m"] / lengths["chord"]
-        if values.get("length_kind") in lengths and values.get("length_m"):
-            # A site's calibration corrects only this length.
-            lengths[values["length_kind"]] = values["length_m"]
-        about, low, high = (values.get(f"interval_{end}") for end in ("of", "low_m", "high_m"))
-        measured = lengths.get(about or "")
-        belief = None
-        if measured and low and high:
-            belief = LengthBelief.from_interval(measured, low, high)
+        kind: Any
+        kind, about = (kinds.get(str(row.get(name))) for name in ("length_kind", "interval_of"))
+        thread, centreline, chord = (
+            _number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")
+        )
+        known = value is not None and kind is not None
         return cls(
-            lengths["thread"],
-            lengths["centreline"],
-            lengths["chord"],
-            belief,
-            LengthDefinition(str(about)) if belief else None,
-            arc_mm,
-            values.get("diameter_max_m"),
-            values.get("volume_m3"),
+            thread,
+            centreline,
+            chord,
+            Length(value or 0.0, kind, low, high, about) if known else None,
+            _number(row, "inner_arc_mm_per_10cm"),
+            _number(row, "diameter_max_mm", 1000),
+            _number(row, "volume_ml", 1e6),
         )
+
+
+def _length(fruit: _Gradable, kind: LengthDefinition) -> Length | None:
+    """Return one of a fruit's three lengths, with the interval where that is about it."""
+    own = fruit.length
+    value_m: float | None = getattr(fruit, f"{kind}_m")
+    if own is not None and own.kind == kind:
+        value_m = own.value_m
+    if not value_m:
+        return None
+    if own is None or own.interval_of != kind:
+        return Length(value_m, kind)
+    return replace(own, value_m=value_m, kind=kind)
 
 
 @dataclass(frozen=True)
@@ -224,7 +153,7 @@ class Grade:
 
     Parameters
     ----------
-    verdict : Verdict
+    verdict : GradeStatus
         Its status.
     name : str
         The likeliest class or 'out of grade'; empty if rejected or missing.
@@ -242,7 +171,7 @@ class Grade:
         Volume times the profile's density.
     """
 
-    verdict: Verdict
+    verdict: GradeStatus
     name: str
     rules: tuple[str, ...]
     probabilities: dict[str, float]
@@ -268,13 +197,13 @@ class _Check:
         return replace(self, forbidden=frozenset(), rule=text)
 
 
-def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
+def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     """Grade a fruit by its length, and lower the class by the rules for shape, weight and width.
 
     Parameters
     ----------
-    fruit : GradingTraits
-        The fruit's traits.
+    fruit : GradingTraits or DetectionRecord
+        The fruit's traits, or its measurement.
     profile : CropProfile
         The crop.
 
@@ -292,19 +221,19 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     >>> found.name, found.rules[0]
     ('II', 'class II: centreline length 23.4 cm is in [20, 25) (greenhouse classes ... paper)')
     """
-    length = fruit.length_m(profile.length)
+    length = _length(fruit, profile.length)
     mass = None if fruit.volume_m3 is None else profile.mass_g(fruit.volume_m3)
     if length is None:
         no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
-        return Grade(Verdict.MISSING, "", (), {}, (no_length,), mass_g=mass)
+        return Grade(GradeStatus.MISSING, "", (), {}, (no_length,), mass_g=mass)
     limits = profile.acceptance
-    length_cm = round(100 * length, 6)
+    length_cm = round(100 * length.value_m, 6)
     if not limits.min_cm <= length_cm <= limits.max_cm:
         rule = (
             f"refused: {profile.length} length {length_cm:.1f} cm cannot be, {profile.title} is "
             f"accepted from {limits.min_cm:g} to {limits.max_cm:g} cm; measure again"
         )
-        return Grade(Verdict.REFUSED, "", (rule,), {}, mass_g=mass)
+        return Grade(GradeStatus.REFUSED, "", (rule,), {}, mass_g=mass)
     shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
     weight = _weight(mass, fruit.chord_m, profile)
     width = _width(fruit.diameter_max_m, profile)
@@ -313,15 +242,15 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     checks = (shape, weight, width)
     by_bin = _classes_of_bins(profile, checks)
     at = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-9, side="right"))
-    chances = _chances(fruit, profile, by_bin)
+    chances = _chances(length, profile, by_bin)
     name = max(chances, key=lambda k: chances[k]) if chances else by_bin[at]
     lowering = tuple(c.rule for c in checks if c.rule)
     by_length = _length_rule(profile, length_cm, at)
     lowered = by_bin[at] != _classes_of_bins(profile, ())[at]
     rules = (*lowering, by_length) if lowered else (by_length, *lowering)
-    verdict = Verdict.OUT if name == OUT_OF_GRADE else Verdict.IN_CLASS
+    verdict = GradeStatus.OUT if name == OUT_OF_GRADE else GradeStatus.IN_CLASS
     if chances and chances[name] <= BORDERLINE:
-        verdict = Verdict.BORDERLINE
+        verdict = GradeStatus.BORDERLINE
         likeliest = sorted(chances.items(), key=lambda item: -item[1])[:2]
         text = ", ".join(f"{what} {100 * share:.0f} %" for what, share in likeliest)
         rules = (f"borderline: {text}", *rules)
@@ -334,11 +263,11 @@ def grade(fruit: GradingTraits, profile: CropProfile) -> Grade:
     )
 
 
-def best_class(fruit: GradingTraits, profile: CropProfile) -> str:
+def best_class(fruit: _Gradable, profile: CropProfile) -> str:
     """Return the best class that a fruit's shape allows, as in `Grade.best_class`."""
-    length = fruit.length_m(profile.length)
+    length = _length(fruit, profile.length)
     limits = profile.acceptance
-    if length is None or not limits.min_cm <= round(100 * length, 6) <= limits.max_cm:
+    if length is None or not limits.min_cm <= round(100 * length.value_m, 6) <= limits.max_cm:
         return ""
     return _best_of(_shape(fruit.inner_arc_mm_per_10cm, profile), profile)
 
@@ -357,10 +286,10 @@ def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[s
     return found
 
 
-def _chances(fruit: GradingTraits, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
-    if fruit.belief is None or fruit.belief_of is not profile.length:
+def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
+    if length.sides is None:
         return {}
-    below = np.concatenate([[0.0], fruit.belief.below(profile.edges_m), [1.0]])
+    below = np.concatenate([[0.0], share_below(length, profile.edges_m), [1.0]])
     chances = dict.fromkeys((*(c.name for c in profile.classes), OUT_OF_GRADE), 0.0)
     for name, share in zip(by_bin, np.diff(below), strict=True):
         chances[name] += float(share)

@@ -289,7 +289,7 @@ def show(
         lines = fruit_table(read_round(opened, one.key))
     crop = chosen_profile(profile, one)
     title = f"{one.record.name or one.key}: {len(lines)} fruit, lengths in cm"
-    right = ("at, m", "length", "90 % interval", "all views", "seen")
+    right = ("at, m", "length", "90 % interval", "seen")
     table = columns_table(title, ("no.", "row", "side"), *right)
     for head in ("class", "remarks", "key"):
         table.add_column(head, overflow="fold")
@@ -302,28 +302,25 @@ def show(
 
 
 def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
-    from cucumbervision.rounds.forecasting import grade_of
+    from cucumbervision.agronomy.grades import grade
 
     view, record = line.view, line.view.record
-    low, high = record.interval_low_m, record.interval_high_m
+    length = record.length
+    low, high = (None, None) if length is None else (length.low_m, length.high_m)
     remarks = [
-        "" if record.length_m is not None else f"not measured: {record.reason}",
+        "" if length is not None else f"not measured: {record.reason}",
         "" if view.picked_s is None else "picked",
         record.flags,
     ]
-    all_views = ""
-    if line.length_m is not None and line.length_sd_m is not None and view.views > 1:
-        all_views = f"{100 * line.length_m:.1f} ± {100 * line.length_sd_m:.1f}"
     return [
         str(line.number),
         view.row or "",
         view.side or "",
         "" if view.along_m is None else f"{view.along_m:.2f}",
-        "" if record.length_m is None else f"{100 * record.length_m:.1f}",
+        "" if length is None else f"{100 * length.value_m:.1f}",
         "" if low is None or high is None else f"{100 * low:.1f} – {100 * high:.1f}",
-        all_views,
         str(view.views),
-        "" if profile is None else grade_of(record, profile).name,
+        "" if profile is None else grade(record, profile).name,
         " ".join(filter(None, remarks)),
         view.key[:8],
     ]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.agronomy.grades import grade
 from cucumbervision.dashboard.words import grade_name, row_name
 from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.fruit_table import hanging_lengths_m, round_figures
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def grade_round(
     best = [view for view in content.views if view.best]
     fruit = tuple(shown[view.key] for view in best if view.key in shown)
     deleted = tuple(view for view in best if view.key not in shown)
-    grades = {view.key: grade_of(view.record, profile) for view in (*fruit, *deleted)}
+    grades = {view.key: grade(view.record, profile) for view in (*fruit, *deleted)}
     return GradedRound(fruit, deleted, grades, round_figures(content, table))
 
 

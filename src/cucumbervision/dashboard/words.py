@@ -6,7 +6,7 @@ import re
 import time
 from typing import TYPE_CHECKING
 
-from cucumbervision.agronomy.grades import Verdict as GradeVerdict
+from cucumbervision.agronomy.grades import GradeStatus as GradeVerdict
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.measurement.result import flag_remarks
 
@@ -57,8 +57,9 @@ def length_words(record: DetectionRecord, units: Units) -> str:
     Examples
     --------
     >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.measurement.result import Length
     >>> from cucumbervision.store.records import DetectionRecord
-    >>> length_words(DetectionRecord(1, length_m=0.241, flags="end-hidden"), Units("cm"))
+    >>> length_words(DetectionRecord(1, length=Length(0.241), flags="end-hidden"), Units("cm"))
     'at least 24.1 cm'
     """
     if record.length_m is None:
@@ -72,14 +73,16 @@ def interval_words(record: DetectionRecord, units: Units) -> str | None:
     Examples
     --------
     >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.measurement.result import Length
     >>> from cucumbervision.store.records import DetectionRecord
-    >>> record = DetectionRecord(1, interval_low_m=0.235, interval_high_m=0.247)
+    >>> record = DetectionRecord(1, length=Length(0.24, low_m=0.235, high_m=0.247))
     >>> interval_words(record, Units("cm"))
     '23.5 cm to 24.7 cm'
     """
-    if not (record.interval_low_m and record.interval_high_m):
+    length = record.length
+    if length is None or not (length.low_m and length.high_m):
         return None
-    return f"{units.text(record.interval_low_m)} to {units.text(record.interval_high_m)}"
+    return f"{units.text(length.low_m)} to {units.text(length.high_m)}"
 
 
 def counted(number: int, one: str, many: str) -> str:
@@ -110,8 +113,9 @@ def remarks(record: DetectionRecord, units: Units) -> str:
     Examples
     --------
     >>> from cucumbervision.dashboard.settings import Units
+    >>> from cucumbervision.measurement.result import Length
     >>> from cucumbervision.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, length_m=0.24, flags="keypoints-logged end-hidden")
+    >>> fruit = DetectionRecord(1, length=Length(0.24), flags="keypoints-logged end-hidden")
     >>> remarks(fruit, Units("cm"))
     'an end is hidden: at least 24.0 cm'
     """

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
+from cucumbervision.agronomy.grades import grade
 from cucumbervision.agronomy.picking import pick_list, plan_work, work_of
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
 from cucumbervision.exports.tables import Charts, ExportTable, RoundTables, utc
 from cucumbervision.measurement.result import Method
-from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table, hanging_lengths_m, round_figures
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
@@ -267,7 +267,7 @@ def _fruit_lines(
 def _grade_cells(one: RoundFruit, profile: CropProfile | None) -> Line:
     if profile is None:
         return dict.fromkeys(("grade", "grade_probability", "grade_rule", "mass_kg"))
-    found = grade_of(one.view.record, profile)
+    found = grade(one.view.record, profile)
     return {
         "grade": found,
         "grade_probability": found.probabilities.get(found.name),

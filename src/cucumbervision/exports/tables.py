@@ -186,9 +186,15 @@ def _columns(*lines: str) -> tuple[ExportColumn, ...]:
 def _measured(*names: str) -> tuple[ExportColumn, ...]:
     """Return columns of `measurements.csv`, filled from the store's record of a fruit."""
     return tuple(
-        ExportColumn(f.name, f.unit, f.type, f.says, f"view.record.{f.si_name}", f.digits)
+        ExportColumn(f.name, f.unit, f.type, f.says, f"view.record.{_path(f)}", f.digits)
         for f in map(fruit_field, names)
     )
+
+
+def _path(one: Field) -> str:
+    """Return where a field is in the store's record: its length is a value of its own there."""
+    path = one.path.removeprefix("fruit.")
+    return path if path.startswith("length.") else one.si_name
 
 
 _WITH = _columns(
@@ -252,8 +258,6 @@ _FRUIT = (
     ),
     *_measured("length_cm", "length_kind", "interval_low_cm", "interval_high_cm", "interval_of"),
     *_columns(
-        "combined_cm|cm|number|length that all views give together|length_m",
-        "combined_sd_cm|cm|number|standard deviation of that|length_sd_m",
         "grade||text|likeliest class|grade.name",
         "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing|grade.verdict",
         "grade_probability||number 4|probability of that class|grade_probability",

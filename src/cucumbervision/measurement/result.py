@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -162,6 +163,9 @@ def flag_remarks(flags: str, at_least: str = "") -> str:
     return f"{words or 'partly hidden'}: {at_least}" if at_least else words
 
 
+INTERVAL_Z = 1.6448536269514722  # standard normal quantile of the ends of 90 % intervals
+
+
 @dataclass(frozen=True)
 class Length:
     """A length, with the interval that it is known to.
@@ -181,11 +185,42 @@ class Length:
     """
 
     value_m: float
-    kind: LengthDefinition | LengthKind
+    kind: LengthDefinition | LengthKind = LengthDefinition.CENTRELINE
     low_m: float | None = None
     high_m: float | None = None
     interval_of: LengthDefinition | None = None
     basis: IntervalBasis | None = None
+
+    @property
+    def sides(self) -> tuple[float, float, float] | None:
+        """The median, and the standard deviations of the logarithm below and above it.
+
+        The ends of the interval are taken as quantiles and the length as the median (the middle of
+        the interval's logarithm if it lies outside); each side is half a normal distribution of the
+        logarithm. None where no interval is known.
+
+        Examples
+        --------
+        >>> [round(one, 4) for one in Length(0.252, low_m=0.246, high_m=0.258).sides]
+        [0.252, 0.0147, 0.0143]
+        """
+        if not (self.low_m and self.high_m and 0 < self.low_m <= self.high_m < math.inf):
+            return None
+        inside = self.low_m <= self.value_m <= self.high_m
+        median = self.value_m if inside else math.sqrt(self.low_m * self.high_m)
+        below, above = math.log(median / self.low_m), math.log(self.high_m / median)
+        return median, below / INTERVAL_Z, above / INTERVAL_Z
+
+    @property
+    def relative_sd(self) -> float | None:
+        """Standard deviation of the logarithm by the interval; None where that is not known.
+
+        Examples
+        --------
+        >>> round(Length(0.30, low_m=0.29, high_m=0.31).relative_sd, 4)
+        0.0203
+        """
+        return None if self.sides is None else (self.sides[1] + self.sides[2]) / 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from cucumbervision.agronomy.forecast import DetectionRates, FruitState, forecast
-from cucumbervision.agronomy.grades import GradingTraits, LengthBelief, best_class, grade
+from cucumbervision.agronomy.grades import best_class
 from cucumbervision.agronomy.growth import GrowthPrior, Link, fit_growth
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.rounds.day_linking import SURE
@@ -21,35 +21,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from cucumbervision.agronomy.forecast import Forecast
-    from cucumbervision.agronomy.grades import Grade
     from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.measurement.result import Length
     from cucumbervision.rounds.from_store import RoundContent
     from cucumbervision.rounds.fruit_table import RoundFruit
     from cucumbervision.rounds.merge_and_link import RowReport
-    from cucumbervision.store.records import ArtifactRecord, DetectionRecord
+    from cucumbervision.store.records import ArtifactRecord
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import DetectionView
 
 _UNKNOWN_SD = 0.08  # relative, of a length without interval
-
-
-def grade_of(record: DetectionRecord, profile: CropProfile) -> Grade:
-    """Return the grade of a stored measurement.
-
-    Examples
-    --------
-    >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> from cucumbervision.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, centreline_m=0.30, length_m=0.30, length_kind="centreline")
-    >>> grade_of(fruit, load_profile("long-cucumber")).name
-    'I'
-    """
-    return grade(_traits_of(record), profile)
-
-
-def _traits_of(record: DetectionRecord) -> GradingTraits:
-    """Return what grading asks of a stored measurement."""
-    return GradingTraits.from_si(vars(record))
 
 
 def forecast_for(
@@ -162,9 +143,10 @@ def fruit_states(
     """
     states = []
     for view in (line.view for line in table):
-        if view.doubtful or view.record.length_m is None or not view.record.length_m > 0:
+        length = view.record.length
+        if view.doubtful or length is None or not length.value_m > 0:
             continue
-        length_m, sd_m = _believed_length(view.record)
+        length_m, sd_m = _median_and_sd(length)
         states.append(
             FruitState(
                 view.key,
@@ -174,21 +156,19 @@ def fruit_states(
                 sd_m,
                 day,
                 view.side or "",
-                best_class(_traits_of(view.record), profile),
+                best_class(view.record, profile),
                 view.picked_s is not None and view.picked_s < picked_before_s,
             )
         )
     return states
 
 
-def _believed_length(record: DetectionRecord) -> tuple[float, float]:
+def _median_and_sd(length: Length) -> tuple[float, float]:
     """Return the median of a measured length and its standard deviation, metres."""
-    length = record.length_m or 0.0
-    low, high = record.interval_low_m, record.interval_high_m
-    if low and high:
-        belief = LengthBelief.from_interval(length, low, high)
-        return belief.median_m, max(belief.sd_m, 1e-3)
-    return length, max(record.length_sd_m or 0.0, _UNKNOWN_SD * length)
+    if length.sides is None:
+        return length.value_m, _UNKNOWN_SD * length.value_m
+    median_m, *sides = length.sides
+    return median_m, max(median_m * math.hypot(*sides) / math.sqrt(2), 1e-3)
 
 
 def growth_links(store: Store, round_key: str, content: RoundContent | None = None) -> list[Link]:
@@ -229,9 +209,9 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
                 if one.group == before.group:
                     names.setdefault(one.key, name)
             first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
-            measured = first.record.length_m is not None and last.record.length_m is not None
-            if measured and days[home] < days[later]:
-                ends = *_believed_length(first.record), days[later], *_believed_length(last.record)
+            before_m, after_m = first.record.length, last.record.length
+            if before_m is not None and after_m is not None and days[home] < days[later]:
+                ends = *_median_and_sd(before_m), days[later], *_median_and_sd(after_m)
                 found.append(Link(name, last.row or "", days[home], *ends))
             if home not in queue:
                 queue.append(home)

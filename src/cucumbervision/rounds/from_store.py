@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import RoundError
-from cucumbervision.measurement.result import Method
+from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
-from cucumbervision.rounds.row_fruit import USUAL, FalseShare, relative_sd
+from cucumbervision.rounds.row_fruit import USUAL, FalseShare
 from cucumbervision.rounds.row_views import ALONG, DEPTH, UP, RowStops, RowViews
 from cucumbervision.rounds.stop_alignment import prior_stops
 from cucumbervision.store.links import LinkKind
@@ -33,7 +33,6 @@ _CAMERA_SD_M = 0.03  # how far a camera is from its usual height and distance
 _REACH = (0.687, 0.384)  # a D435's colour camera, where a stop does not say which it had
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.01  # relative, of a length without interval, and of any
 _DIAMETER_SD = 0.05
-_TUBE_KINDS = frozenset({"thread", "centreline", "chord"})
 _MOST_VIEWS = 5  # of one fruit, the best: each further one costs more than it tells
 
 
@@ -254,17 +253,12 @@ def _row(
 
 def _length(record: DetectionRecord) -> tuple[float, float]:
     """Return the length and its relative standard deviation."""
-    if record.length_m is None or not record.length_m > 0:
+    length = record.length
+    if length is None or not length.value_m > 0:
         return np.nan, _UNKNOWN_SD
-    low, high = record.interval_low_m, record.interval_high_m
-    sd = _UNKNOWN_SD
-    if low and high and low < high:
-        sd = relative_sd(low, high)
-    elif record.length_sd_m:
-        sd = record.length_sd_m / record.length_m
     # Lengths of another kind may differ by more than any of them errs.
-    least = _LEAST_SD if record.length_kind in _TUBE_KINDS else _UNKNOWN_SD
-    return record.length_m, max(sd, least)
+    least = _LEAST_SD if length.kind in set(LengthDefinition) else _UNKNOWN_SD
+    return length.value_m, max(length.relative_sd or _UNKNOWN_SD, least)
 
 
 def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:

@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.agronomy.forecast import natural_key
+from cucumbervision.measurement.result import INTERVAL_Z
 from cucumbervision.rounds.from_store import RoundContent, joint_groups, stored_merging
-from cucumbervision.rounds.row_fruit import (
-    LENGTH_Z,
-    combined_length,
-    joint_tube_is_used,
-    relative_sd,
-)
+from cucumbervision.rounds.row_fruit import joint_tube_is_used, pooled_length
 from cucumbervision.store.views import Verdict
 
 if TYPE_CHECKING:
@@ -27,11 +23,9 @@ if TYPE_CHECKING:
 
 # What a tube in all views says of a fruit; the rest of its line is the best view's.
 _OF_ALL_VIEWS = (
-    *("reason", "fallback", "flags", "length_m", "length_kind", "length_sd_m"),
-    *("interval_low_m", "interval_high_m", "interval_of", "interval_basis"),
+    *("reason", "fallback", "flags", "length", "raw_length"),
     *("centreline_m", "thread_m", "chord_m", "inner_arc_m"),
     *("diameter_max_m", "diameter_mean_m", "volume_m3", "tilt_deg", "hidden_share"),
-    *("raw_length_m", "raw_length_kind"),
 )
 
 
@@ -46,17 +40,13 @@ class RoundFruit:
     view : DetectionView
         The representative view, with its measurement. Where two or more views show the whole fruit,
         its length and interval are those of all of them together: of one tube fitted to all of
-        them where there is one, and else their lengths combined.
-    length_m, length_sd_m : float, optional
-        Length that all views give together.
+        them where there is one, and else their lengths pooled.
     joint : JointRecord, optional
         The tube fitted to all views, where its length is used.
     """
 
     number: int
     view: DetectionView
-    length_m: float | None
-    length_sd_m: float | None
     joint: JointRecord | None = None
 
 
@@ -113,19 +103,13 @@ def round_figures(content: RoundContent, table: Sequence[RoundFruit]) -> RoundFi
 
 def fruit_table(content: RoundContent) -> list[RoundFruit]:
     """Return a round's fruit, each once, by row and position; rejected ones are left out."""
-    combined, joint = _combined(content), _joint(content)
+    pooled, joint = _pooled(content), _joint(content)
     best = [view for view in content.views if view.best and view.verdict is not Verdict.REJECTED]
     best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
-    lines = []
-    for number, view in enumerate(best, 1):
-        known = combined.get(view.key)
-        line = _by_one_tube(number, view, joint.get(view.key), known)
-        if line is None and known is not None:
-            length_m, sd_m, views = known
-            seen = _by_all_views(view, length_m, sd_m) if views > 1 else view
-            line = RoundFruit(number, seen, length_m, sd_m)
-        lines.append(line or RoundFruit(number, view, None, None))
-    return lines
+    return [
+        _fruit(number, view, joint.get(view.key), pooled.get(view.key))
+        for number, view in enumerate(best, 1)
+    ]
 
 
 def _joint(content: RoundContent) -> dict[str, JointRecord]:
@@ -138,50 +122,48 @@ def _joint(content: RoundContent) -> dict[str, JointRecord]:
     return found
 
 
-def _by_one_tube(
+def _fruit(
     number: int,
     view: DetectionView,
     joint: JointRecord | None,
-    combined: tuple[float, float, int] | None,
-) -> RoundFruit | None:
-    found = None if joint is None else joint.record
-    if found is None or found.length_m is None:
-        return None
-    low_m, high_m = found.interval_low_m, found.interval_high_m
-    if low_m is None or high_m is None or not 0 < low_m <= found.length_m <= high_m:
-        return None
-    others = _own_length(view.record) if combined is None else combined[:2]
-    if not joint_tube_is_used((found.length_m, low_m, high_m), others):
-        return None
-    sd_m = found.length_m * relative_sd(low_m, high_m)
-    record = replace(view.record, **{name: getattr(found, name) for name in _OF_ALL_VIEWS})
-    return RoundFruit(number, replace(view, record=record), found.length_m, sd_m, joint)
+    pooled: tuple[float, float, int] | None,
+) -> RoundFruit:
+    """Return a fruit's line, with the length of all views where they give one."""
+    tube = None if joint is None else joint.record
+    if tube is not None and tube.length is not None:
+        others = _own_length(view.record) if pooled is None else pooled[:2]
+        if joint_tube_is_used(tube.length, others):
+            values = {name: getattr(tube, name) for name in _OF_ALL_VIEWS}
+            return RoundFruit(number, _measured(view, **values), joint)
+    if pooled is not None and pooled[2] > 1 and view.record.length is not None:
+        length_m, sd_m, _ = pooled
+        length = replace(view.record.length, value_m=length_m)
+        if length.low_m is not None:
+            spread = math.exp(INTERVAL_Z * sd_m / length_m)
+            length = replace(length, low_m=length_m / spread, high_m=length_m * spread)
+        return RoundFruit(number, _measured(view, length=length))
+    return RoundFruit(number, view)
+
+
+def _measured(view: DetectionView, **values: Any) -> DetectionView:
+    return replace(view, record=replace(view.record, **values))
 
 
 def _own_length(record: DetectionRecord) -> tuple[float, float] | None:
     """Return the length of a view and its standard deviation; None where it is a lower bound."""
-    low_m, high_m = record.interval_low_m, record.interval_high_m
-    if record.at_least or not record.length_m or not low_m or not high_m or low_m >= high_m:
+    length = record.length
+    if record.at_least or length is None or not length.relative_sd:
         return None
-    return record.length_m, record.length_m * relative_sd(low_m, high_m)
+    return length.value_m, length.value_m * length.relative_sd
 
 
-def _by_all_views(view: DetectionView, length_m: float, sd_m: float) -> DetectionView:
-    spread = math.exp(LENGTH_Z * sd_m / length_m)
-    record = replace(view.record, length_m=length_m, length_sd_m=sd_m)
-    if record.interval_low_m is not None:
-        low, high = length_m / spread, length_m * spread
-        record = replace(record, interval_low_m=low, interval_high_m=high)
-    return replace(view, record=record)
-
-
-def _combined(content: RoundContent) -> dict[str, tuple[float, float, int]]:
-    """Return the combined length of each fruit by all keys of its views, and how many gave it.
+def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
+    """Return the pooled length of each fruit by all keys of its views, and how many gave it.
 
     Whole views of which one is a thread and another a chord count as one: the best.
     """
     found = {}
-    kind = {view.key: view.record.length_kind for view in content.views}
+    kind = {view.key: view.record.length and view.record.length.kind for view in content.views}
     for row in content.rows:
         if not len(row.views):
             continue
@@ -189,7 +171,7 @@ def _combined(content: RoundContent) -> dict[str, tuple[float, float, int]]:
         views = row.views
         order = np.argsort(cluster, kind="stable")
         for own in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
-            length = combined_length(views.length_m[own], views.length_sd[own], views.partial[own])
+            length = pooled_length(views.length_m[own], views.length_sd[own], views.partial[own])
             if length is None:
                 continue
             whole = own[np.isfinite(views.length_m[own]) & ~views.partial[own]]

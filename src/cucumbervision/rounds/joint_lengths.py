@@ -2,8 +2,8 @@
 
 One tube is fitted to the depth and the outlines that the store keeps of them. It is done once for
 each set of views and kept; a set that changes (a view more, a mask corrected, a stop moved) is
-measured anew. Where nothing sure comes of it, the lengths of the views stay combined
-(`row_fruit.combined_length`).
+measured anew. Where nothing sure comes of it, the fruit has the pooled length of its
+views (`row_fruit.pooled_length`).
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def measure_jointly(
         if interrupted is not None and interrupted():
             break
         count += 1
-        # Whatever one fruit raises, its views' lengths stay combined and the others go on.
+        # Whatever one fruit raises, its views' lengths stay and the others go on.
         with Boundary(failures, store.name, f"fruit {views[0].key[:8]} in {len(views)} views"):
             done.append(source.measured(key, views))
         if report is not None:
@@ -144,7 +144,8 @@ class _StoredView:
         """Which length was asked for."""
         options = [one.details for one in self.stop.artifacts if one.kind == "config"]
         asked = options[0].get("length") if options else None
-        return LengthDefinition(asked or self.record.length_kind or LengthDefinition.CENTRELINE)
+        kind = self.record.length and self.record.length.kind
+        return LengthDefinition(asked or kind or LengthDefinition.CENTRELINE)
 
 
 class _Source:

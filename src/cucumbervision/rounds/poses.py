@@ -216,8 +216,10 @@ def offset_of(
     Examples
     --------
     >>> from cucumbervision.store.records import DetectionRecord
+    >>> from cucumbervision.measurement.result import Length
     >>> middle = {"centre_x_m": 0.2, "centre_y_m": 0.1, "centre_z_m": 0.7}
-    >>> cut = DetectionRecord(1, diameter_max_m=0.04, hidden_share=0.5, length_m=0.3, **middle)
+    >>> middle |= {"diameter_max_m": 0.04, "hidden_share": 0.5}
+    >>> cut = DetectionRecord(1, length=Length(0.3), **middle)
     >>> [found.round(3).tolist() for found in offset_of(cut, pose_matrix(3.0, -1))]
     [[-0.2, -0.1, 0.7], [0.005, 0.045, 0.006]]
     """

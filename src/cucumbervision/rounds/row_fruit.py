@@ -20,10 +20,10 @@ from cucumbervision.rounds.row_views import DEPTH
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cucumbervision.measurement.result import Length
     from cucumbervision.rounds.merge import Merged
     from cucumbervision.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
-LENGTH_Z = 1.6449  # of 90 % intervals
 SHARED = 0.5  # of a view's variance: errors that all views of a fruit have in common
 
 
@@ -38,7 +38,7 @@ class RowFruit:
     place_m, place_sd_m : ndarray of float64, shape (F, 3)
         Middle in the row's frame: along, up, into the row; metres.
     length_m, length_sd : ndarray of float64, shape (F,)
-        Length of all whole views together (`combined_length`), or of the best one where none is
+        Length of all whole views together (`pooled_length`), or of the best one where none is
         whole; NaN where none has a length; and its relative standard deviation.
     partial : ndarray of bool, shape (F,)
         Whether that is a lower bound.
@@ -81,7 +81,7 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
     length_m, length_sd = views.length_m[best], views.length_sd[best]
     for f in np.flatnonzero(~views.partial[best]):
         own = np.flatnonzero(merged.cluster == f)
-        found = combined_length(views.length_m[own], views.length_sd[own], views.partial[own])
+        found = pooled_length(views.length_m[own], views.length_sd[own], views.partial[own])
         if found is not None:
             length_m[f], length_sd[f] = found[0], found[1] / found[0]
     place = merged.place_m(views)
@@ -102,7 +102,7 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
     )
 
 
-def combined_length(
+def pooled_length(
     length_m: Floats, length_sd: Floats, partial: Bools
 ) -> tuple[float, float] | None:
     """Return the length that all whole views of a fruit give together, and its standard deviation.
@@ -125,7 +125,7 @@ def combined_length(
 
     Examples
     --------
-    >>> found = combined_length(np.array([0.30, 0.31, 0.2]), np.full(3, 0.02),
+    >>> found = pooled_length(np.array([0.30, 0.31, 0.2]), np.full(3, 0.02),
     ...     np.array([False, False, True]))
     >>> [round(x, 4) for x in found]
     [0.305, 0.0061]
@@ -142,24 +142,11 @@ def combined_length(
     return float(np.exp(mean)), float(np.exp(mean)) * float(np.sqrt(variance))
 
 
-def relative_sd(low_m: float, high_m: float) -> float:
-    """Return the relative standard deviation of a length with that 90 % interval.
-
-    Examples
-    --------
-    >>> round(relative_sd(0.29, 0.31), 4)
-    0.0203
-    """
-    return float(np.log(high_m / low_m)) / (2 * LENGTH_Z)
-
-
 _MOST_APART_SD, _MOST_WIDER = 2.5, 1.5
 
 
-def joint_tube_is_used(
-    tube: tuple[float, float, float], combined: tuple[float, float] | None
-) -> bool:
-    """Return whether the length of the joint tube replaces the combined length.
+def joint_tube_is_used(tube: Length, pooled: tuple[float, float] | None) -> bool:
+    """Return whether the length of the joint tube replaces the pooled length.
 
     It does not where the views' own lengths contradict it (views of two fruit that were taken
     for one fit no tube), nor where it is much less sure than they are. How far apart and how
@@ -167,24 +154,26 @@ def joint_tube_is_used(
 
     Parameters
     ----------
-    tube : tuple of float
-        Length and its 90 % interval, metres.
-    combined : tuple of float, optional
-        Length and standard deviation, as `combined_length` gives them.
+    tube : Length
+        Of the tube; one without an interval is not used.
+    pooled : tuple of float, optional
+        Length and standard deviation, as `pooled_length` gives them.
 
     Examples
     --------
-    >>> joint_tube_is_used((0.30, 0.29, 0.31), (0.304, 0.006))
+    >>> from cucumbervision.measurement.result import Length
+    >>> joint_tube_is_used(Length(0.30, low_m=0.29, high_m=0.31), (0.304, 0.006))
     True
-    >>> joint_tube_is_used((0.35, 0.34, 0.36), (0.304, 0.006))
+    >>> joint_tube_is_used(Length(0.35, low_m=0.34, high_m=0.36), (0.304, 0.006))
     False
     """
-    if combined is None:
-        return True
-    length_m, sd_m = combined
+    tube_sd = tube.relative_sd
+    if tube_sd is None or pooled is None:
+        return tube_sd is not None
+    length_m, sd_m = pooled
     sd = sd_m / length_m
-    apart = abs(math.log(tube[0] / length_m)) / sd
-    wider = relative_sd(tube[1], tube[2]) / sd
+    apart = abs(math.log(tube.value_m / length_m)) / sd
+    wider = tube_sd / sd
     return apart < _MOST_APART_SD and wider < _MOST_WIDER
 
 

@@ -16,7 +16,7 @@ from cucumbervision.capture.files import json_value
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.errors import InstancesError
 from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.measurement.result import Flag, LengthDefinition
+from cucumbervision.measurement.result import Flag
 from cucumbervision.perception.instances import Instance, MaskSource
 from cucumbervision.perception.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import si_values
@@ -178,8 +178,9 @@ def fruit_record(seen: NumberedFruit) -> DetectionRecord:
         cells["offset_m"] = centre[0]
     return DetectionRecord(
         number=seen.number,
-        length_sd_m=_length_sd(fruit),
         view_score=view_score(fruit),
+        length=fruit.length,
+        raw_length=fruit.raw_length,
         keypoints=() if keypoints is None else _rows_of(keypoints),
         mask=None if fruit.mask is None else encode_rle(fruit.mask),
         methods=tuple(_method_record(one) for one in fruit.measurements.values()),
@@ -297,14 +298,6 @@ def _method_record(measurement: Measurement) -> MethodRecord:
         path_m=() if path is None else _rows_of(np.round(path[kept], 6)),
         diameter_m=() if diameter is None else tuple(np.round(diameter[kept], 6).tolist()),
     )
-
-
-def _length_sd(fruit: FruitMeasurement) -> float | None:
-    fit, measured = fruit.fit, fruit.raw_length or fruit.length
-    if fit is None or measured is None:
-        return None
-    thread = measured.kind == LengthDefinition.THREAD
-    return fit.thread_sd_m if thread else fit.centreline_sd_m
 
 
 def _centre(seen: NumberedFruit) -> Point | None:

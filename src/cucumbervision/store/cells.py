@@ -12,9 +12,18 @@ from sqlalchemy import insert, select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreError, wrap_reader_errors
+from cucumbervision.measurement.result import (
+    IntervalBasis,
+    Length,
+    LengthDefinition,
+    LengthKind,
+)
 from cucumbervision.store.engine import named
 from cucumbervision.store.records import DetectionRecord, ImageRef, Point, checked_key
 from cucumbervision.store.schema import (
+    DETECTION_CELLS,
+    LENGTH_CELLS,
+    RAW_LENGTH_CELLS,
     Base,
     DetectionLine,
     Mark,
@@ -37,6 +46,9 @@ T = TypeVar("T")
 _NEVER_MISSING = frozenset(
     table.__tablename__ for table in (DetectionLine, Mark, MaskLine, MethodLine, StopLine)
 )
+
+_KINDS: dict[Any, Any] = {str(one): one for one in (*LengthKind, *LengthDefinition)}
+_BASES = {str(one): one for one in IntervalBasis}
 
 _REACH_M = 2000.0  # what 32 bits of micrometres hold, with room to spare
 
@@ -149,6 +161,45 @@ def record_of(kind: type[T], *cells: Any) -> T:
     """
     make: Callable[..., T] = kind
     return make(*cells)
+
+
+def detection_cells(record: DetectionRecord) -> dict[str, Any]:
+    """Return a detection's cells by the names of `DETECTION_CELLS`."""
+    cells = {name: getattr(record, name, None) for name in DETECTION_CELLS}
+    for names, length in ((LENGTH_CELLS, record.length), (RAW_LENGTH_CELLS, record.raw_length)):
+        values = vars(length).values() if length is not None else ()
+        cells |= zip(names, (str(v) if isinstance(v, str) else v for v in values), strict=False)
+    return cells
+
+
+def detection_of(cells: Sequence[Any], *rest: Any) -> DetectionRecord:
+    """Return a detection from its cells in the order of `DETECTION_CELLS`, and its last fields.
+
+    Examples
+    --------
+    >>> fruit = DetectionRecord(1, length=Length(0.3, low_m=0.29, high_m=0.31))
+    >>> detection_of(list(detection_cells(fruit).values())) == fruit
+    True
+    """
+    raw, length = -len(RAW_LENGTH_CELLS), -len(RAW_LENGTH_CELLS) - len(LENGTH_CELLS)
+    lengths = _length_of(*cells[length:raw]), _length_of(*cells[raw:])
+    return record_of(DetectionRecord, *cells[:length], *lengths, *rest)
+
+
+def _length_of(
+    value_m: float | None,
+    kind: str | None,
+    low_m: float | None = None,
+    high_m: float | None = None,
+    of: str | None = None,
+    basis: str | None = None,
+) -> Length | None:
+    if value_m is None:
+        return None
+    about: Any = None if of is None else _KINDS[of]
+    return Length(
+        value_m, _KINDS[kind], low_m, high_m, about, None if basis is None else _BASES[basis]
+    )
 
 
 def image_ref(cells: Sequence[Any]) -> ImageRef | None:

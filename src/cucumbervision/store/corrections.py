@@ -19,7 +19,7 @@ from cucumbervision.store.schema import (
     IS_ACTIVE,
     Action,
     DetectionLine,
-    Link,
+    LinkLine,
     Mark,
     Round,
 )
@@ -97,10 +97,10 @@ class Corrections(Edits):
             some, others = (
                 [one.id for one in find_detections(connection, sorted(group))] for group in groups
             )
-            there = Link.first_id.in_(some) & Link.second_id.in_(others)
-            back = Link.first_id.in_(others) & Link.second_id.in_(some)
-            parted = and_(Link.kind == str(LinkKind.APART), or_(there, back))
-            _end(connection, Link, action, parted)
+            there = LinkLine.first_id.in_(some) & LinkLine.second_id.in_(others)
+            back = LinkLine.first_id.in_(others) & LinkLine.second_id.in_(some)
+            parted = and_(LinkLine.kind == str(LinkKind.APART), or_(there, back))
+            _end(connection, LinkLine, action, parted)
         return action
 
     def unmerge(self, key: str, *, by: str = "") -> int:
@@ -142,7 +142,7 @@ class Corrections(Edits):
         with self.writing() as connection:
             action = _action_to_undo(connection, number, round_key)
             lock_rounds(connection, [action.round_id])
-            for table in (Mark, Link):
+            for table in (Mark, LinkLine):
                 ended = select(table.id).where(
                     table.action_id == action.id, table.ended_by_id.is_not(None)
                 )
@@ -158,7 +158,7 @@ class Corrections(Edits):
                     {"kind": action.kind},
                     undoes_id=action.id,
                 )
-                for table in (Mark, Link):
+                for table in (Mark, LinkLine):
                     _end(connection, table, made, table.action_id == action.id)
                     begun_again = update(table).where(table.ended_by_id == action.id)
                     connection.execute(begun_again.values(ended_by_id=None))
@@ -259,9 +259,11 @@ def _link(
                 remedy="merge two of one round, link growth between two rounds",
             )
         ends = (first.id, second.id)
-        _end(connection, Link, action, Link.first_id.in_(ends) & Link.second_id.in_(ends))
+        _end(
+            connection, LinkLine, action, LinkLine.first_id.in_(ends) & LinkLine.second_id.in_(ends)
+        )
         connection.execute(
-            insert(Link).values(
+            insert(LinkLine).values(
                 kind=str(kind),
                 first_id=first.id,
                 second_id=second.id,
@@ -328,6 +330,8 @@ def _mark(
         connection.execute(insert(Mark), [{"fruit_id": one, **cells} for one in ids])
 
 
-def _end(connection: Connection, table: type[Mark] | type[Link], action: int, which: Any) -> None:
+def _end(
+    connection: Connection, table: type[Mark] | type[LinkLine], action: int, which: Any
+) -> None:
     ending = update(table).where(table.ended_by_id.is_(None), which)
     connection.execute(ending.values(ended_by_id=action))

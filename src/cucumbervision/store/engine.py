@@ -257,7 +257,7 @@ class Database:
         self.close()
 
 
-VERSION = "1"
+VERSION = "2"
 """Of the tables; a change that is more than a new column of a record raises it."""
 
 VERSION_TABLE = "cucumbervision_version"

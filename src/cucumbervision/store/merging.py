@@ -23,7 +23,7 @@ from cucumbervision.store.corrections import find_detections, lock_rounds
 from cucumbervision.store.engine import Database
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import JointRecord, MethodRecord, record_json
-from cucumbervision.store.schema import JointLine, Link, Round, Row, Shift, StopLine
+from cucumbervision.store.schema import JointLine, LinkLine, Round, Row, Shift, StopLine
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -187,12 +187,12 @@ def _reader_of_methods() -> TypeAdapter[tuple[MethodRecord, ...]]:
 def _forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
     """Remove the links that an algorithm made between two rounds, or within one."""
     connection.execute(
-        delete(Link).where(
-            Link.kind == str(kind),
-            Link.action_id.is_(None),
-            Link.ended_by_id.is_(None),
-            Link.first_round_id == rounds[0],
-            Link.second_round_id == rounds[1],
+        delete(LinkLine).where(
+            LinkLine.kind == str(kind),
+            LinkLine.action_id.is_(None),
+            LinkLine.ended_by_id.is_(None),
+            LinkLine.first_round_id == rounds[0],
+            LinkLine.second_round_id == rounds[1],
         )
     )
 
@@ -224,15 +224,15 @@ def _add_links(
                 "second_round_id": rounds[1],
                 "score": link.score,
             }
-    insert_all(connection, Link, list(lines.values()))
+    insert_all(connection, LinkLine, list(lines.values()))
     return len(lines)
 
 
 def _decided_pairs(connection: Connection, rounds: tuple[int, int]) -> set[frozenset[int]]:
-    query = select(Link.first_id, Link.second_id).where(
-        Link.action_id.is_not(None),
-        Link.ended_by_id.is_(None),
-        Link.first_round_id.in_(rounds),
-        Link.second_round_id.in_(rounds),
+    query = select(LinkLine.first_id, LinkLine.second_id).where(
+        LinkLine.action_id.is_not(None),
+        LinkLine.ended_by_id.is_(None),
+        LinkLine.first_round_id.in_(rounds),
+        LinkLine.second_round_id.in_(rounds),
     )
     return {frozenset((first, second)) for first, second in connection.execute(query)}

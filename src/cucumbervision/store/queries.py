@@ -15,6 +15,7 @@ from cucumbervision.store.cells import (
     columns_of,
     decoding,
     detection_from_json,
+    detection_of,
     image_ref,
     record_of,
     round_id_of,
@@ -48,7 +49,7 @@ from cucumbervision.store.schema import (
     CaptureLine,
     DetectionLine,
     Image,
-    Link,
+    LinkLine,
     Mark,
     MethodLine,
     Round,
@@ -309,18 +310,18 @@ def links_of(
     """Return the links that have not ended and touch a round."""
     round_id = round_id_of(connection, round_key)
     query = (
-        select(Link.kind, _ONE.key, _OTHER.key, Link.score, Link.action_id)
-        .join(_ONE, _ONE.id == Link.first_id)
-        .join(_OTHER, _OTHER.id == Link.second_id)
+        select(LinkLine.kind, _ONE.key, _OTHER.key, LinkLine.score, LinkLine.action_id)
+        .join(_ONE, _ONE.id == LinkLine.first_id)
+        .join(_OTHER, _OTHER.id == LinkLine.second_id)
         .where(
-            Link.ended_by_id.is_(None),
-            or_(Link.first_round_id == round_id, Link.second_round_id == round_id),
+            LinkLine.ended_by_id.is_(None),
+            or_(LinkLine.first_round_id == round_id, LinkLine.second_round_id == round_id),
             _BOTH_ACTIVE,
         )
-        .order_by(Link.id)
+        .order_by(LinkLine.id)
     )
     if kind is not None:
-        query = query.where(Link.kind == str(kind))
+        query = query.where(LinkLine.kind == str(kind))
     kinds = {str(one): one for one in LinkKind}
     rows = cells_of(connection, query)
     with decoding(connection):
@@ -372,7 +373,8 @@ def _detections_of(
     rows = [
         (row, marks.get(row[0], {})) for row in cells_of(connection, query.order_by(*_IN_ORDER))
     ]
-    records = {row[0]: own.get("mask") or DetectionRecord(*row[18:]) for row, own in rows}
+    with decoding(connection):
+        records = {row[0]: own.get("mask") or detection_of(row[18:]) for row, own in rows}
     candidates = {
         row[0]: Candidate(
             own.get("verdict") is not Verdict.REJECTED,

@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.result import LOWER_BOUND, Choice
+from cucumbervision.measurement.result import LOWER_BOUND, Choice, Length
 
 Point: TypeAlias = tuple[float, ...]
 
@@ -199,6 +199,9 @@ class DetectionRecord:
         How far along the row its middle lies from the stop's position, and how sure that is.
     view_score : float
         How well this view shows it, 0 to 1; the highest of several views represents the fruit.
+    length, raw_length : Length, optional
+        As in `FruitMeasurement`: what the fruit counts for, and what was read before the site's
+        calibration.
     keypoints : tuple of (u, v, visibility)
         Pixels; empty where there are none.
     mask : str, optional
@@ -219,13 +222,6 @@ class DetectionRecord:
     reason: str = ""
     fallback: str = ""
     flags: str = ""
-    length_m: float | None = None
-    length_kind: str | None = None
-    length_sd_m: float | None = None
-    interval_low_m: float | None = None
-    interval_high_m: float | None = None
-    interval_of: str | None = None
-    interval_basis: str | None = None
     centreline_m: float | None = None
     thread_m: float | None = None
     chord_m: float | None = None
@@ -239,17 +235,29 @@ class DetectionRecord:
     mask_px: int | None = None
     fill: float | None = None
     distance_m: float | None = None
-    raw_length_m: float | None = None
-    raw_length_kind: str | None = None
     centre_x_m: float | None = None
     centre_y_m: float | None = None
     centre_z_m: float | None = None
     offset_m: float | None = None
     offset_sd_m: float | None = None
     view_score: float = 0.0
+    length: Length | None = None
+    raw_length: Length | None = None
     keypoints: tuple[Point, ...] = ()
     mask: str | None = None
     methods: tuple[MethodRecord, ...] = ()
+
+    @property
+    def length_m(self) -> float | None:
+        """The length's value, metres; None where nothing was measured."""
+        return None if self.length is None else self.length.value_m
+
+    @property
+    def inner_arc_mm_per_10cm(self) -> float | None:
+        """The inner arc's height in mm for each 10 cm of chord; None where it is not known."""
+        if self.inner_arc_m is None or not self.chord_m:
+            return None
+        return 100 * self.inner_arc_m / self.chord_m
 
     @property
     def at_least(self) -> bool:

@@ -11,6 +11,7 @@ from sqlalchemy import func, insert, or_, select, update
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import (
     columns_of,
+    detection_cells,
     id_of,
     insert_all,
     insert_new,
@@ -39,14 +40,13 @@ from cucumbervision.store.records import (
 )
 from cucumbervision.store.schema import (
     CAPTURE_CELLS,
-    DETECTION_CELLS,
     METHOD_CELLS,
     ROUND_CELLS,
     Artifact,
     CaptureLine,
     DetectionLine,
     Image,
-    Link,
+    LinkLine,
     Mark,
     MaskLine,
     MethodLine,
@@ -90,10 +90,11 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     Examples
     --------
     >>> import tempfile
+    >>> from cucumbervision.measurement.result import Length
     >>> from cucumbervision.store.records import CaptureRecord, DetectionRecord, RoundRecord
     >>> from cucumbervision.store.records import StopRecord, new_key
     >>> walk, stop = RoundRecord(name="morning"), new_key()
-    >>> capture = CaptureRecord("a", fruit=(DetectionRecord(1, length_m=0.31),))
+    >>> capture = CaptureRecord("a", fruit=(DetectionRecord(1, length=Length(0.31)),))
     >>> record = StopRecord(stop, walk.key, row="3", position_m=1.2, captures=(capture,))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with open_store(Path(folder) / "house.db") as store:
@@ -373,7 +374,7 @@ def _add_detections(
         return
     lines = [
         {
-            **_cells(record, DETECTION_CELLS),
+            **detection_cells(record),
             "key": key,
             "capture_id": capture_id,
             "round_id": round_id,
@@ -456,8 +457,8 @@ def _carry_over(
         current = or_(Mark.slot != "mask", Mark.ended_by_id.is_(None))
         marks = update(Mark).where(Mark.fruit_id == was, current)
         connection.execute(marks.values(fruit_id=new))
-        for end in (Link.first_id, Link.second_id):
-            connection.execute(update(Link).where(end == was).values({end: new}))
+        for end in (LinkLine.first_id, LinkLine.second_id):
+            connection.execute(update(LinkLine).where(end == was).values({end: new}))
         active = (Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
         if key in corrected:
             again = update(Mark).where(*active)

@@ -183,7 +183,8 @@ class CaptureLine(Base):
 class DetectionLine(Base):
     """One detected fruit of one capture; the other columns are the fields of `DetectionRecord`.
 
-    The round is here too, so that a list needs no join over stops and captures.
+    Its `length` and `raw_length` are several columns each, under the names of the tables. The round
+    is here too, so that a list needs no join over stops and captures.
     """
 
     __tablename__ = "fruit"
@@ -194,6 +195,14 @@ class DetectionLine(Base):
     capture_id: Mapped[int] = mapped_column(ForeignKey("captures.id"))
     round_id: Mapped[int] = mapped_column(ForeignKey("rounds.id"), index=True)
     number: Mapped[int]
+    length_m: Mapped[float | None]
+    length_kind: Mapped[str | None]
+    interval_low_m: Mapped[float | None]
+    interval_high_m: Mapped[float | None]
+    interval_of: Mapped[str | None]
+    interval_basis: Mapped[str | None]
+    raw_length_m: Mapped[float | None]
+    raw_length_kind: Mapped[str | None]
 
 
 class MaskLine(Base):
@@ -247,7 +256,7 @@ class Mark(Base):
     ended_by_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
 
 
-class Link(Base):
+class LinkLine(Base):
     """Two detections of one fruit, within a round or on different days; or 'these are two'."""
 
     __tablename__ = "links"
@@ -329,7 +338,20 @@ def _lay_out(table: type[Base], record: type, leave_out: Sequence[str]) -> tuple
 
 
 CAPTURE_CELLS = _lay_out(CaptureLine, CaptureRecord, ("color", "depth", "thumbnail", "fruit"))
-DETECTION_CELLS = _lay_out(DetectionLine, DetectionRecord, ("keypoints", "mask", "methods"))
+LENGTH_CELLS = (
+    *("length_m", "length_kind"),
+    *("interval_low_m", "interval_high_m", "interval_of", "interval_basis"),
+)
+RAW_LENGTH_CELLS = ("raw_length_m", "raw_length_kind")
+DETECTION_CELLS = (
+    *_lay_out(
+        DetectionLine,
+        DetectionRecord,
+        ("length", "raw_length", "keypoints", "mask", "methods"),
+    ),
+    *LENGTH_CELLS,
+    *RAW_LENGTH_CELLS,
+)
 METHOD_CELLS = _lay_out(MethodLine, MethodRecord, ("path_m", "diameter_m"))
 ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 IMAGE_COLUMNS = (Image.sha256, Image.suffix, Image.size_bytes, Image.width_px, Image.height_px)

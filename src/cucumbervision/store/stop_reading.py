@@ -12,6 +12,7 @@ from cucumbervision.store.cells import (
     columns_of,
     decoding,
     detection_from_json,
+    detection_of,
     points,
     record_of,
     unpack_um,
@@ -166,8 +167,6 @@ def _records_of(connection: Connection, stop_id: int) -> dict[int, list[Detectio
     for row in cells_of(connection, of_detections):
         with decoding(connection):
             keypoints = tuple(tuple(point) for point in row[2])
-        own = tuple(methods.get(row[0], ()))
-        found.setdefault(row[1], []).append(
-            record_of(DetectionRecord, *row[4:], keypoints, row[3], own)
-        )
+            one = detection_of(row[4:], keypoints, row[3], tuple(methods.get(row[0], ())))
+        found.setdefault(row[1], []).append(one)
     return found

@@ -3,7 +3,7 @@
 Much of a depth camera's error is the same in all frames from one place (`docs/results.md`), and so
 are errors of the outline and hidden ends. Frames from one place are therefore averaged to one view,
 which keeps the share `FIXED` of the variance of a single frame. Views from different places are
-combined like the stops of a round, by `rounds.row_fruit.combined_length`: half of the variance is
+pooled like the stops of a round, by `rounds.row_fruit.pooled_length`: half of the variance is
 common, since they share a camera, and views that disagree widen the interval.
 """
 
@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.measurement.intervals import SCALE_SD
-from cucumbervision.measurement.result import Length, LengthDefinition
-from cucumbervision.rounds.row_fruit import combined_length
+from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition
+from cucumbervision.rounds.row_fruit import pooled_length
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,7 +27,6 @@ FIXED = 0.95  # share of a length's variance common to all frames from one place
 _SAME_PLACE = 0.10  # of the distance: smaller movements of the camera count as one place
 _MOST_PLACES = 64
 _SURE_SD, _LEAST_APART = 4.0, 0.15  # standard deviations, and log lengths: least difference
-LENGTH_Z = 1.6449  # of 90 % intervals
 _UNKNOWN_SD, _LEAST_SD = 0.08, 0.002  # relative, of a length without an interval, and of any
 
 
@@ -152,7 +151,7 @@ class TrackLength:
         self._place(at_m).add(log, max(sd**2 - scale**2, _LEAST_SD**2))
         self.frames += 1
         self._shift += (shift - self._shift) / self.frames
-        self.length = self._combined(length, scale)
+        self.length = self._pooled(length, scale)
 
     def contradicts(self, length: Length, *, partial: bool = False) -> bool:
         """Return whether a length contradicts this fruit's, so that it must be another fruit.
@@ -190,12 +189,12 @@ class TrackLength:
             self.places.append(_Place(at_m))
         return self.places[-1]
 
-    def _combined(self, latest: Length, scale: float) -> Length:
+    def _pooled(self, latest: Length, scale: float) -> Length:
         means = np.exp([place.mean for place in self.places])
         deviations = np.sqrt([place.view_variance for place in self.places])
-        found = combined_length(means, deviations, np.zeros(len(means), bool))
+        found = pooled_length(means, deviations, np.zeros(len(means), bool))
         value, sd_m = found or (latest.value_m, _UNKNOWN_SD * latest.value_m)
-        spread = LENGTH_Z * float(np.hypot(sd_m / value, scale))
+        spread = INTERVAL_Z * float(np.hypot(sd_m / value, scale))
         middle = value * float(np.exp(self._shift))
         low, high = middle * float(np.exp(-spread)), middle * float(np.exp(spread))
         return Length(value, latest.kind, low, high, latest.interval_of, latest.basis)
@@ -206,5 +205,5 @@ def _log_length(length: Length) -> tuple[float, float, float]:
     log = float(np.log(length.value_m))
     if not (length.low_m and length.high_m):
         return log, _UNKNOWN_SD, 0.0
-    sd = float(np.log(length.high_m / length.low_m)) / (2 * LENGTH_Z)
+    sd = length.relative_sd or _UNKNOWN_SD
     return log, sd, float(np.log(length.low_m * length.high_m)) / 2 - log

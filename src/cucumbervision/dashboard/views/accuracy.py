@@ -131,7 +131,7 @@ def _reading(
         fruit=record.number,
         lengths_m={**lengths, REPORTED: reported.record.length_m},
         fell_back=frozenset(one.method for one in methods if one.measured_by),
-        kind=record.length_kind or "",
+        kind="" if record.length is None else str(record.length.kind),
         method=record.method or "",
         mask_source=record.mask_source or "",
         distance_m=_or_nan(record.distance_m),

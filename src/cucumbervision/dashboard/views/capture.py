@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import streamlit as st
 
+from cucumbervision.agronomy.grades import grade
 from cucumbervision.capture.frames import Stop
 from cucumbervision.dashboard import page_elements, resources
 from cucumbervision.dashboard.fruit_view import (
@@ -25,7 +26,6 @@ from cucumbervision.dashboard.words import counted, grade_name, length_words, pl
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import Selector
 from cucumbervision.rounds.demonstration import DEMONSTRATION, is_demonstration
-from cucumbervision.rounds.forecasting import grade_of
 from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.rounds.walking import NextPlace, next_place, sides_of, unless_taken
 from cucumbervision.store.views import DetectionFilter
@@ -417,7 +417,7 @@ def _picture(one: RoundView, last: StopView) -> None:
     profile = resources.profile_of(one)[1]
     for taken in record.captures:
         own = [view for view in views if view.capture == taken.name]
-        grades = {view.key: grade_name(grade_of(view.record, profile)) for view in own}
+        grades = {view.key: grade_name(grade(view.record, profile)) for view in own}
         try:
             capture = stored_capture(store.images, taken, record)
         except CucumberVisionError as error:

@@ -98,7 +98,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     found = graded.grades[detail.view.key]
     interval = interval_words(record, units)
     st.metric(
-        f"Length ({record.length_kind or 'not measured'})",
+        f"Length ({record.length.kind if record.length else 'not measured'})",
         units.text(record.length_m),
         interval and f"90 %: {interval}",
         delta_color="off",

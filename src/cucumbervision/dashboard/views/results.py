@@ -243,7 +243,8 @@ def _merge(one: RoundView) -> None:
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
     units, record = resources.settings().units, view.record
-    low, high = units.value(record.interval_low_m), units.value(record.interval_high_m)
+    length = record.length
+    low, high = (None, None) if length is None else map(units.value, (length.low_m, length.high_m))
     return {
         "Picture": resources.thumbnail_of(view),
         "Length": units.value(record.length_m),
@@ -252,7 +253,7 @@ def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:
         "Row": f"{view.row or '?'} {view.side or ''}",
         "At [m]": None if view.along_m is None else round(view.along_m, 2),
         "Method": record.method or record.reason,
-        "Kind": record.length_kind or "–",
+        "Kind": "–" if length is None else str(length.kind),
         "Views": view.views,
         "Checked": _VERDICTS[view.verdict] + (", corrected" if view.corrected else ""),
         "Simulated": "simulated" if view.simulated else "",

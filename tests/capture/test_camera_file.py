@@ -101,7 +101,18 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         (OURS | {"distorsion": "none"}, "'distorsion': extra inputs are not permitted"),
         (OURS | {"coefficients": [1, 2]}, "coefficients"),
         (without("fx", "fy", "cx", "cy") | {"matrix": [[1, 2], [3, 4]]}, "not \\[\\[fx, 0, cx\\]"),
-        (without("fx", "fy", "cx", "cy") | {"matrix": "identity"}, "'matrix' holds no numbers"),
+        (without("fx", "fy", "cx", "cy") | {"matrix": "identity"}, "camera matrix is not"),
+        (without("fx", "fy", "cx", "cy") | {"matrix": [10**400] * 9}, "camera matrix is not"),
+        (OURS | {"fx": 10**400}, "'fx': input should be a valid number"),
+        *(
+            (OURS | wrong, "no camera of 1280x720 pixels has")
+            for wrong in (
+                {"fx": 1e-300},
+                {"fx": 1e300, "fy": 1e300},
+                {"fx": 1820.0, "fy": 910.0},
+                {"coefficients": [0, 0, 0, 0, 1e300]},
+            )
+        ),
         (
             OURS | {"depth_to_color": {"rotation": [1] * 9, "translation_m": [0, 0, 0]}},
             "is no rotation",

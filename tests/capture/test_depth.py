@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -79,3 +80,9 @@ def test_depth_without_readings_is_refused(value_m: float, words: str) -> None:
     depth = np.full((4, 4), value_m, np.float32)
     depth[1, 1] = 0.5
     require_readings(depth)
+
+
+@pytest.mark.parametrize("unit_m", [1e-300, 1e300])
+def test_a_step_that_no_camera_has_is_refused(unit_m: float) -> None:
+    with pytest.raises(DepthError, match=re.escape(f"steps of {unit_m:g} m")):
+        depth_to_metres(np.full((4, 4), 454, np.uint16), unit_m)

@@ -4,6 +4,7 @@ import pickle
 import struct
 import subprocess
 import sys
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from cucumbervision.capture.files import (
     read_color,
     read_depth,
     read_json,
-    read_mask,
+    read_masks,
+    read_photo,
     write_png,
 )
 from cucumbervision.errors import CaptureError, DepthError
@@ -145,9 +147,10 @@ def test_mask_of_another_size(tmp_path: Path) -> None:
     mask = np.zeros((30, 40), np.uint8)
     mask[3:5, 6] = 1
     write_png(tmp_path / "m.png", mask)
-    np.testing.assert_array_equal(read_mask(tmp_path / "m.png", (30, 40, 3)), mask > 0)
+    (read,) = read_masks([tmp_path / "m.png"], (30, 40, 3))
+    np.testing.assert_array_equal(read, mask > 0)
     with pytest.raises(CaptureError, match=r"m\.png: the mask is 40x30, the picture 41x30"):
-        read_mask(tmp_path / "m.png", (30, 41))
+        read_masks([tmp_path / "m.png"], (30, 41))
 
 
 def test_a_folder_that_is_not_there_cannot_be_written_to(tmp_path: Path) -> None:
@@ -181,3 +184,52 @@ def test_a_head_that_promises_gigabytes_makes_no_room(tmp_path: Path) -> None:
     name, held_mib = done.stdout.split()
     assert name == "CaptureError"
     assert int(held_mib) < 200
+
+
+@pytest.mark.parametrize("name", ["a.webp", "a.jpg", "a.tif"])
+def test_pictures_of_too_many_pixels_are_refused_by_their_heads(name: str, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / name), np.zeros((8001, 8000), np.uint8))
+    if name == "a.tif":  # its size said twice, small at first and small at last
+        path, data = tmp_path / name, bytearray((tmp_path / name).read_bytes())
+        at = int.from_bytes(data[4:8], "little")
+        count = int.from_bytes(data[at : at + 2], "little")
+        small = [struct.pack("<HHII", tag, 4, 1, 8) for tag in (256, 257)]
+        tags = [bytes(data[at + 2 + 12 * k : at + 14 + 12 * k]) for k in range(count)]
+        data[4:8] = len(data).to_bytes(4, "little")
+        tags = tags[:2] + small + tags[2:]
+        data += struct.pack("<H", len(tags)) + b"".join(tags) + bytes(4)
+        path.write_bytes(data)
+    with pytest.raises(CaptureError, match=rf"{name}: has more than 64 million pixels"):
+        read_photo(tmp_path / name)
+
+
+def test_masks_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="its 700 masks have more than 640 million pixels"):
+        read_masks([tmp_path / "a.png"] * 700, (1000, 1000))
+
+
+def test_what_is_no_array_in_an_npz_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "d.npz", depth=DEPTH)
+    with zipfile.ZipFile(tmp_path / "d.npz", "a") as archive:
+        archive.writestr("notes.txt", "hello")
+    with pytest.raises(DepthError, match=r"d\.npz: holds something other than arrays"):
+        read_arrays(tmp_path / "d.npz")
+
+
+@pytest.mark.parametrize("number", [16, 17])
+def test_exactly_sixteen_arrays_are_read(number: int, tmp_path: Path) -> None:
+    np.savez(tmp_path / "d.npz", *[DEPTH] * (number - 1), depth=DEPTH)
+    if number == 16:
+        assert len(read_arrays(tmp_path / "d.npz")) == 16
+    else:
+        with pytest.raises(DepthError, match="holds more than 16 arrays"):
+            read_arrays(tmp_path / "d.npz")
+
+
+def test_an_array_larger_than_any_picture_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "d.npy").open("wb") as file:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (20_000, 10_001)}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.truncate(file.tell() + 8 * 20_000 * 10_001)
+    with pytest.raises(DepthError, match="larger than pictures of 64 million pixels"):
+        read_arrays(tmp_path / "d.npy")

@@ -110,3 +110,9 @@ def test_projection_undoes_deprojection() -> None:
     z = np.array([0.4, 0.5, 0.6])
     pixels = camera.project(np.stack([x * z, y * z, z], axis=1))
     assert pixels == pytest.approx(np.stack([u, v], axis=1), abs=1e-3)
+
+
+@pytest.mark.parametrize(("cx", "cy"), [(-1.0, 24.0), (65.0, 24.0), (32.0, 49.0)])
+def test_a_principal_point_outside_the_picture_is_refused(cx: float, cy: float) -> None:
+    with pytest.raises(IntrinsicsError, match=r"^k\.json: the principal point .* outside"):
+        check_intrinsics(Intrinsics(64, 48, 60.0, 60.0, cx, cy), 64, 48, source="k.json")

@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.files import write_png
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError
 
 
@@ -15,7 +21,43 @@ def test_what_is_not_there(tmp_path: Path) -> None:
 
 def test_what_holds_no_captures(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(CaptureError, match="holds no captures that can be recognised; name a"):
+    with pytest.raises(CaptureError, match=r"holds no captures .* but 1 \.txt; give a"):
         open_source(tmp_path)
     with pytest.raises(CaptureError, match=r"notes\.txt: '\.txt' files are no captures"):
         open_source(str(tmp_path / "notes.txt"))
+
+
+def test_a_folder_of_several_kinds_gives_all_of_them(tmp_path: Path, capture: Capture) -> None:
+    write_native(capture, tmp_path / "a")
+    np.savez(tmp_path / "depth_1.npz", depth=capture.depth_m)
+    matrix = capture.intrinsics.matrix
+    np.savez(tmp_path / "whole.npz", color=capture.color, depth=capture.depth_m, matrix=matrix)
+    source = open_source(tmp_path)
+    assert (source.kind, source.total) == ("native+pair", 2)
+    for ref in source:
+        np.testing.assert_array_equal(ref.load().depth_m, capture.depth_m)
+
+
+def test_a_folder_is_looked_at_once_however_it_is_linked(tmp_path: Path, capture: Capture) -> None:
+    write_native(capture, tmp_path / "walk" / "a")
+    (tmp_path / "walk" / "b").symlink_to(tmp_path / "walk", target_is_directory=True)
+    (tmp_path / "walk" / "c").symlink_to(tmp_path / "walk" / "a", target_is_directory=True)
+    assert open_source(tmp_path).total == 1
+
+
+@pytest.mark.parametrize("name", ["rgb_1.png", "depth_1.png", "intrinsics.json"])
+def test_pipes_and_devices_are_refused(name: str, tmp_path: Path, capture: Capture) -> None:
+    write_png(tmp_path / "rgb_1.png", capture.color)
+    write_png(tmp_path / "depth_1.png", (1000 * capture.depth_m).astype(np.uint16))
+    camera = CameraModel.of(capture.intrinsics).model_dump_json()
+    (tmp_path / "intrinsics.json").write_text(camera)
+    (tmp_path / name).unlink()
+    if name == "depth_1.png":
+        os.mkfifo(tmp_path / name)
+    else:
+        (tmp_path / name).symlink_to("/dev/zero")
+    with pytest.raises(CaptureError, match=f"{name}: is a pipe or a device, not a file"):
+        next(iter(open_source(tmp_path))).load()
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(CaptureError, match="pipe: is neither a file nor a folder"):
+        open_source(tmp_path / "pipe")

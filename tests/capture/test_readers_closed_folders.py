@@ -23,8 +23,8 @@ def closed(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
     def close(folder: Path) -> None:
         walk = os.walk
 
-        def refused(path: Any, onerror: Any = None) -> Iterator[Any]:
-            for place, folders, files in walk(path):
+        def refused(path: Any, onerror: Any = None, **how: Any) -> Iterator[Any]:
+            for place, folders, files in walk(path, **how):
                 if Path(place) == folder:
                     onerror(PermissionError(errno.EACCES, "Permission denied", str(folder)))
                 else:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.errors import CaptureError
+from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.intake.limits import Limits, RecordingLimits
 from cucumbervision.intake.recordings import open_guarded, play_in_process
 from cucumbervision.intake.uploads import accept_uploads
@@ -33,6 +34,7 @@ def test_a_recording_reads_as_it_does_in_this_process(walk: Path, tmp_path: Path
     assert not got.refused
     (source,) = got.sources
     apart = [ref.load() for ref in source.open()]
+    assert {one.source for one in apart} == {"Row 3.db3"}
     here = [ref.load() for ref in open_source(walk)]
     assert [c.frame for c in apart] == [c.frame for c in here]
     assert [c.name for c in apart] == [f"Row_3_{c.frame:06d}" for c in here]
@@ -56,10 +58,12 @@ def test_broken_recordings_cost_the_others_nothing(
         ("good.npz", io.BytesIO(frame_npz)),
     ]
     got = accept_uploads(files, tmp_path)
-    assert {one.name for one in got.refused} == {"cut.db3", "flipped.db3"}
-    assert all(str(one.error).startswith(one.name) for one in got.refused)
-    assert [source.title for source in got.sources][-1] == "upload"
-    assert not (got.folder / "arriving").exists()
+    assert [source.title for source in got.sources] == ["upload", "cut.db3", "flipped.db3"]
+    good, *broken = (list(source.open()) for source in got.sources)
+    assert good[0].load().name == "good"
+    for source, refs in zip(got.sources[1:], broken, strict=True):
+        with pytest.raises(CaptureError, match=f"^{re.escape(source.title)}"):
+            refs[-1].load()
 
 
 def run(code: str, folder: Path, **limits: float) -> list[str]:
@@ -134,11 +138,14 @@ def test_what_a_broken_player_writes_is_not_believed(tmp_path: Path) -> None:
 
 def test_an_upload_limit_reaches_the_player(walk: Path, tmp_path: Path) -> None:
     limits = Limits(recording=RecordingLimits(captures=1))
-    got = accept_uploads([("walk.db3", walk)], tmp_path, limits, burst=2)
-    (ref,) = got.sources[0].open(ReadOptions(depth_unit_m=0.5))
-    assert ref.load().burst_size == 2
-    assert 0.59 < ref.load().depth_m[5, 5] < 0.61  # the recording's own unit
-    assert "more than 1 captures" in str(got.refused[0].error)
+    got = accept_uploads([("walk.db3", walk)], tmp_path, limits)
+    refs = got.sources[0].open(ReadOptions(depth_unit_m=0.5, burst=2)).refs()
+    capture = next(refs).load()
+    assert capture.burst_size == 2
+    assert 0.59 < capture.depth_m[5, 5] < 0.61  # the recording's own unit
+    with pytest.raises(CucumberVisionError, match="more than 1 captures"):
+        next(refs).load()
+    assert next(refs, None) is None
 
 
 @posix

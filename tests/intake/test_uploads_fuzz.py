@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.intake.limits import Limits
-from cucumbervision.intake.staging import AcceptedSource
-from cucumbervision.intake.uploads import accept_uploads
+from cucumbervision.intake.uploads import AcceptedSource, accept_uploads
 
-LIMITS = Limits(unpacked_bytes=3_000_000, file_bytes=1_000_000, pixels=100_000, members=50)
+LIMITS = Limits(unpacked_bytes=3_000_000, file_bytes=1_000_000, members=50)
 FUZZ = settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -62,7 +61,7 @@ def receive(name: str, data: bytes, *others: tuple[str, bytes]) -> None:
         for source in got.sources:
             assert source.path.is_relative_to(got.folder)
             assert tmp not in " ".join(read_all(source))
-        assert not (got.folder / "arriving").exists()
+        assert not [*got.folder.glob("arrived-*")]
         assert list(folder.iterdir()) == ([got.folder] if got.sources else [])
 
 

@@ -76,8 +76,8 @@ def test_what_cannot_be_read_costs_the_others_nothing(client: TestClient, bench:
     told = client.post("/measure", files=files).json()
     assert [one["name"] for one in told["captures"]] == ["simulated-bench"]
     assert [(one["name"], one["error"]) for one in told["failures"]] == [
-        ("x.png", "UploadError"),
         ("half.zip", "UploadError"),
+        ("x.png", "CaptureError"),
     ]
     assert not any("/tmp" in one["message"] for one in told["failures"])
 
@@ -93,7 +93,7 @@ def test_detect_gives_boxes_as_coco_has_them(one_box_detector: Path) -> None:
         (fruit,) = seen["fruit"]
         assert (fruit["bbox"], fruit["score"], fruit["class"]) == ([8, 8, 32, 22], 0.75, "cucumber")
         assert [(one["name"], one["error"]) for one in told["failures"]] == [
-            ("b.txt", "UploadError")
+            ("b.txt", "CaptureError")
         ]
         assert client.get("/health").json()["models"] == [one_box_detector.name]
 

@@ -81,7 +81,7 @@ def test_pictures_that_are_none_are_named(service: str, tmp_path: Path) -> None:
     broken.write_bytes(b"no picture")
     told = Client(service, TOKEN).detect(broken)
     assert told["pictures"] == []
-    assert [one["error"] for one in told["failures"]] == ["UploadError"]
+    assert [one["error"] for one in told["failures"]] == ["CaptureError"]
 
 
 def test_a_wrong_token_is_said(service: str) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.capture.files import parse_model, read_json
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_matrix
 from cucumbervision.errors import IntrinsicsError, as_errors_of
 from cucumbervision.geometry.camera import Distortion
 
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.capture.source import Folder
+
+_OWN_NAME = "intrinsics.json"
+_CAMERA_NAME = re.compile(r".*(intrinsic|camera|cam_?k|calib).*\.json", re.IGNORECASE)
 _BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
 _SAY_STREAM = (
     'add "stream": "color" if they are the colour camera\'s at that size (depth-stream '
@@ -114,6 +119,32 @@ class _FileModel(CameraModel):
     depth_unit_m: float | None = Field(default=None, gt=0)
 
 
+def camera_file_near(folder: Folder, at: str) -> Path | None:
+    """Return the intrinsics file that is nearest to a folder: in it, or in one above it.
+
+    Parameters
+    ----------
+    folder : Folder
+        The files there are.
+    at : str
+        The folder's name in it.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from cucumbervision.capture.source import Folder
+    >>> walk = Folder(Path("walk"), {"": ["camera.json"], "rgb": ["1.png"]})
+    >>> camera_file_near(walk, "rgb")
+    PosixPath('walk/camera.json')
+    """
+    while True:
+        found = sorted(name for name in folder.files.get(at, ()) if _CAMERA_NAME.fullmatch(name))
+        if found or not at:
+            # Several: that of our own name first.
+            return folder.path / at / min(found, key=lambda n: n != _OWN_NAME) if found else None
+        at = at.rpartition("/")[0]
+
+
 def read_camera_file(path: Path) -> CameraFile:
     """Read an intrinsics file.
 
@@ -143,36 +174,27 @@ def read_camera_file(path: Path) -> CameraFile:
             "holds no intrinsics", source=path, remedy="give one JSON object with stream, fx, …"
         )
     data = dict(data)
-    if frozenset(data) == _BOP_KEYS:
-        # BOP: depth_scale times the stored number is millimetres.
-        scale = data.pop("depth_scale")
-        unit = scale * 0.001 if isinstance(scale, int | float) else scale
-        data |= {"stream": "color", "depth_unit_m": unit}
+    is_bop = frozenset(data) == _BOP_KEYS
+    if is_bop:
+        data |= {"stream": "color", "depth_unit_m": data.pop("depth_scale")}
     if "stream" not in data:
         raise IntrinsicsError(
             "does not say which stream these intrinsics belong to", source=path, remedy=_SAY_STREAM
         )
     if "matrix" in data:
-        data |= _from_matrix(data.pop("matrix"), path)
-    model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
-    return CameraFile(
-        model.intrinsics,
-        path,
-        model.depth.intrinsics if model.depth else None,
-        _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
-        model.depth_unit_m,
-    )
-
-
-def _from_matrix(matrix: Any, path: Path) -> dict[str, float]:
-    try:
         with as_errors_of(path):
-            k = Intrinsics.from_matrix(matrix, 1, 1)
-    except (ValueError, TypeError):
-        raise IntrinsicsError(
-            "'matrix' holds no numbers", source=path, remedy="give it as three rows of three"
-        ) from None
-    return {"fx": k.fx_px, "fy": k.fy_px, "cx": k.cx_px, "cy": k.cy_px}
+            values = pinhole_of_matrix(data.pop("matrix"))
+        data |= dict(zip(("fx", "fy", "cx", "cy"), values, strict=True))
+    model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
+    with as_errors_of(path):
+        return CameraFile(
+            model.intrinsics,
+            path,
+            model.depth.intrinsics if model.depth else None,
+            _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
+            # BOP: depth_scale times the stored number is millimetres.
+            model.depth_unit_m and model.depth_unit_m * (0.001 if is_bop else 1.0),
+        )
 
 
 def _extrinsics(model: _ExtrinsicsModel, path: Path) -> Extrinsics:

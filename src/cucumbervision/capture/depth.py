@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _FEW, _MOST = 0.01, 0.5
+_FINEST_M, _COARSEST_M = 1e-7, 10.0
 _UNIT_NAMES = {1.0: "metres", 0.001: "millimetres"}
 
 
@@ -58,6 +59,10 @@ def depth_to_metres(
     _check_kind(raw, source)
     if unit_m is None:
         unit_m = 1.0 if raw.dtype.kind == "f" else 0.001
+    if not _FINEST_M <= unit_m <= _COARSEST_M:
+        raise DepthError(
+            f"no camera's depth has steps of {unit_m:g} m", source=source, remedy="correct the unit"
+        )
     _check_unit(raw, unit_m, source)
     return scale_depth(raw, unit_m)
 

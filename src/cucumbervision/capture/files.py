@@ -6,6 +6,7 @@ import io
 import json
 import math
 import os
+import stat
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from cucumbervision.capture.urls import with_retries
+from cucumbervision.capture.urls import is_remote, with_retries
 from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
@@ -27,7 +28,7 @@ from cucumbervision.errors import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -36,6 +37,12 @@ if TYPE_CHECKING:
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
 DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".npz"})
+
+MOST_PIXELS = 64_000_000
+"""Of a picture; OpenCV refuses larger ones by their heads, as `cucumbervision` sets it up to."""
+MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
+"""Of all frames of a burst together, and of all masks of a frame."""
+_MOST_ARRAYS = 16  # of an .npz
 
 _GREY = 114  # what stands for nothing in a network's input too
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -75,6 +82,7 @@ def read_bytes(
         wrap_os_errors("cannot be read", path, "check the path", error),
         suppress(FileNotFoundError),
     ):
+        _require_regular(path, error)
         data = with_retries(path, path.read_bytes)
     if not data:
         fault = "the file is missing" if data is None else "the file is empty"
@@ -82,6 +90,23 @@ def read_bytes(
     if held is not None:
         held[str(path)] = data
     return data
+
+
+def read_head(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file; fewer, or none, where it has no more."""
+    with wrap_os_errors("cannot be read", path, "check the path", CaptureError):
+        _require_regular(path, CaptureError)
+        with path.open("rb") as stream:
+            return stream.read(size)
+
+
+def _require_regular(path: Path, error: type[CucumberVisionError]) -> None:
+    # A pipe would be waited for, and a device read without an end.
+    if is_remote(path):
+        return
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise error("is a pipe or a device, not a file", source=path, remedy="give the file itself")
 
 
 def read_color(path: Path) -> NDArray[np.uint8]:
@@ -146,21 +171,32 @@ def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
     )
 
 
-def read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Read a mask picture: every pixel that is not 0 belongs to the fruit.
+def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], ...]:
+    """Read mask pictures: every pixel that is not 0 belongs to the fruit.
 
     Parameters
     ----------
-    path : Path
-        A picture of one channel.
+    paths : sequence of Path
+        Pictures of one channel.
     shape : tuple of int
-        (H, W) that the mask must have.
+        (H, W) that each must have.
 
     Raises
     ------
     CaptureError
-        If the file is missing, truncated, no picture or of another size.
+        If a file is missing, truncated, no picture or of another size, or all of them together
+        take more than memory should hold.
     """
+    if len(paths) * shape[0] * shape[1] > MOST_MASK_PIXELS:
+        raise CaptureError(
+            f"its {len(paths)} masks have more than {MOST_MASK_PIXELS / 1e6:g} million pixels",
+            source=paths[0].parent,
+            remedy="give fewer masks, or smaller pictures",
+        )
+    return tuple(_read_mask(path, shape) for path in paths)
+
+
+def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     import cv2
 
     image = _decode(path, cv2.IMREAD_GRAYSCALE)
@@ -208,23 +244,27 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     Raises
     ------
     DepthError
-        If it holds Python objects (pickle), is no NumPy file, or has no 'depth'.
+        If it holds Python objects (pickle) or more than pictures of `MOST_PIXELS` have, is no
+        NumPy file, or has no 'depth'.
     """
     data = read_bytes(path)
     try:
-        _require_whole_arrays(data)
-        loaded = np.load(io.BytesIO(data), allow_pickle=False)
-        # An .npz reads its members only here.
-        arrays = {"depth": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+        if data.startswith(b"PK"):
+            _require_arrays(data)
+            arrays = dict(np.load(io.BytesIO(data), allow_pickle=False))
+        else:
+            _require_whole_array(io.BytesIO(data), len(data))
+            arrays = {"depth": np.load(io.BytesIO(data), allow_pickle=False)}
     except MemoryError:
         raise
     except Exception as error:  # its parsers raise what they like, a tokenizer's errors too
         # NumPy calls every file that it does not know a pickle; a real one begins with 0x80.
         pickled = "Object arrays" in str(error) or data.startswith(b"\x80")
+        fault = "holds Python objects (pickle), which are never loaded" if pickled else ""
+        if isinstance(error, _TooLargeError):
+            fault = f"holds {error}"
         raise DepthError(
-            "holds Python objects (pickle), which are never loaded"
-            if pickled
-            else "is truncated or no NumPy file",
+            fault or "is truncated or no NumPy file",
             source=path,
             remedy="save the array as uint16 or float32 with numpy.save",
         ) from None
@@ -237,21 +277,21 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-_MOST_DEFLATED = 1032  # bytes of one byte, by RFC 1951
+class _TooLargeError(ValueError):
+    """More than a picture has."""
 
 
-def _require_whole_arrays(data: bytes) -> None:
-    """Refuse arrays whose heads promise more than the file holds: room is made by the head."""
-    if not data.startswith(b"PK"):
-        _require_whole_array(io.BytesIO(data), len(data))
-        return
+def _require_arrays(data: bytes) -> None:
+    """Refuse arrays whose heads promise more than a picture has: room is made by the head."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for member in archive.infolist():
-            if member.file_size > _MOST_DEFLATED * len(data):
-                raise ValueError(f"{member.filename} is larger than its file can hold")
-            if member.filename.endswith(".npy"):
-                with archive.open(member) as stream:
-                    _require_whole_array(stream, member.file_size)
+        members = archive.infolist()
+        if len(members) > _MOST_ARRAYS:
+            raise _TooLargeError(f"more than {_MOST_ARRAYS} arrays")
+        for member in members:
+            if not member.filename.endswith(".npy"):
+                raise _TooLargeError("something other than arrays")
+            with archive.open(member) as stream:
+                _require_whole_array(stream, member.file_size)
 
 
 def _require_whole_array(stream: IO[bytes], size: int) -> None:
@@ -259,8 +299,14 @@ def _require_whole_array(stream: IO[bytes], size: int) -> None:
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read(stream, max_header_size=4000)
     # Objects have no size of their own: they are refused as they are read.
-    if not dtype.hasobject and stream.tell() + math.prod(shape) * dtype.itemsize > size:
+    room = math.prod(shape) * dtype.itemsize
+    if not dtype.hasobject and stream.tell() + room > size:
         raise ValueError("the array is longer than the file")
+    # Numbers of eight bytes, three a pixel.
+    if max(room, size) > 24 * MOST_PIXELS:
+        raise _TooLargeError(
+            f"an array larger than pictures of {MOST_PIXELS / 1e6:g} million pixels"
+        )
 
 
 def _decode(path: Path, flags: int) -> NDArray[Any]:
@@ -272,18 +318,20 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
         data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:]
     )
     image = None
+    fault = "is truncated or damaged" if truncated else "is no picture that can be read"
+    remedy = "copy or export it again"
     if not truncated:
         # OpenCV would tell of a broken file itself, in lines of its own.
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        with suppress(cv2.error):
+        try:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error as error:
+            if "CV_IO_MAX_IMAGE" in str(error):  # told by the head, before there is room made
+                fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
+                remedy = "give a smaller picture"
         cv2.utils.logging.setLogLevel(level)
     if image is None:
-        raise CaptureError(
-            "is truncated or damaged" if truncated else "is no picture that can be read",
-            source=path,
-            remedy="copy or export it again",
-        )
+        raise CaptureError(fault, source=path, remedy=remedy)
     return image
 
 
@@ -401,6 +449,7 @@ def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> st
     'gürkchen\nzucchini\n'
     """
     with wrap_os_errors("cannot be read", path, "check the path", error):
+        _require_regular(path, error)
         data = path.read_bytes()
     marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     for code in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):

@@ -6,7 +6,7 @@ RealSense SDK; a box's edges lie half a pixel outside its outermost pixel centre
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,11 @@ from cucumbervision.geometry.camera import distort, scale_error, undistort
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+
+_SHORTEST, _LONGEST = 0.05, 100.0  # focal lengths, of the longer side
+_SQUARE = 1.5  # one focal length over the other: pixels are nearly square
+_CURVED = 1e3  # largest coefficient of a lens
 
 
 class Stream(StrEnum):
@@ -83,6 +88,18 @@ class Intrinsics:
                 f"size {self.width}x{self.height} is no picture",
                 remedy="give the width and height in pixels that the calibration is for",
             )
+        focal, longest = (self.fx_px, self.fy_px), max(self.width, self.height)
+        if (
+            min(focal) < _SHORTEST * longest
+            or max(focal) > _LONGEST * longest
+            or max(focal) >= _SQUARE * min(focal)
+            or max(map(abs, self.coefficients)) > _CURVED
+        ):
+            raise IntrinsicsError(
+                f"no camera of {self.width}x{self.height} pixels has focal lengths of "
+                f"{self.fx_px:g} and {self.fy_px:g} px and distortion {self.coefficients}",
+                remedy="give the values in pixels that belong to this size of picture",
+            )
 
     @classmethod
     def from_matrix(
@@ -99,16 +116,7 @@ class Intrinsics:
         IntrinsicsError
             If `matrix` is not 3x3 with last row 0, 0, 1 and without skew.
         """
-        k = np.asarray(matrix, dtype=float)
-        if k.size == 9:
-            k = k.reshape(3, 3)
-        if k.shape != (3, 3) or not np.allclose(k[2], (0, 0, 1)) or k[0, 1] != 0 or k[1, 0] != 0:
-            raise IntrinsicsError(
-                "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
-                remedy="give the 3x3 matrix row by row, in pixels, without skew",
-            )
-        fx, fy, cx, cy = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-        return cls(width, height, fx, fy, cx, cy, stream)
+        return cls(width, height, *pinhole_of_matrix(matrix), stream)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -181,6 +189,27 @@ class Intrinsics:
         return np.stack([x * self.fx_px + self.cx_px, y * self.fy_px + self.cy_px], axis=1)
 
 
+def pinhole_of_matrix(matrix: ArrayLike) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx and cy of a 3x3 camera matrix, or of its nine numbers row by row.
+
+    Raises
+    ------
+    IntrinsicsError
+        If it is not 3x3 with last row 0, 0, 1 and without skew.
+    """
+    try:
+        k = np.asarray(matrix, dtype=float).reshape(3, 3)
+    except (ValueError, TypeError, OverflowError):
+        k = np.zeros((3, 3))
+    if not np.allclose(k[2], (0, 0, 1)) or k[0, 1] != 0 or k[1, 0] != 0:
+        raise IntrinsicsError(
+            "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
+            remedy="give the 3x3 matrix row by row, in pixels, without skew",
+        )
+    fx, fy, cx, cy = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return fx, fy, cx, cy
+
+
 def check_intrinsics(
     given: Intrinsics,
     width: int,
@@ -226,41 +255,43 @@ def check_intrinsics(
     ...
     cucumbervision.errors.IntrinsicsError: these are the depth stream's ... +45 % wrong ...
     """
-    right = known if known is not None and known.size == (width, height) else None
+    right_px = known.fx_px if known is not None and known.size == (width, height) else None
     if given.stream is not Stream.COLOR:
         raise IntrinsicsError(
             f"these are the {given.stream} stream's intrinsics (fx {given.fx_px:.1f} px), but the "
-            f"depth is aligned to colour{_wrong_by(given, right)}",
+            f"depth is aligned to colour{_wrong_by(given, right_px)}",
             source=source,
             remedy="give the colour stream's intrinsics",
         )
     if given.size != (width, height):
-        estimate = right or _rescaled(given, width, height)
-        about = "" if right else "about "
+        # RealSense colour modes keep the full height and crop the sides, so when the aspect differs
+        # the height tells the scale (640x480 with f 616 becomes 1280x720 with f 924).
+        estimate_px = right_px or given.fx_px * height / given.height
+        about = "" if right_px else "about "
         raise IntrinsicsError(
             f"the intrinsics are for {given.width}x{given.height}, the picture is "
-            f"{width}x{height}{_wrong_by(given, estimate, about)}",
+            f"{width}x{height}{_wrong_by(given, estimate_px, about)}",
             source=source,
             remedy=f"give the colour stream's intrinsics at {width}x{height}",
+        )
+    if not (0 <= given.cx_px <= width and 0 <= given.cy_px <= height):
+        raise IntrinsicsError(
+            f"the principal point {given.cx_px:g}, {given.cy_px:g} px is outside the picture of "
+            f"{width}x{height}",
+            source=source,
+            remedy="give cx and cy in pixels of this picture",
         )
     return given
 
 
-def _rescaled(given: Intrinsics, width: int, height: int) -> Intrinsics:
-    # RealSense colour modes keep the full height and crop the sides, so when the aspect differs
-    # the height tells the scale (640x480 with f 616 becomes 1280x720 with f 924).
-    k = height / given.height
-    return replace(given, width=width, height=height, fx_px=given.fx_px * k, fy_px=given.fy_px * k)
-
-
-def _wrong_by(given: Intrinsics, right: Intrinsics | None, about: str = "") -> str:
-    if right is None:
+def _wrong_by(given: Intrinsics, right_px: float | None, about: str = "") -> str:
+    if right_px is None:
         return (
             "; by how much lengths would be wrong cannot be said without the colour calibration "
             "(f_right/f_wrong - 1; about +42 % on a typical D435 at 1280x720)"
         )
-    percent = 100 * scale_error(right.fx_px, given.fx_px)
+    percent = 100 * scale_error(right_px, given.fx_px)
     return (
-        f" (fx {right.fx_px:.1f} px): lengths would come out {about}{percent:+.0f} % wrong "
+        f" (fx {right_px:.1f} px): lengths would come out {about}{percent:+.0f} % wrong "
         "(f_right/f_wrong - 1)"
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,11 +15,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from typing import TypeAlias
 
+    from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.errors import CaptureError
 
     Listed: TypeAlias = tuple[
         str, int, Callable[[str], Capture], Path, Callable[[], Iterable[Path | bytes]] | None
     ]
+    Opener: TypeAlias = Callable[["ReadOptions", CameraFile | None], Iterable[Listed]]
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,59 @@ class ReadOptions:
                 f"burst is {self.burst} and depth_unit_m is {self.depth_unit_m}; "
                 "both must be positive"
             )
+
+
+@dataclass
+class Folder:
+    """The names of the files below a path that no reader has taken yet.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    files : dict of str to list of str
+        Names by the folder that they are in, relative to `path`; '' is the path itself.
+    faults : list of CaptureError
+        Folders that may not be read.
+
+    Examples
+    --------
+    >>> folder = Folder(Path("set"))
+    >>> for name in ("1/capture.json", "1/color.png", "1/mask_visib/a.png", "rgb.png"):
+    ...     folder.add(name)
+    >>> folder.take("capture.json", "", "mask_visib")
+    {'1': {'': ['color.png'], 'mask_visib': ['a.png']}}
+    >>> list(folder), folder.kinds()
+    (['rgb.png'], '1 .png')
+    """
+
+    path: Path
+    files: dict[str, list[str]] = field(default_factory=dict)
+    faults: list[CaptureError] = field(default_factory=list)
+
+    def add(self, name: str) -> None:
+        """Add a file by its name relative to the path, with slashes."""
+        at, _, own = name.rpartition("/")
+        self.files.setdefault(at, []).append(own)
+
+    def take(self, head: str, *inside: str) -> dict[str, dict[str, list[str]]]:
+        """Take a file `head` wherever it is, with all files of the folders that are named in it."""
+        found = [at for at, names in self.files.items() if head in names]
+        for at in found:
+            self.files[at].remove(head)
+        return {
+            at: {sub: self.files.pop(f"{at}/{sub}".strip("/"), []) for sub in inside}
+            for at in found
+        }
+
+    def kinds(self) -> str:
+        """Return how many files there are of the most frequent kinds, in words."""
+        counts = Counter(Path(name).suffix.lower() or "other" for name in self)
+        return ", ".join(f"{n} {kind}" for kind, n in counts.most_common(5)) or "no file"
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names relative to the path."""
+        return (f"{at}/{own}".lstrip("/") for at, names in self.files.items() for own in names)
 
 
 @dataclass(frozen=True)

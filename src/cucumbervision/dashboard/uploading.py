@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, IntrinsicsError
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.rounds.adding import (
     Placed,
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureRef, ReadOptions
+    from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.dashboard.measuring import SharedMeasurer
-    from cucumbervision.intake.staging import AcceptedSource
+    from cucumbervision.intake.uploads import AcceptedSource
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.walking import NextPlace
     from cucumbervision.store.repository import Store
@@ -102,9 +102,7 @@ def measure_uploads(
     """
     job.total, outcomes = len(files), list[UploadOutcome]()
     with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
-        accepted = accept_uploads(
-            files, Path(folder), burst=options.reading.burst, report=lambda *_: job.step()
-        )
+        accepted = accept_uploads(files, Path(folder), report=lambda *_: job.step())
         outcomes += [UploadOutcome(one.name, False, one.error.message) for one in accepted.refused]
         for source in accepted.sources:
             for read in _captures(source, options.reading, camera):
@@ -121,10 +119,9 @@ def _captures(
 ) -> Iterator[Capture | UploadOutcome]:
     """Yield a source's captures, and why a part of it is none, by the sender's names."""
     try:
-        refs: Iterator[CaptureRef] = iter(_with_camera(source, camera).open(reading))
+        refs: Iterator[CaptureRef] = iter(_open(source, reading, camera))
     except CucumberVisionError as error:
-        for name in source.files or (source.title,):
-            yield UploadOutcome(name, False, f"{error.message}; {error.remedy}")
+        yield UploadOutcome(error.source or source.title, False, f"{error.message}; {error.remedy}")
         return
     while True:
         try:
@@ -136,21 +133,19 @@ def _captures(
             yield UploadOutcome(str(error.source or source.title), False, error.message)
 
 
-def _with_camera(source: AcceptedSource, camera: str) -> AcceptedSource:
-    """Return a source with the usual intrinsics where it is a pair that brings none."""
-    if source.kind != "pair" or source.intrinsics is not None or not camera:
-        return source
-    folder = source.path if source.path.is_dir() else source.path.parent
-    first = next(
-        p
-        for p in sorted(folder.iterdir())
-        if p.suffix.lower() in COLOR_SUFFIXES and p.name.startswith("rgb")
-    )
-    height, width = read_color(first).shape[:2]
+def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
+    """Open a source with the camera's usual intrinsics where pictures bring none."""
+    try:
+        return source.open(reading)
+    except IntrinsicsError:
+        pictures = sorted(p for p in source.path.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
+        if not camera or reading.intrinsics or not pictures:
+            raise
+    height, width = read_color(pictures[0]).shape[:2]
     model = CameraModel.of(_usual_intrinsics(camera, width, height)).model_dump(mode="json")
-    path = folder.with_name(f"{folder.name}-camera.json")
+    path = source.path.with_name(f"{source.path.name}-camera.json")
     path.write_text(json.dumps(model), encoding="utf-8")
-    return replace(source, intrinsics=path)
+    return source.open(replace(reading, intrinsics=path))
 
 
 def _placed(capture: Capture, place: NextPlace) -> tuple[Capture, NextPlace]:

@@ -15,7 +15,7 @@ from cucumbervision.errors import UploadError, wrap_os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path, PurePosixPath
+    from pathlib import Path
 
     from cucumbervision.intake.limits import Limits
 
@@ -24,21 +24,25 @@ _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 
 
 def clean_name(text: str) -> str:
-    """Return a sender's name fit to be shown: its last part, printable, not too long.
+    """Return a sender's name fit to be shown and kept: its last part, printable, not too long.
 
     Examples
     --------
     >>> clean_name("../../etc/pass" + chr(0) + "wd" + chr(0x202E) + ".png")
     'passwd.png'
-    >>> clean_name("a" * 200)[-3:], len(clean_name("a" * 200))
-    ('aa…', 120)
+    >>> clean_name("a" * 200 + ".png")[-7:], len(clean_name("a" * 200))
+    ('aa….png', 120)
     """
     last = text.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
     plain = unicodedata.normalize("NFC", last.encode("utf-8", "replace").decode())
     # Controls, marks that turn the direction of writing, and what is assigned to nothing.
     kept = "".join(c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp")))
     kept = " ".join(kept.split())
-    return f"{kept[: _LONGEST - 1]}…" if len(kept) > _LONGEST else kept or "unnamed"
+    if len(kept) > _LONGEST or len(kept.encode()) > 2 * _LONGEST:
+        suffix = PurePosixPath(kept).suffix[-8:]
+        start = kept[: _LONGEST - 1 - len(suffix)].encode()[: 2 * _LONGEST - 35]
+        kept = f"{start.decode(errors='ignore')}…{suffix}"
+    return kept if kept.strip(". ") else "unnamed"
 
 
 def _member_path(name: str, archive: str) -> PurePosixPath:
@@ -68,7 +72,14 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
             source=archive,
             remedy="pack the captures' folder anew",
         )
-    return PurePosixPath(plain)
+    return PurePosixPath(*(clean_name(part) for part in parts if part not in ("", ".")))
+
+
+def is_zip(path: Path, name: str) -> bool:
+    """Return whether a file is a zip by its first bytes, and no `.npz` by its sender's name."""
+    with path.open("rb") as stream:
+        head = stream.read(4)
+    return head in (b"PK\x03\x04", b"PK\x05\x06") and not name.lower().endswith(".npz")
 
 
 def _is_clutter(path: PurePosixPath) -> bool:
@@ -84,7 +95,7 @@ def _is_clutter(path: PurePosixPath) -> bool:
 
 
 # All that zipfile raises over damaged files.
-ZIP_FAULTS = (
+_ZIP_FAULTS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, ValueError),
     *(NotImplementedError, RuntimeError, KeyError, IndexError, OverflowError, MemoryError),
 )
@@ -124,15 +135,7 @@ class Budget:
             )
 
 
-@dataclass(frozen=True)
-class Member:
-    """An unpacked file: its name in the zip, and its path under a name of our own."""
-
-    name: PurePosixPath
-    path: Path
-
-
-def check_directory(path: Path, most_members: int, source: str) -> None:
+def _check_directory(path: Path, most_members: int, source: str) -> None:
     """Refuse a zip whose directory is huge, before it is read into memory.
 
     Raises
@@ -166,15 +169,15 @@ def check_directory(path: Path, most_members: int, source: str) -> None:
 
 def unpack(
     path: Path, folder: Path, limits: Limits, budget: Budget, *, source: str
-) -> Iterator[Member]:
-    """Unpack a zip, file by file, under names of our own.
+) -> Iterator[tuple[str, Path]]:
+    """Unpack a zip, file by file.
 
     Parameters
     ----------
     path : Path
         The zip.
     folder : Path
-        Where to; made here. Files are called 0000, 0001, …
+        Where to; made here.
     limits : Limits
         Largest file, ratio.
     budget : Budget
@@ -184,17 +187,18 @@ def unpack(
 
     Yields
     ------
-    Member
-        Each file once it is unpacked; folders and what systems leave behind are left out.
+    str, Path
+        Name and place of each file once it is unpacked; folders and what systems leave behind are
+        left out.
 
     Raises
     ------
     UploadError
-        If the zip is damaged or locked, a member leads out of it, is a link or a device, or the
-        limits are reached.
+        If the zip is damaged or locked, a member leads out of it, is a link or a device, two have
+        one name, or the limits are reached.
     """
-    check_directory(path, limits.members, source)
-    folder.mkdir()
+    _check_directory(path, limits.members, source)
+    folder.mkdir(parents=True)
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -205,12 +209,17 @@ def unpack(
             budget.members -= len(wanted)
             if budget.members < 0:
                 raise _too_many(limits.members, source)
-            for number, (member, name) in enumerate(wanted):
-                own = folder / f"{number:04d}"
+            for member, name in wanted:
+                own = folder / name
+                own.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(member) as packed, own.open("xb") as unpacked:
                     _copy(packed, unpacked, member, limits, budget, source)
-                yield Member(name, own)
-    except ZIP_FAULTS:
+                yield str(name), own
+    except FileExistsError:
+        raise UploadError(
+            "has two members of one name", source=source, remedy="pack the folder anew"
+        ) from None
+    except _ZIP_FAULTS:
         raise _damaged(source) from None
 
 

@@ -58,10 +58,8 @@ class Limits:
         Smaller members may shrink as they like.
     zip_depth : int
         1 allows a zip in a zip; 0 none.
-    pixels : int
-        Of a picture or array, read from its header before it is decoded.
     text_bytes : int
-        Size of a JSON or CSV file.
+        Size of a JSON, CSV, YAML or text file.
     recording : RecordingLimits
         For `.bag` and `.db3`.
 
@@ -86,7 +84,6 @@ class Limits:
     ratio: float = 200.0
     ratio_from_bytes: int = 4 * _MB
     zip_depth: int = 1
-    pixels: int = 40 * _MB
     text_bytes: int = 2 * _MB
     recording: RecordingLimits = field(default_factory=RecordingLimits)
 

@@ -4,22 +4,132 @@ from __future__ import annotations
 
 import shutil
 import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, BinaryIO
 
-from cucumbervision.errors import CucumberVisionError, UploadError
-from cucumbervision.intake.archives import Budget, clean_name, unpack, write_chunk
-from cucumbervision.intake.file_checks import HEAD_BYTES, FileKind, check_item, file_kind
-from cucumbervision.intake.layouts import arrange_uploads
-from cucumbervision.intake.limits import Limits
-from cucumbervision.intake.staging import AcceptedUploads, Staging
+from cucumbervision.capture.files import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from cucumbervision.capture.readers import RECORDING_SUFFIXES, find_captures, list_folder
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
+from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError, wrap_os_errors
+from cucumbervision.intake.archives import (
+    Budget,
+    clean_name,
+    is_zip,
+    unpack,
+    write_chunk,
+)
+from cucumbervision.intake.limits import Limits, RecordingLimits
+from cucumbervision.intake.recordings import open_guarded
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from cucumbervision.intake.file_checks import Item
+    from cucumbervision.capture.frames import Capture
+
+LOOSE = "upload"
+"""The title of files that were sent one by one."""
 
 _CHUNK = 1 << 20
+_TEXTS = frozenset({".json", ".csv", ".txt", ".yaml", ".yml", ".xml"})
+_PICTURES = COLOR_SUFFIXES | DEPTH_SUFFIXES
+_REMEDY = (
+    "pack capture folders, BOP scenes, .npz files, or colour and depth pictures with matching names"
+)
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A file that was not accepted: its sender's name for it, and the named error."""
+
+    name: str
+    error: CucumberVisionError
+
+
+@dataclass(frozen=True)
+class AcceptedSource:
+    """Captures of an upload.
+
+    Parameters
+    ----------
+    path : Path
+        The folder or file.
+    title : str
+        What it is called: the zip's or file's name, or 'upload' for single files together.
+    limits : RecordingLimits
+        For playing a recording.
+    """
+
+    path: Path
+    title: str
+    limits: RecordingLimits = field(default_factory=RecordingLimits)
+
+    def open(self, options: ReadOptions | None = None) -> CaptureSource:
+        """Return the captures; they and their errors have the sender's names.
+
+        Parameters
+        ----------
+        options : ReadOptions, optional
+            As for `open_source`; its intrinsics replace those that came along.
+
+        Raises
+        ------
+        CucumberVisionError
+            As `open_source`.
+        """
+        try:
+            source = open_guarded(self.path, options, self.limits)
+        except CucumberVisionError as error:
+            raise self._named(error) from None
+        return replace(source, refs=lambda: self._refs(source))
+
+    def _refs(self, source: CaptureSource) -> Iterator[CaptureRef]:
+        for ref in source:
+            yield replace(ref, load=partial(self._load, ref.load), at=self.shown(ref.at))
+
+    def _load(self, load: Callable[[], Capture]) -> Capture:
+        try:
+            capture = load()
+        except CucumberVisionError as error:
+            raise self._named(error) from None
+        return replace(capture, source=self.shown(capture.source))
+
+    def _named(self, error: CucumberVisionError) -> CucumberVisionError:
+        return error.at(self.shown(error.source))
+
+    def shown(self, path: object) -> str:
+        """Return the sender's name of a file of this source."""
+        text = str(path)
+        if not text.startswith(str(self.path)):
+            return text or self.title
+        inside = text.removeprefix(str(self.path)).lstrip("/ ")
+        if self.title == LOOSE and inside:
+            return inside
+        return f"{self.title}: {inside}" if inside else self.title
+
+
+@dataclass(frozen=True)
+class AcceptedUploads:
+    """The outcome of an upload.
+
+    Parameters
+    ----------
+    folder : Path
+        Where all of it is; does not exist if nothing was accepted.
+    sources : list of AcceptedSource
+        What can be measured.
+    refused : list of Refused
+        What cannot, each with its error.
+    ignored : list of str
+        What is not needed.
+    """
+
+    folder: Path
+    sources: list[AcceptedSource] = field(default_factory=list)
+    refused: list[Refused] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)
 
 
 def accept_uploads(
@@ -27,23 +137,19 @@ def accept_uploads(
     folder: Path,
     limits: Limits | None = None,
     *,
-    burst: int = 5,
     report: Callable[[int, str], None] | None = None,
 ) -> AcceptedUploads:
-    """Check uploaded files, and lay out their captures for `open_source`.
+    """Keep uploaded files within limits, unpack zips, and find the captures in them.
 
     Parameters
     ----------
     files : sequence of (name, stream or Path)
-        What each file is called by its sender, and its content. Names are only shown and matched
-        (colour to depth), never used as paths.
+        What each file is called by its sender, and its content.
     folder : Path
         Made if it is missing. A folder of our own naming is made in it and kept if anything was
         accepted; nothing else remains, whatever happens.
     limits : Limits, optional
         How much is taken.
-    burst : int
-        Frames of a recording fused to one capture.
     report : callable, optional
         Called with the number of each file, from 0, and its name before it is checked.
 
@@ -61,9 +167,9 @@ def accept_uploads(
     --------
     >>> import io, tempfile
     >>> with tempfile.TemporaryDirectory() as tmp:
-    ...     got = accept_uploads([("../../x.png", io.BytesIO(b"MZ"))], Path(tmp) / "in")
+    ...     got = accept_uploads([("../../x.exe", io.BytesIO(b"MZ"))], Path(tmp) / "in")
     ...     print(got.refused[0].error)
-    x.png: is of no kind that is accepted; send PNG, JPEG or TIFF pictures, ...
+    x.exe: is of no kind that is accepted; send PNG, JPEG or TIFF pictures, ...
     """
     limits = limits or Limits()
     if len(files) > limits.files:
@@ -72,17 +178,18 @@ def accept_uploads(
             remedy="send them in smaller parts, or as a zip",
         )
     batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
-    intake = _Intake(batch, limits, burst)
+    intake = _Intake(AcceptedUploads(batch), limits)
     try:
-        intake.stage.mkdir(parents=True)
+        intake.loose.mkdir(parents=True)
         for number, (name, content) in enumerate(files):
             if report is not None:
                 report(number, clean_name(name))
             intake.receive(number, name, content)
-        intake.sort("upload", intake.loose, is_archive=False)
-        shutil.rmtree(intake.stage)
+        intake.sort(intake.loose, LOOSE)
         if not intake.out.sources:
-            batch.rmdir()
+            shutil.rmtree(batch)
+        elif not any(intake.loose.iterdir()):
+            intake.loose.rmdir()
     except OSError as error:
         shutil.rmtree(batch, ignore_errors=True)
         raise UploadError(
@@ -99,32 +206,70 @@ def accept_uploads(
 class _Intake:
     """One upload on its way in."""
 
-    def __init__(self, batch: Path, limits: Limits, burst: int) -> None:
-        self.batch, self.limits, self._burst = batch, limits, burst
-        self.stage = batch / "arriving"
-        self.out = AcceptedUploads(batch)
-        self.loose: list[Item] = []
+    def __init__(self, out: AcceptedUploads, limits: Limits) -> None:
+        self.out, self.limits = out, limits
+        self.loose = out.folder / LOOSE
         self._bytes_left = limits.total_bytes
         self._budget = Budget(limits.members, limits.unpacked_bytes)
-        self._archives = 0
 
     def receive(self, number: int, name: str, content: BinaryIO | Path) -> None:
-        """Keep a copy of one file and check it; a zip is unpacked and sorted at once."""
-        title, own = clean_name(name), self.stage / f"{number:04d}"
+        """Keep a copy of one file; a zip is unpacked and sorted at once."""
+        title, arrived = clean_name(name), self.out.folder / f"arrived-{number:04d}"
         try:
-            self._copy(content, own, title)
-            if _kind(own, name) is FileKind.ZIP:
-                self._unpack(own, title, depth=0)
-            else:
-                self.loose.append(check_item(self._loose_name(name), title, own, self.limits))
+            self._copy(content, arrived, title)
+            if is_zip(arrived, title):
+                self._unpack(arrived, self.out.folder / f"{number:04d}", title)
+                return
+            self._check(arrived, title)
+            if not arrived.stat().st_size:
+                raise UploadError("the file is empty", source=title, remedy="copy it again")
+            with wrap_os_errors("cannot be kept", title, "rename it", UploadError):
+                arrived.rename(self._loose_path(name))
         except CucumberVisionError as error:
-            self.out.refuse(title, error)
-            own.unlink(missing_ok=True)
+            self.out.refused.append(Refused(title, error))
+        finally:
+            arrived.unlink(missing_ok=True)
 
-    def sort(self, title: str, items: Sequence[Item], *, is_archive: bool) -> None:
-        """Make sources of the files of one zip or batch."""
-        staging = Staging(title, items, self.batch, self.limits, self.out, is_archive=is_archive)
-        arrange_uploads(staging, self._burst)
+    def sort(self, path: Path, title: str) -> None:
+        """Find the captures of a folder, and say which files belong to none."""
+        folder = list_folder(path)
+        here, before = AcceptedSource(path, title), len(self.out.sources) + len(self.out.refused)
+        kinds = folder.kinds()
+        everything = {PurePosixPath(name) for name in folder}
+        if find_captures(folder):
+            self.out.sources.append(here)
+        left = {PurePosixPath(name) for name in folder}
+        used = {name.parent for name in everything - left}
+        for name in sorted(left):
+            suffix, shown = name.suffix.lower(), here.shown(path / name)
+            if suffix in RECORDING_SUFFIXES:
+                own = AcceptedSource(path / name, shown, self.limits.recording)
+                self.out.sources.append(own)
+            elif suffix in _TEXTS or (title != LOOSE and not _needs_partner(name, used)):
+                self.out.ignored.append(shown)
+            else:
+                self.out.refused.append(Refused(shown, _left_alone(shown, suffix)))
+        if title != LOOSE and before == len(self.out.sources) + len(self.out.refused):
+            fault = f"holds no captures that can be recognised, but {kinds}"
+            raise UploadError(fault, source=title, remedy=_REMEDY)
+
+    def _check(self, path: Path, title: str) -> None:
+        size, suffix = path.stat().st_size, PurePosixPath(title).suffix.lower()
+        if suffix in _TEXTS and size > self.limits.text_bytes:
+            raise UploadError(
+                f"has more than {self.limits.text_bytes / 1e6:g} MB of text",
+                source=title,
+                remedy="send a smaller file",
+            )
+
+    def _loose_path(self, name: str) -> Path:
+        parts = [part for part in name.replace("\\", "/").split("/") if part.strip(". ")]
+        inside = PurePosixPath(*(clean_name(part) for part in parts[-3:] or [""]))
+        path, again = self.loose / inside, 2
+        while path.exists():  # color.png and depth.png may each be sent twice, from two folders
+            path, again = self.loose / f"{again}" / inside, again + 1
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
 
     def _copy(self, content: BinaryIO | Path, own: Path, title: str) -> None:
         if isinstance(content, Path):
@@ -147,53 +292,49 @@ class _Intake:
                     )
                 write_chunk(kept, chunk, title)
 
-    def _unpack(self, path: Path, title: str, depth: int) -> None:
-        self._archives += 1
-        inside = self.stage / f"zip-{self._archives:04d}"
-        known = len(self.out.sources) + len(self.out.refused)
+    def _unpack(self, path: Path, folder: Path, title: str, depth: int = 0) -> None:
+        """Unpack a zip and those in it; one that breaks off is refused whole."""
         try:
-            items = list(self._members(path, inside, title, depth))
-            self.sort(title, items, is_archive=True)
-        finally:
-            path.unlink()
-            shutil.rmtree(inside, ignore_errors=True)
-        if len(self.out.sources) + len(self.out.refused) == known:
-            raise UploadError(
-                "holds no captures that can be recognised",
-                source=title,
-                remedy="pack capture folders, BOP scenes, or colour and depth pictures with "
-                "matching names",
-            )
-
-    def _members(self, path: Path, inside: Path, title: str, depth: int) -> Iterator[Item]:
-        for member in unpack(path, inside, self.limits, self._budget, source=title):
-            shown = f"{title}: {clean_name(member.name.name)}"
-            try:
-                kind = _kind(member.path, member.name.name)
-                if kind is FileKind.ZIP:
-                    if depth >= self.limits.zip_depth:
+            for name, file in unpack(path, folder, self.limits, self._budget, source=title):
+                shown = f"{title}: {name}"
+                try:
+                    if not is_zip(file, name):
+                        self._check(file, shown)
+                    elif depth == self.limits.zip_depth:
                         raise UploadError(
                             "is a zip too deep in others", source=shown, remedy="unpack it first"
                         )
-                    self._unpack(member.path, shown, depth + 1)
-                elif kind is None:
-                    self.out.ignored.append(shown)
-                else:
-                    yield check_item(member.name, shown, member.path, self.limits)
-            except CucumberVisionError as error:
-                self.out.refuse(shown, error)
-
-    def _loose_name(self, name: str) -> PurePosixPath:
-        parts = [part for part in name.replace("\\", "/").split("/") if part.strip(". ")]
-        path = PurePosixPath(*(clean_name(part) for part in parts[-3:] or ["unnamed"]))
-        taken = {item.name for item in self.loose}
-        again = 2
-        unique = path
-        while unique in taken:  # color.png and depth.png may each be sent twice, from two folders
-            unique, again = PurePosixPath(f"{again}") / path, again + 1
-        return unique
+                    else:
+                        inner = file.rename(file.with_name(f"{file.name} "))
+                        self._unpack(inner, file, shown, depth + 1)
+                except CucumberVisionError as error:
+                    self.out.refused.append(Refused(shown, error))
+                    file.unlink(missing_ok=True)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        finally:
+            path.unlink()
+        if depth == 0:
+            self.sort(folder, title)
 
 
-def _kind(path: Path, name: str) -> FileKind | None:
-    with path.open("rb") as stream:
-        return file_kind(stream.read(HEAD_BYTES), name)
+def _needs_partner(name: PurePosixPath, used: set[PurePosixPath]) -> bool:
+    """Return whether a file is a picture that lies in no folder of captures."""
+    return name.suffix.lower() in _PICTURES and used.isdisjoint(name.parents)
+
+
+def _left_alone(shown: str, suffix: str) -> CaptureError:
+    if suffix in _PICTURES:
+        return CaptureError(
+            "has no partner: a capture is a colour and a depth picture",
+            source=shown,
+            remedy="send both, named alike but for the words color and depth, and an "
+            "intrinsics.json",
+        )
+    return UploadError(
+        "is of no kind that is accepted",
+        source=shown,
+        remedy="send PNG, JPEG or TIFF pictures, .npy or .npz, .bag or .db3, JSON, or a zip of "
+        "them",
+    )

@@ -6,6 +6,7 @@ import shutil
 import tempfile
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -19,7 +20,6 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import clean_name
-from cucumbervision.intake.file_checks import HEAD_BYTES, PICTURES, check_picture, file_kind
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.pipeline.batch import ResultWorker, measure_all
 from cucumbervision.pipeline.detect import coco_fields
@@ -170,8 +170,8 @@ class Work:
         settings, results, failures = self.settings, list[CaptureResult](), list[Failure]()
         with self.turn(), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()
-            given = accept_uploads(files, Path(folder), settings.limits, burst=settings.burst)
-            reading = self.measurer.options.reading
+            given = accept_uploads(files, Path(folder), settings.limits)
+            reading = replace(self.measurer.options.reading, burst=settings.burst)
             listed = chain.from_iterable(
                 list_source(one.title, partial(one.open, reading)) for one in given.sources
             )
@@ -217,12 +217,6 @@ class Work:
     def _look(self, path: Path, shown: str, stream: BinaryIO) -> SeenPicture:
         with path.open("xb") as kept:
             shutil.copyfileobj(stream, kept)
-        with path.open("rb") as head:
-            kind = file_kind(head.read(HEAD_BYTES), shown)
-        if kind not in PICTURES:
-            raise UploadError("not a picture", source=shown, remedy="send JPEG, PNG, TIFF or WebP")
-        if kind.value != ".webp":
-            check_picture(path, kind, self.settings.limits.pixels, source=shown)
         try:
             color = read_photo(path)
         except CucumberVisionError as error:

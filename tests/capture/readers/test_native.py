@@ -11,7 +11,7 @@ import pytest
 
 from cucumbervision.capture.files import write_png
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.readers import ReadOptions, open_source
+from cucumbervision.capture.readers import ReadOptions, native, open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
@@ -165,3 +165,14 @@ def test_depth_of_a_burst_may_be_tiff_or_npy(folder: Path, capture: Capture) -> 
     edit(folder, lambda d: d["frames"][0].update(depth="depth.npy"))
     edit(folder, lambda d: d.update(depth_unit_m=1.0))
     np.testing.assert_array_equal(load(folder).depth_m, capture.depth_m)
+
+
+def test_a_burst_that_fills_the_memory_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(native, "MOST_BURST_PIXELS", 3 * 48 * 64)
+    edit(folder, lambda d: d.update(frames=3 * d["frames"]))
+    assert load(folder).burst_size == 3
+    edit(folder, lambda d: d.update(frames=4 * d["frames"][:1]))
+    with pytest.raises(CaptureError, match=r"capture\.json: its frames have more than"):
+        load(folder)

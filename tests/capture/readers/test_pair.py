@@ -11,8 +11,8 @@ import pytest
 from cucumbervision.capture.files import write_png
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Stream
-from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.readers.pair import Pair, find_pairs
+from cucumbervision.capture.readers import ReadOptions, list_folder, open_source
+from cucumbervision.capture.readers.pair import Pair, match_pairs
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 COLOR = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
@@ -194,7 +194,7 @@ def test_npz_holds_all(tmp_path: Path, intrinsics: Path) -> None:
         ({"color": COLOR, "matrix": MATRIX}, "no array 'depth'"),
         ({"color": COLOR[..., 0], "depth": DEPTH_MM}, "'color' is uint8 .48, 64., not uint8"),
         ({"color": COLOR, "depth": DEPTH_MM, "matrix": [[1, 2]]}, "camera matrix is not"),
-        ({"color": COLOR, "depth": DEPTH_MM, "matrix": [["a"] * 3] * 3}, "no 3x3 camera matrix"),
+        ({"color": COLOR, "depth": DEPTH_MM, "matrix": [["a"] * 3] * 3}, "camera matrix is not"),
         (
             {"color": COLOR, "depth": DEPTH_MM, "matrix": MATRIX, "stream": "depth"},
             "depth stream's",
@@ -232,4 +232,4 @@ def test_greenhouse_foliage(data: Path, tmp_path: Path) -> None:
 def test_usual_names_of_pairs(tmp_path: Path, color: str, depth: str) -> None:
     for name in (color, depth, "mask.png", "notes.txt"):
         (tmp_path / name).touch()
-    assert find_pairs(tmp_path) == [Pair(tmp_path / color, tmp_path / depth)]
+    assert match_pairs(list_folder(tmp_path)) == [Pair(tmp_path / color, tmp_path / depth)]

@@ -1,26 +1,57 @@
-"""One reader a source, found by what the path holds."""
+"""One reader a kind of capture, each found by the names of files."""
 
 from __future__ import annotations
 
 import errno
 import os
-from dataclasses import replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cucumbervision.capture.readers.bop import SCENE_CAMERAS, open_bop
-from cucumbervision.capture.readers.native import MANIFEST, open_native
-from cucumbervision.capture.readers.pair import find_pairs, open_pair_file, open_pairs
+from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision.capture.readers.bop import find_scenes
+from cucumbervision.capture.readers.native import MANIFEST, find_native
+from cucumbervision.capture.readers.pair import find_pairs, open_pair_file
 from cucumbervision.capture.readers.recording import open_recording
-from cucumbervision.capture.readers.viewer import find_snapshots, open_viewer
-from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
+from cucumbervision.capture.readers.viewer import find_snapshots
+from cucumbervision.capture.source import (
+    CaptureRef,
+    CaptureSource,
+    Folder,
+    ReadOptions,
+    fail,
+)
 from cucumbervision.capture.urls import as_path, is_remote, with_retries
 from cucumbervision.errors import CaptureError
 
-__all__ = ["RECORDING_SUFFIXES", "CaptureRef", "CaptureSource", "ReadOptions", "open_source"]
+if TYPE_CHECKING:
+    from cucumbervision.capture.source import Listed, Opener
+
+__all__ = [
+    "READERS",
+    "RECORDING_SUFFIXES",
+    "CaptureRef",
+    "CaptureSource",
+    "ReadOptions",
+    "find_captures",
+    "list_folder",
+    "open_source",
+]
 
 RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
+
+READERS = {
+    "native": find_native,
+    "bop": find_scenes,
+    "viewer": find_snapshots,
+    "pair": find_pairs,
+}
+"""What finds captures in a folder, by kind; a file that one takes is not seen by the next."""
+
+_REMEDY = (
+    "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth pictures "
+    "named alike but for the words color and depth, .npz files or a .bag or .db3 recording"
+)
 
 
 def open_source(path: Path | str, options: ReadOptions | None = None) -> CaptureSource:
@@ -29,19 +60,16 @@ def open_source(path: Path | str, options: ReadOptions | None = None) -> Capture
     Parameters
     ----------
     path : Path or str
-        A path, or a URL that `capture.urls.as_path` knows: a native capture folder (`capture.json`)
-        or a folder of them, a BOP scene (`scene_camera.json`) or a folder of scenes, RealSense
-        Viewer's exports (`*_Depth.raw`), a folder of colour and depth pictures with matching names,
-        one colour picture with `options.depth`, an `.npz` with colour and depth, or, on this
-        machine, a `.bag` or `.db3` recording.
+        A path, or a URL that `capture.urls.as_path` knows: a folder in which one of `READERS`
+        finds captures, one colour picture with `options.depth`, an `.npz` with colour and depth,
+        or, on this machine, a `.bag` or `.db3` recording.
     options : ReadOptions, optional
         What the user says beyond the path.
 
     Returns
     -------
     CaptureSource
-        The captures, not read yet; after them, as captures that fail, the folders below the path
-        that may not be looked into.
+        The captures, not read yet; after them, as captures that fail, what could not be opened.
 
     Raises
     ------
@@ -76,60 +104,66 @@ def _open(path: Path, options: ReadOptions) -> CaptureSource:
             )
         return open_recording(path, options)
     if path.name == MANIFEST and path.is_file():
-        return open_source(path.parent, options)
+        path = path.parent
     # On a web server a folder's list is a file, too.
     if path.is_file() and (path.suffix or not is_remote(path)):
         return open_pair_file(path, options)
-    closed: list[CaptureError] = []
-    if folders := _folders_with(path, MANIFEST, closed):
-        return _with_faults(open_native(path, folders, options), closed)
-    if scenes := _folders_with(path, SCENE_CAMERAS):
-        return _with_faults(open_bop(path, scenes, options), closed)
-    if closed:
-        raise closed[0]
-    if snapshots := find_snapshots(path):
-        return open_viewer(path, snapshots, options)
-    if pairs := find_pairs(path):
-        return open_pairs(path, pairs, options)
-    raise CaptureError(
-        "holds no captures that can be recognised",
-        source=path,
-        remedy="name a capture folder (capture.json), a BOP scene (scene_camera.json), colour and "
-        "depth pictures with matching names, or a .bag or .db3 recording",
-    )
+    if not is_remote(path) and not path.is_dir():
+        raise CaptureError(
+            "is neither a file nor a folder", source=path, remedy="name a file or a folder"
+        )
+    folder = list_folder(path)
+    kinds = folder.kinds()
+    found = find_captures(folder)
+    if not found and not folder.faults:
+        raise CaptureError(
+            f"holds no captures that can be recognised, but {kinds}", source=path, remedy=_REMEDY
+        )
+    given = read_camera_file(options.intrinsics) if options.intrinsics else None
+    parts: list[Listed] = []
+    faults = folder.faults
+    for opener in found.values():
+        try:
+            parts += opener(options, given)
+        except CaptureError as error:
+            faults.append(error)
+    if faults and not parts:
+        raise faults[0]
+    parts += [(Path(f.source).name, -1, partial(fail, f), Path(f.source), None) for f in faults]
+    return CaptureSource.listed(path, "+".join(found), parts)
 
 
-def _folders_with(path: Path, name: str, closed: list[CaptureError] | None = None) -> list[Path]:
-    """Return the folder itself, or every one below it that holds such a file, in order.
+def find_captures(folder: Folder) -> dict[str, Opener]:
+    """Return what opens the captures of a folder, by kind; `folder` keeps what none takes."""
+    found = {kind: find(folder) for kind, find in READERS.items()}
+    return {kind: opener for kind, opener in found.items() if opener is not None}
 
-    Folders that may not be read are noted in `closed`.
-    """
+
+def list_folder(path: Path) -> Folder:
+    """Return the names of all files below a path; folders that may not be read are faults."""
+    folder = Folder(path)
+    if is_remote(path):
+        store = path.fs  # type: ignore[attr-defined] # a `upath.UPath`
+        root = path.path.rstrip("/")  # type: ignore[attr-defined]
+        for name in sorted(store.find(root)):
+            folder.add(name.removeprefix(root).lstrip("/"))
+        return folder
 
     def note(error: OSError) -> None:
-        if closed is not None:
-            fault = f"cannot be read ({error.strerror})"
-            closed.append(
-                CaptureError(fault, source=error.filename, remedy="check who may read it")
-            )
+        fault = f"cannot be read ({error.strerror})"
+        folder.faults.append(
+            CaptureError(fault, source=error.filename, remedy="check who may read it")
+        )
 
-    if (path / name).is_file():
-        return [path]
-    if is_remote(path):
-        return sorted(found.parent for found in path.rglob(name))
-    found = []
-    for folder, _, files in os.walk(path, onerror=note):
-        if name in files:
-            found.append(Path(folder))
-        elif not os.access(folder, os.X_OK):
-            note(PermissionError(errno.EACCES, os.strerror(errno.EACCES), folder))
-    return sorted(found)
-
-
-def _with_faults(source: CaptureSource, faults: list[CaptureError]) -> CaptureSource:
-    """Add what could not be opened as captures that fail, after those that can."""
-    if not faults:
-        return source
-    names = (safe_name(Path(fault.source).name) for fault in faults)
-    refs = [CaptureRef(n, -1, partial(fail, f)) for n, f in zip(names, faults, strict=True)]
-    total = None if source.total is None else source.total + len(refs)
-    return replace(source, refs=lambda: chain(source.refs(), refs), total=total)
+    seen = {os.path.realpath(path)}
+    for place, folders, files in os.walk(path, onerror=note, followlinks=True):
+        at = Path(place).relative_to(path)
+        for name in sorted(files):
+            folder.add((at / name).as_posix())
+        if not os.access(place, os.X_OK):
+            note(PermissionError(errno.EACCES, os.strerror(errno.EACCES), place))
+        # A link may lead to a folder that was seen, or is being looked at.
+        inside = {os.path.realpath(Path(place, name)): name for name in sorted(folders)[::-1]}
+        folders[:] = sorted(name for real, name in inside.items() if real not in seen)
+        seen |= inside.keys()
+    return folder

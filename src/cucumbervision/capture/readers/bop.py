@@ -6,38 +6,35 @@ The format is that of the BOP benchmark (Hodaň et al. 2018); `scene_gt.json` is
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
-from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import (
     COLOR_SUFFIXES,
     parse_model,
     read_color,
     read_depth,
     read_json,
-    read_mask,
+    read_masks,
 )
-from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.readers.common import (
-    choose_intrinsics,
-    given_calibration,
-    require_same_size,
-)
-from cucumbervision.capture.source import CaptureSource, ReadOptions, fail, safe_name
+from cucumbervision.capture.readers.common import frame_capture
+from cucumbervision.capture.source import fail, safe_name
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
 
     from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.source import Listed
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
 
 SCENE_CAMERAS = "scene_camera.json"
+_PARTS = ("rgb", "depth", "mask_visib")
 
 
 class _FrameCamera(BaseModel):
@@ -45,37 +42,35 @@ class _FrameCamera(BaseModel):
     depth_scale: float = Field(default=1.0, gt=0)
 
 
-def open_bop(path: Path, scenes: Sequence[Path], options: ReadOptions) -> CaptureSource:
-    """Open BOP scenes.
-
-    Parameters
-    ----------
-    path : Path
-        What the user named.
-    scenes : sequence of Path
-        The scenes in it, in order.
-    options : ReadOptions
-        The user's intrinsics replace `cam_K` if the guard lets them pass; a depth unit
-        replaces `depth_scale`.
-
-    Raises
-    ------
-    CaptureError
-        If no scene has a single image, or the user's intrinsics file cannot be read.
-    """
-    given = given_calibration(options)
-    parts = (part for scene in scenes for part in _parts(path, scene, given, options.depth_unit_m))
-    source = CaptureSource.listed(path, "bop", parts)
-    if not source.total:
-        raise CaptureError("has no images in rgb/", source=path, remedy="check the scene's folder")
-    return source
+def find_scenes(folder: Folder) -> Opener | None:
+    """Find BOP scenes; the user's intrinsics replace `cam_K`, a depth unit `depth_scale`."""
+    found = folder.take(SCENE_CAMERAS, *_PARTS)
+    return partial(_open_scenes, folder.path, found) if found else None
 
 
-def _parts(
-    path: Path, scene: Path, given: CameraFile | None, unit_m: float | None
+def _open_scenes(
+    path: Path,
+    scenes: Mapping[str, Mapping[str, list[str]]],
+    options: ReadOptions,
+    given: CameraFile | None,
 ) -> Iterator[Listed]:
-    prefix = safe_name("_".join((path.resolve().name, *scene.relative_to(path).parts)))
-    files = {kind: _by_image(scene / kind) for kind in ("rgb", "depth", "mask_visib")}
+    for at, names in scenes.items():
+        files = {kind: _by_image(path / at / kind, names[kind]) for kind in _PARTS}
+        if not any(files.values()):
+            raise CaptureError(
+                "has no images in rgb/", source=path / at, remedy="check the scene's folder"
+            )
+        prefix = safe_name("_".join((path.resolve().name, *Path(at).parts)))
+        yield from _scene(path / at, prefix, files, given, options.depth_unit_m)
+
+
+def _scene(
+    scene: Path,
+    prefix: str,
+    files: Mapping[str, Mapping[int, list[Path]]],
+    given: CameraFile | None,
+    unit_m: float | None,
+) -> Iterator[Listed]:
     cameras, fault = dict[str, Any](), None
     try:
         cameras = read_json(scene / SCENE_CAMERAS)
@@ -91,12 +86,11 @@ def _parts(
         own = {kind: found.get(image, []) for kind, found in files.items()}
         said = None if fault else cameras.get(str(image))
         load = partial(_load, scene, image, own, said, given, unit_m)
-        at, name = scene / f"rgb/{image:06d}", f"{prefix}_{image:06d}"
         yield (
-            name,
+            f"{prefix}_{image:06d}",
             image,
             partial(fail, fault) if fault else load,
-            at,
+            scene / f"rgb/{image:06d}",
             partial(_read_from, own, said, given),
         )
 
@@ -110,11 +104,11 @@ def _read_from(
     return [json.dumps(camera).encode(), *pictures, *beside]
 
 
-def _by_image(folder: Path) -> dict[int, list[Path]]:
+def _by_image(folder: Path, names: Iterable[str]) -> dict[int, list[Path]]:
     found: dict[int, list[Path]] = {}
-    for file in sorted(folder.glob("*")):
+    for file in (folder / name for name in names):
         number = file.stem.split("_")[0]
-        if file.suffix.lower() in COLOR_SUFFIXES and number.isdecimal():
+        if file.suffix.lower() in COLOR_SUFFIXES and number.isdecimal() and len(number) < 19:
             found.setdefault(int(number), []).append(file)
     return found
 
@@ -141,23 +135,21 @@ def _load(
             f"has no entry for image {image}", source=camera_path, remedy="add its cam_K"
         )
     camera = parse_model(_FrameCamera, said, source=camera_path, error=IntrinsicsError)
-    color_path, depth_path = files["rgb"][0], files["depth"][0]
-    color, raw = read_color(color_path), read_depth(depth_path)
+    color = read_color(files["rgb"][0])
     height, width = color.shape[:2]
-    require_same_size(color, raw, source=depth_path)
     with as_errors_of(camera_path):
         own = Intrinsics.from_matrix(camera.cam_K, width, height)
-    intrinsics = choose_intrinsics(own, given, width, height, source=scene)
-    # BOP: depth_scale times the stored number is millimetres.
-    depth_m = depth_to_metres(raw, unit_m or camera.depth_scale * 0.001, source=depth_path)
-    require_readings(depth_m, source=depth_path)
-    return Capture(
+    return frame_capture(
         color,
-        depth_m,
-        intrinsics,
-        name,
+        partial(read_depth, files["depth"][0]),
+        own,
+        given and replace(given, depth_to_color=None),  # aligned by definition
+        # BOP: depth_scale times the stored number is millimetres.
+        unit_m or camera.depth_scale * 0.001,
+        source=files["rgb"][0],
+        depth_source=files["depth"][0],
+        name=name,
         frame=image,
-        masks=tuple(read_mask(m, color.shape) for m in files["mask_visib"]),
-        source=str(color_path),
+        masks=read_masks(files["mask_visib"], color.shape),
         provenance={"reader": "bop", "scene": scene.name},
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics
@@ -19,12 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
-    from cucumbervision.capture.source import ReadOptions
-
-
-def given_calibration(options: ReadOptions) -> CameraFile | None:
-    """Read the user's intrinsics file, if one is named."""
-    return read_camera_file(options.intrinsics) if options.intrinsics else None
 
 
 def choose_intrinsics(

@@ -13,22 +13,19 @@ from pydantic import AfterValidator, Field
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.files import (
+    MOST_BURST_PIXELS,
     json_value,
     parse_model,
     read_color,
     read_depth,
     read_json,
-    read_mask,
+    read_masks,
     write_bytes,
     write_png,
 )
 from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
-from cucumbervision.capture.readers.common import (
-    choose_intrinsics,
-    given_calibration,
-    require_same_size,
-)
-from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
+from cucumbervision.capture.readers.common import choose_intrinsics, require_same_size
+from cucumbervision.capture.source import fail
 from cucumbervision.errors import CaptureError, as_errors_of, wrap_os_errors
 
 if TYPE_CHECKING:
@@ -37,7 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.source import Listed
+    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
 
 FORMAT = "cucumbervision-capture"
 
@@ -53,6 +50,7 @@ def _inside(name: str) -> str:
     return name
 
 
+_Whole = Annotated[int, Field(ge=0, lt=2**63)]
 _File = Annotated[str, Field(min_length=1), AfterValidator(_inside)]
 
 
@@ -61,7 +59,7 @@ class _Frame(StrictModel):
 
     color: _File
     depth: _File
-    timestamp_s: float | None = None
+    timestamp_s: float | None = Field(default=None, ge=0, le=2e11)
 
 
 class _Stop(StrictModel):
@@ -69,8 +67,8 @@ class _Stop(StrictModel):
 
     row: str | None = None
     side: str | None = None
-    position_m: float | None = None
-    step: int | None = None
+    position_m: float | None = Field(default=None, ge=-1e6, le=1e6)
+    step: _Whole | None = None
 
 
 class Manifest(StrictModel):
@@ -83,47 +81,33 @@ class Manifest(StrictModel):
     depth_unit_m: float = Field(default=0.001, gt=0)
     depth_rounding_m: float = Field(default=0.0, ge=0)
     name: str | None = None
-    frame: int = Field(default=0, ge=0)
-    burst_frame: int = Field(default=0, ge=0)
-    burst_size: int = Field(default=1, ge=1)
+    frame: _Whole = 0
+    burst_frame: _Whole = 0
+    burst_size: int = Field(default=1, ge=1, lt=2**63)
     stop: _Stop = Field(default_factory=_Stop)
     simulated: bool = False
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-def open_native(path: Path, folders: Sequence[Path], options: ReadOptions) -> CaptureSource:
-    """Open native capture folders.
-
-    Parameters
-    ----------
-    path : Path
-        What the user named.
-    folders : sequence of Path
-        The captures in it, in order.
-    options : ReadOptions
-        The user's intrinsics replace the folder's if the guard lets them pass.
-
-    Raises
-    ------
-    CaptureError
-        If the user's intrinsics file cannot be read.
-    """
-    given = given_calibration(options)
-    return CaptureSource.listed(path, "native", _parts(path, folders, given, options.depth_unit_m))
+def find_native(folder: Folder) -> Opener | None:
+    """Find native capture folders; the user's intrinsics replace a folder's own."""
+    found = folder.take(MANIFEST, "", MASKS)
+    return partial(_open_folders, folder.path, [*found]) if found else None
 
 
-def _parts(
-    path: Path, folders: Sequence[Path], given: CameraFile | None, unit_m: float | None
+def _open_folders(
+    path: Path, found: Sequence[str], options: ReadOptions, given: CameraFile | None
 ) -> Iterator[Listed]:
-    for folder in folders:
-        name = "_".join(folder.relative_to(path).parts or (path.resolve().name,))
+    for at in found:
+        folder = path / at
+        name = "_".join(Path(at).parts or (path.resolve().name,))
         source = folder / MANIFEST
         try:
             manifest = parse_model(Manifest, read_json(source), source=source)
         except CaptureError as error:
             yield name, 0, partial(fail, error), source, None
         else:
-            load = partial(_load, folder, manifest, given, unit_m)
+            load = partial(_load, folder, manifest, given, options.depth_unit_m)
             files = partial(_files, folder, manifest, given)
             yield manifest.name or name, manifest.frame, load, source, files
 
@@ -137,7 +121,16 @@ def _files(folder: Path, manifest: Manifest, given: CameraFile | None) -> list[P
 def _load(
     folder: Path, manifest: Manifest, given: CameraFile | None, unit_m: float | None, name: str
 ) -> Capture:
-    frames = [_read_frame(folder, f, unit_m or manifest.depth_unit_m) for f in manifest.frames]
+    frames, pixels = [], 0
+    for one in manifest.frames:
+        frames.append(_read_frame(folder, one, unit_m or manifest.depth_unit_m))
+        pixels += frames[-1][1].size
+        if pixels > MOST_BURST_PIXELS:
+            raise CaptureError(
+                f"its frames have more than {MOST_BURST_PIXELS / 1e6:g} million pixels together",
+                source=folder / MANIFEST,
+                remedy="give shorter bursts",
+            )
     if len(frames) == 1:
         # A single frame's depth stays as it is, so that what was written is what is read.
         fused = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size)
@@ -145,9 +138,9 @@ def _load(
         with as_errors_of(folder):
             fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
     height, width = fused.depth_m.shape
-    intrinsics = choose_intrinsics(
-        manifest.camera.intrinsics, given, width, height, source=folder / MANIFEST
-    )
+    with as_errors_of(folder / MANIFEST):
+        own = manifest.camera.intrinsics
+    intrinsics = choose_intrinsics(own, given, width, height, source=folder / MANIFEST)
     require_readings(fused.depth_m, source=folder)
     kept = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
     return Capture(
@@ -155,7 +148,7 @@ def _load(
         intrinsics=intrinsics,
         name=name,
         frame=manifest.frame,
-        masks=_read_masks(folder, manifest.frame, fused.color.shape),
+        masks=read_masks(_masks(folder, manifest.frame), fused.color.shape),
         stop=Stop(**manifest.stop.model_dump()),
         timestamp_s=kept.timestamp_s,
         simulated=manifest.simulated,
@@ -173,9 +166,9 @@ def _read_frame(
     return color, depth_to_metres(raw, unit_m, source=depth_path)
 
 
-def _read_masks(folder: Path, frame: int, shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], ...]:
-    masks = []
-    for path in sorted((folder / MASKS).glob("*.png")):
+def _masks(folder: Path, frame: int) -> list[Path]:
+    paths = sorted((folder / MASKS).glob("*.png"))
+    for path in paths:
         number = path.stem.split("_")[0]
         if not number.isdecimal() or int(number) != frame:
             raise CaptureError(
@@ -183,8 +176,7 @@ def _read_masks(folder: Path, frame: int, shape: tuple[int, ...]) -> tuple[NDArr
                 source=path,
                 remedy=f"name it {frame:06d}_000000.png, or set 'frame' in {MANIFEST}",
             )
-        masks.append(read_mask(path, shape))
-    return tuple(masks)
+    return paths
 
 
 # Steps to try, coarse first: 16 bits of the finest reach 3.3 m.

@@ -1,34 +1,35 @@
-"""A colour and a depth picture with given intrinsics."""
+"""Colour and depth pictures with matching names, and arrays of both."""
 
 from __future__ import annotations
 
 import re
+import zipfile
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.capture.camera_file import CameraFile, camera_file_near, read_camera_file
 from cucumbervision.capture.files import (
     COLOR_SUFFIXES,
     DEPTH_SUFFIXES,
     read_arrays,
     read_color,
     read_depth,
+    read_head,
 )
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.capture.readers.common import frame_capture, given_calibration, no_intrinsics
-from cucumbervision.capture.source import CaptureSource, ReadOptions
+from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
+from cucumbervision.capture.source import CaptureSource, fail
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
-
-Part = TypeVar("Part")
+    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -36,14 +37,37 @@ _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Pair:
-    """Files of one frame; a part that is missing is None."""
+    """Files of one frame; a part that is missing is None, an `.npz` with both is both.
+
+    Parameters
+    ----------
+    color, depth : Path, optional
+        The pictures.
+    camera : Path, optional
+        The nearest intrinsics file: beside the colour picture, or in a folder above it.
+    """
 
     color: Path | None
     depth: Path | None
+    camera: Path | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether one file holds both."""
+        return self.color is not None and self.color == self.depth
 
 
-def find_pairs(path: Path) -> list[Pair]:
-    """Pair the pictures of a folder, and of the folders in it, by their names.
+def find_pairs(folder: Folder) -> Opener | None:
+    """Find the frames of `match_pairs`, and take their files."""
+    pairs = match_pairs(folder)
+    taken = {file for pair in pairs for file in (pair.color, pair.depth)}
+    for at, names in folder.files.items():
+        names[:] = [name for name in names if folder.path / at / name not in taken]
+    return partial(_open_pairs, folder.path, pairs) if pairs else None
+
+
+def match_pairs(folder: Folder) -> list[Pair]:
+    """Pair the pictures of a folder by their names, and add `.npz` files with colour and depth.
 
     Names match when they are equal but for the words 'color', 'colour', 'rgb' and 'depth':
     `rgb_7.png` and `depth_7.png`, `color/7.jpg` and `depth/7.npy`, `7_color_depth.npy` and
@@ -51,38 +75,42 @@ def find_pairs(path: Path) -> list[Pair]:
     pair with one part missing, so that it is not lost silently; an 8-bit 'depth' picture left
     alone is only there to be looked at. Without any whole pair there are none.
     """
-    files = sorted(f for pattern in ("*", "*/*") for f in path.glob(pattern))
-    named = ((file.relative_to(path).as_posix(), file) for file in files)
-    colors, depths = pair_up(named, is_8_bit_png)
-    if not colors.keys() & depths.keys():
-        return []
-    alone = {k for k in depths.keys() - colors.keys() if is_8_bit_png(depths[k])}
-    return [
-        Pair(colors.get(key), depths.get(key))
-        for key in sorted((colors.keys() | depths.keys()) - alone)
-    ]
+    colors, depths = _by_role(folder)
+    both = colors.keys() & depths.keys()
+    used = {depths[key] for key in both}
+    arrays = [n for n in folder if n.lower().endswith(".npz") and n not in used]
+    whole = [name for name in arrays if _holds_color(folder.path / name)]
+    named: list[tuple[str | None, str | None]] = [(name, name) for name in whole]
+    for key in sorted(colors.keys() | depths.keys()) if both else ():
+        color, depth = colors.get(key), depths.get(key)
+        if depth not in whole and (color or not _is_8_bit_png(folder.path / str(depth))):
+            named.append((color, depth))
+    found = []
+    for color, depth in named:
+        at, _, _ = str(color or depth).rpartition("/")
+        pictures = [None if name is None else folder.path / name for name in (color, depth)]
+        found.append(Pair(pictures[0], pictures[1], camera_file_near(folder, at)))
+    return found
 
 
-def pair_up(
-    named: Iterable[tuple[str, Part]], is_8_bit: Callable[[Part], bool]
-) -> tuple[dict[str, Part], dict[str, Part]]:
-    """Return the colour and the depth pictures among files by name, under the key of their pair.
+def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the colour and the depth pictures by name, under the key of their pair.
 
     A depth picture of 8 bits gives way to any other of its key. A picture whose name says neither
     is the colour of the depth picture that is called so.
     """
-    colors: dict[str, Part] = {}
-    depths: dict[str, Part] = {}
-    plain: dict[str, Part] = {}
-    for name, part in named:
+    colors: dict[str, str] = {}
+    depths: dict[str, str] = {}
+    plain: dict[str, str] = {}
+    for name in sorted(folder):
         role, key = _pair_role(name)
-        if role == "depth" and (key not in depths or is_8_bit(depths[key])):
-            depths[key] = part
+        if role == "depth" and (key not in depths or _is_8_bit_png(folder.path / depths[key])):
+            depths[key] = name
         elif role == "color":
-            colors.setdefault(key, part)
+            colors.setdefault(key, name)
         elif role == "picture":
-            plain.setdefault(key, part)
-    return {key: part for key, part in plain.items() if key in depths} | colors, depths
+            plain.setdefault(key, name)
+    return {key: name for key, name in plain.items() if key in depths} | colors, depths
 
 
 def _pair_role(name: str) -> tuple[str, str]:
@@ -111,47 +139,57 @@ def _key(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", " ", without.lower()).strip()
 
 
-def is_8_bit_png(path: Path) -> bool:
+def _is_8_bit_png(path: Path) -> bool:
     """Return whether a file is a PNG of 8 bits, which is no depth but a picture of it."""
-    with path.open("rb") as file:
-        head = file.read(25)
+    head = _head(path, 25)
     return head.startswith(b"\x89PNG") and head[-1] == 8
 
 
-def open_pairs(path: Path, pairs: Sequence[Pair], options: ReadOptions) -> CaptureSource:
-    """Open a folder of colour and depth pictures with matching names.
+def _head(path: Path, size: int) -> bytes:
+    try:
+        return read_head(path, size)
+    except CaptureError:  # named as it is read
+        return b""
 
-    Parameters
-    ----------
-    path : Path
-        The folder; its `intrinsics.json` is taken if `options` names none.
-    pairs : sequence of Pair
-        From `find_pairs`.
-    options : ReadOptions
-        Intrinsics and depth unit.
 
-    Raises
-    ------
-    IntrinsicsError
-        If there are no intrinsics, or their file is malformed.
-    """
-    beside = path / "intrinsics.json"
-    if options.intrinsics is None and beside.is_file():
-        options = ReadOptions(beside, options.depth, options.depth_unit_m, options.burst)
-    given = given_calibration(options)
-    if given is None:
-        raise no_intrinsics(path)
-    parts = (
-        (at.stem, i, partial(_load_pair, p, i, given, options), at, partial(_files, p, given))
-        for i, p in enumerate(pairs)
-        for at in (p.color or p.depth or path,)
-    )
-    return CaptureSource.listed(path, "pair", parts)
+def _holds_color(path: Path) -> bool:
+    """Return whether an `.npz` has an array 'color'; one that is damaged is named as it is read."""
+    if _head(path, 2) != b"PK":
+        return True
+    try:
+        with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
+            return "color.npy" in archive.namelist()
+    except Exception:  # zipfile raises what it likes
+        return True
+
+
+def _open_pairs(
+    path: Path, pairs: Sequence[Pair], options: ReadOptions, given: CameraFile | None
+) -> Iterator[Listed]:
+    near: dict[Path | None, CameraFile | CaptureError | None] = {None: given}
+    for file in {pair.camera for pair in pairs if pair.camera}:
+        try:
+            near[file] = given or read_camera_file(file)
+        except CaptureError as error:
+            near[file] = error
+    known = [near[pair.camera] for pair in pairs]
+    if not any(isinstance(one, CameraFile) for one in known) and not any(p.is_whole for p in pairs):
+        raise next((one for one in known if isinstance(one, CaptureError)), no_intrinsics(path))
+    for frame, (pair, camera) in enumerate(zip(pairs, known, strict=True)):
+        at = pair.color or pair.depth or path
+        load: Callable[[str], Capture]
+        if isinstance(camera, CaptureError):
+            yield at.stem, frame, partial(fail, camera), at, partial(_files, pair, None)
+            continue
+        if pair.is_whole:
+            load = partial(_load_npz, at, camera, options)
+        else:
+            load = partial(_load_pair, pair, frame, camera, options)
+        yield at.stem, frame, load, at, partial(_files, pair, camera)
 
 
 def _files(pair: Pair, given: CameraFile | None) -> list[Path]:
-    files = (pair.color, pair.depth, None if given is None else given.path)
-    return [file for file in files if file is not None]
+    return [*dict.fromkeys(f for f in (pair.color, pair.depth, given and given.path) if f)]
 
 
 def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
@@ -173,16 +211,9 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
     IntrinsicsError
         If a pair comes without intrinsics, or their file is malformed.
     """
-    suffix, given = path.suffix.lower(), given_calibration(options)
-    load: Callable[[str], Capture]
-    if suffix == ".npz" and options.depth is None:
-        pair, load = Pair(path, None), partial(_load_npz, path, given, options)
-    elif suffix in COLOR_SUFFIXES and options.depth is not None:
-        if given is None:
-            raise no_intrinsics(path)
-        pair = Pair(path, options.depth)
-        load = partial(_load_pair, pair, 0, given, options)
-    else:
+    suffix = path.suffix.lower()
+    is_array = suffix == ".npz" and options.depth is None
+    if not is_array and (suffix not in COLOR_SUFFIXES or options.depth is None):
         raise CaptureError(
             "a colour picture alone has no distances"
             if suffix in COLOR_SUFFIXES
@@ -190,12 +221,13 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
             source=path,
             remedy="name a colour picture with its depth picture, or a capture folder",
         )
-    files = partial(_files, pair, given)
-    return CaptureSource.listed(path, "pair", [(path.stem, 0, load, path, files)])
+    given = read_camera_file(options.intrinsics) if options.intrinsics else None
+    pair = Pair(path, path if is_array else options.depth)
+    return CaptureSource.listed(path, "pair", _open_pairs(path, [pair], options, given))
 
 
 def _load_pair(
-    pair: Pair, frame: int, given: CameraFile, options: ReadOptions, name: str
+    pair: Pair, frame: int, given: CameraFile | None, options: ReadOptions, name: str
 ) -> Capture:
     if pair.color is None or pair.depth is None:
         raise CaptureError(
@@ -203,6 +235,8 @@ def _load_pair(
             source=pair.color or pair.depth,
             remedy="put it beside this one",
         )
+    if given is None:
+        raise no_intrinsics(pair.color)
     return frame_capture(
         read_color(pair.color),
         partial(read_depth, pair.depth),

@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.readers.common import choose_intrinsics, given_calibration
+from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.realsense import AlignedFrame, AlignedStream, burst_capture, play_file
 from cucumbervision.capture.realsense_device import import_realsense
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
@@ -45,7 +46,7 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
         If the file is no recording with colour and depth.
     """
     import_realsense()
-    given = given_calibration(options)
+    given = read_camera_file(options.intrinsics) if options.intrinsics else None
     with _stream(path) as stream:
         own, device = stream.intrinsics, stream.device
     intrinsics = choose_intrinsics(own, given, own.width, own.height, source=path)

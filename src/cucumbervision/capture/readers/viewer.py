@@ -12,23 +12,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.capture.camera_file import camera_file_near, read_camera_file
 from cucumbervision.capture.files import read_bytes, read_color
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.capture.readers.common import frame_capture, given_calibration
-from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
+from cucumbervision.capture.readers.common import frame_capture
+from cucumbervision.capture.source import fail
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import Listed
+    from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
 
 _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
 _YEAR_2001_MS = 1e12
 _COLOR, _COLOR_TABLE = "_Color.png", "_Color_metadata.csv"
+_ENDINGS = (_COLOR, _RAW, _TABLE, _COLOR_TABLE, _PICTURE)
 
 
 @dataclass(frozen=True)
@@ -41,65 +43,53 @@ class _Snapshot:
     timestamp_s: float | None
 
 
-def find_snapshots(path: Path) -> list[Path]:
-    """Return the exports in a folder, as paths without their endings.
+def find_snapshots(folder: Folder) -> Opener | None:
+    """Find the exports of a folder.
 
     A folder counts when it has depth as numbers (`.raw`) or its table; a colourised picture of
-    depth counts beside a colour picture of the Viewer's name, so that it can be refused.
+    depth counts beside a colour picture of the Viewer's name, so that it can be refused. The
+    intrinsics file must have `depth_to_color`; its `depth` block, if there is one, goes before the
+    snapshot's own table.
     """
-    bases = {
-        file.name.removesuffix(ending)
-        for ending in (_RAW, _TABLE)
-        for file in path.glob(f"*{ending}")
-    }
-    if bases or any(path.glob(f"*{_COLOR_TABLE}")):
-        bases |= {f.name.removesuffix(_COLOR) for f in path.glob(f"*{_COLOR}")}
-    return [path / base for base in sorted(bases)]
+    found: dict[str, Path | None] = {}
+    for at, names in folder.files.items():
+        bases = {n.removesuffix(e) for e in (_RAW, _TABLE) for n in names if n.endswith(e)}
+        if bases or any(name.endswith(_COLOR_TABLE) for name in names):
+            bases |= {name.removesuffix(_COLOR) for name in names if name.endswith(_COLOR)}
+        if bases:
+            beside = camera_file_near(folder, at)
+            found |= {f"{at}/{base}".lstrip("/"): beside for base in sorted(bases)}
+            own = {base + ending for base in bases for ending in _ENDINGS}
+            names[:] = [name for name in names if name not in own]
+    return partial(_open_snapshots, folder.path, found) if found else None
 
 
-def open_viewer(path: Path, bases: Sequence[Path], options: ReadOptions) -> CaptureSource:
-    """Open RealSense Viewer's exports.
-
-    Parameters
-    ----------
-    path : Path
-        The folder.
-    bases : sequence of Path
-        From `find_snapshots`.
-    options : ReadOptions
-        The intrinsics file must have `depth_to_color`; its `depth` block, if there is one, goes
-        before the snapshot's own table.
-
-    Raises
-    ------
-    IntrinsicsError
-        If there is no intrinsics file, or it has no `depth_to_color`.
-    """
-    given = given_calibration(options)
-    if given is None or given.depth_to_color is None:
-        raise IntrinsicsError(
-            "RealSense Viewer exports depth as the depth camera sees it, not aligned to colour",
-            source=path if given is None else given.path,
-            remedy="give an intrinsics file with the colour camera and 'depth_to_color'",
-        )
-    return CaptureSource.listed(path, "viewer", _parts(bases, given, options.depth_unit_m))
-
-
-def _parts(bases: Sequence[Path], given: CameraFile, unit_m: float | None) -> Iterator[Listed]:
-    for base in bases:
+def _open_snapshots(
+    path: Path, found: Mapping[str, Path | None], options: ReadOptions, given: CameraFile | None
+) -> Iterator[Listed]:
+    near = {file: read_camera_file(file) for file in {*found.values()} if file and not given}
+    for name, beside in found.items():
+        camera = given or (near[beside] if beside else None)
+        if camera is None or camera.depth_to_color is None:
+            raise IntrinsicsError(
+                "RealSense Viewer exports depth as the depth camera sees it, not aligned to colour",
+                source=path if camera is None else camera.path,
+                remedy="give an intrinsics file with the colour camera and 'depth_to_color'",
+            )
+        base = path / name
+        files = partial(_files, base, camera)
         try:
             _require_raw(base)
             table = _read_metadata(base.with_name(base.name + _TABLE), Stream.DEPTH)
         except CaptureError as error:
-            yield base.name, 0, partial(fail, error), base, partial(_files, base, given)
+            yield base.name, 0, partial(fail, error), base, files
         else:
-            load = partial(_load, base, table, given, unit_m)
-            yield base.name, table.frame, load, base, partial(_files, base, given)
+            load = partial(_load, base, table, camera, options.depth_unit_m)
+            yield base.name, table.frame, load, base, files
 
 
 def _files(base: Path, given: CameraFile) -> list[Path]:
-    endings = (_COLOR, _RAW, _TABLE, _COLOR_TABLE)
-    own = (base.with_name(base.name + ending) for ending in endings)
+    own = (base.with_name(base.name + ending) for ending in _ENDINGS[:4])
     return [*(file for file in own if file.is_file()), given.path]
 
 

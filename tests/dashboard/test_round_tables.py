@@ -95,7 +95,7 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     charted = [line["length"] for line in length_lines(graded.fruit, graded.grades, units)]
     hanging = [
         line["length_cm"]
-        for line in files["fruit"].records()
+        for line in files["fruit"].rows
         if line["picked_utc"] is None and line["length_cm"] is not None
     ]
     assert sorted(charted) == pytest.approx(sorted(hanging), abs=1e-3)
@@ -121,7 +121,7 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     assert {metric.label: str(metric.value) for metric in today.metric}["Ready today"] == str(
         len(picks)
     )
-    first = files["work"].records()[0]
+    first = files["work"].rows[0]
     assert (first["fruit"], first["crates"]) == (work.fruit, sum(work.crates.values()))
     assert first["hours"] == pytest.approx(work.hours, abs=1e-3)
     said = " ".join(str(part.value) for part in today.caption)

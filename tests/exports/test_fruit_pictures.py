@@ -99,7 +99,7 @@ def test_every_fruit_of_an_export_gets_its_own_picture(tmp_path: Path) -> None:
         store.save_round(walk)
         store.save_stop(stop)
         tables = round_tables(store, walk.key)
-    named = {line["capture"]: line["picture"] for line in tables["fruit"].records()}
+    named = {line["capture"]: line["picture"] for line in tables["fruit"].rows}
     assert named["b"] is None
     assert [named["a"]] == list(tables.pictures)
     [make] = tables.pictures.values()

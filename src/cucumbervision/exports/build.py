@@ -18,8 +18,9 @@ from cucumbervision.agronomy.picking import pick_list, plan_work, work_of
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
-from cucumbervision.exports.tables import Charts, ExportTable, RoundTables, utc
-from cucumbervision.measurement.result import Method
+from cucumbervision.exports.tables import RoundTables, Table
+from cucumbervision.measurement.result import Method, flag_remarks
+from cucumbervision.pipeline.fields import utc
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table, hanging_lengths_m, round_figures
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
@@ -112,8 +113,8 @@ def round_tables(
     return RoundTables(
         view.record.name or view.key,
         _about(view, provenance),
-        {name: ExportTable.of(name, own) for name, own in lines.items()},
-        _charts(table, forecast),
+        {name: Table.of(name, own) for name, own in lines.items()},
+        _length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
         dict(kept.values()),
         note,
     )
@@ -259,6 +260,7 @@ def _fruit_lines(
             **vars(one),
             **_grade_cells(one, profile),
             "ready": ready.get(view.key),
+            "remarks": _remarks(one),
             "methods": {str(method): by_method.get(str(method)) for method in Method},
             **beside.of(view.stop_key, view.key),
         }
@@ -324,12 +326,14 @@ def _date(today_s: float, day: int) -> str:
     return utc(today_s + day * DAY_S)[:10]
 
 
-def _charts(table: Sequence[RoundFruit], forecast: Forecast | None) -> Charts:
-    bins = _length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)])
-    if forecast is None:
-        return Charts(bins)
-    days = zip(forecast.days.tolist(), forecast.house.expected.round(2).tolist(), strict=True)
-    return Charts(bins, forecast.classes, tuple((day, tuple(counts)) for day, counts in days))
+def _remarks(fruit: RoundFruit) -> str:
+    """Return what else to know of a fruit, in words."""
+    parts = (
+        "picked" if fruit.view.picked_s else "",
+        "drawn, not grown" if fruit.view.simulated else "",
+        flag_remarks(fruit.view.record.flags),
+    )
+    return "; ".join(filter(None, parts))
 
 
 def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...]:

@@ -1,128 +1,49 @@
-"""The typed tables between a round and every file that is written of it, and all their columns."""
+"""The tables of a round: their columns, and what fills them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.fields import FIELDS, Cell, Column, Field
-from cucumbervision.pipeline.fields import field as fruit_field
+from cucumbervision.pipeline.fields import FIELDS, Field
 from cucumbervision.store.records import DetectionRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
-    from cucumbervision.pipeline.fields import CellType
-
-_NUMBER: dict[str, type] = {"text": str, "whole": int, "number": float, "yes/no": bool}
-
-
-class ExportColumn(Field):
-    """A column of a round's tables: its path leads through a line of them; times are UTC.
-
-    Examples
-    --------
-    >>> column = ExportColumn("chord_cm", "cm", "number", "straight", "record.chord_m")
-    >>> column.of({"record": {"chord_m": 0.31234567}}), column.of({"record": None})
-    (31.235, None)
-    """
-
-    def of(self, line: Any) -> Cell:
-        """Return a line's cell."""
-        value = self.value(line)
-        if value is None or value == "" or value != value:  # not a number
-            return None
-        if self.type == "number":
-            return float(self.cell(value, self.digits))
-        if self.name.endswith("_utc") and not isinstance(value, str):
-            return utc(value)
-        return cast("Cell", _NUMBER[self.type](value))
-
-
-def utc(seconds: float) -> str:
-    """Return a time as people and programs read it.
-
-    Examples
-    --------
-    >>> utc(86400.5)
-    '1970-01-02T00:00:00Z'
-    """
-    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    from cucumbervision.pipeline.fields import Cell, CellType
 
 
 @dataclass(frozen=True)
-class ExportTable:
+class Table:
     """One table.
 
     Parameters
     ----------
     name : str
         Of its file or sheet.
-    columns : tuple of Column
+    columns : tuple of Field
         Its columns.
-    rows : tuple of tuple
-        A cell for each column.
-
-    Raises
-    ------
-    ValueError
-        If a row has another number of cells, or a cell another type.
-
-    Examples
-    --------
-    >>> column = Column("stops", "", "whole", "number of stops")
-    >>> ExportTable("summary", (column,), (("3",),))
-    Traceback (most recent call last):
-    ...
-    ValueError: summary.stops holds '3', which is not whole
+    rows : list of dict
+        A cell for each column, by the column's name.
     """
 
     name: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(f"a row of {self.name} has {len(row)} cells")
-            for column, cell in zip(self.columns, row, strict=True):
-                if cell is not None and type(cell) is not _NUMBER[column.type]:
-                    raise ValueError(
-                        f"{self.name}.{column.name} holds {cell!r}, which is not {column.type}"
-                    )
-
-    def records(self) -> list[dict[str, Cell]]:
-        """Return the rows as mappings by column."""
-        names = [column.name for column in self.columns]
-        return [dict(zip(names, row, strict=True)) for row in self.rows]
+    columns: tuple[Field, ...]
+    rows: list[dict[str, Cell]]
 
     @classmethod
-    def of(cls, name: str, lines: Iterable[Any]) -> ExportTable:
-        """Fill one of the tables of `COLUMNS`."""
+    def of(cls, name: str, lines: Iterable[Any]) -> Table:
+        """Fill one of the tables of `COLUMNS`; an empty text is an empty cell."""
         columns = COLUMNS[name]
-        return cls(name, columns, tuple(tuple(c.of(line) for c in columns) for line in lines))
+        rows = [{one.name: _cell(one, line) for one in columns} for line in lines]
+        return cls(name, columns, rows)
 
 
-@dataclass(frozen=True)
-class Charts:
-    """What is drawn, the same in every file.
-
-    Parameters
-    ----------
-    bins : tuple of (from_cm, to_cm, fruit)
-        Histogram of the lengths on the plant.
-    classes : tuple of str
-        Classes of the forecast.
-    days : tuple of (day, expected fruit in each class)
-        The house's forecast.
-    """
-
-    bins: tuple[tuple[int, int, int], ...] = ()
-    classes: tuple[str, ...] = ()
-    days: tuple[tuple[int, tuple[float, ...]], ...] = ()
+def _cell(column: Field, line: Any) -> Cell:
+    cell = column.of(line)
+    return None if cell == "" else cell
 
 
 @dataclass(frozen=True)
@@ -136,11 +57,11 @@ class RoundTables:
     provenance : mapping
         Software, source, when it was written, the round's key, and the hashes of configuration,
         models, calibration and profile, as JSON values.
-    tables : mapping of str to ExportTable
+    tables : mapping of str to Table
         'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
         'provenance', in this order.
-    charts : Charts
-        What is drawn.
+    bins : tuple of (from_cm, to_cm, fruit)
+        Histogram of the lengths on the plant.
     pictures : mapping of str to callable
         What makes the JPEG files beside the tables, by the name that the column `picture` gives.
     note : str
@@ -149,29 +70,29 @@ class RoundTables:
 
     title: str
     provenance: Mapping[str, Any]
-    tables: Mapping[str, ExportTable]
-    charts: Charts
+    tables: Mapping[str, Table]
+    bins: tuple[tuple[int, int, int], ...] = ()
     pictures: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     note: str = ""
 
-    def __getitem__(self, name: str) -> ExportTable:
+    def __getitem__(self, name: str) -> Table:
         """Return a table by its name."""
         return self.tables[name]
 
     @property
     def summary(self) -> dict[str, Cell]:
         """The one row of the summary."""
-        return self.tables["summary"].records()[0]
+        return self.tables["summary"].rows[0]
 
 
-def _columns(*lines: str) -> tuple[ExportColumn, ...]:
+def _columns(*lines: str) -> tuple[Field, ...]:
     """Read lines of 'name | unit | type, or type and digits | what it is | path, if another'."""
     found = []
     for line in lines:
         name, unit, kind, says, *path = (part.strip() for part in line.split("|"))
         kind, _, digits = kind.partition(" ")
         found.append(
-            ExportColumn(
+            Field(
                 name,
                 unit,
                 cast("CellType", kind),
@@ -183,19 +104,25 @@ def _columns(*lines: str) -> tuple[ExportColumn, ...]:
     return tuple(found)
 
 
-def _measured(*names: str) -> tuple[ExportColumn, ...]:
-    """Return columns of `measurements.csv`, filled from the store's record of a fruit."""
-    return tuple(
-        ExportColumn(f.name, f.unit, f.type, f.says, f"view.record.{_path(f)}", f.digits)
-        for f in map(fruit_field, names)
-    )
+def _kept(one: Field) -> Field | None:
+    """Return a field of `measurements.csv` as the store keeps it of a fruit; None if it does not.
+
+    Its lengths are values of their own there.
+    """
+    inside = one.path.removeprefix("fruit.")
+    if not inside.startswith(("length.", "raw_length.")):
+        inside = one.si_name
+    known = hasattr(DetectionRecord, inside.partition(".")[0])
+    return replace(one, path=f"view.record.{inside}") if known else None
 
 
-def _path(one: Field) -> str:
-    """Return where a field is in the store's record: its length is a value of its own there."""
-    path = one.path.removeprefix("fruit.")
-    return path if path.startswith("length.") else one.si_name
-
+_KEPT = {one.name: kept for one in FIELDS if (kept := _kept(one)) is not None}
+_METHODS = tuple(
+    replace(one, path=f"methods.{method}")
+    for method in Method
+    for one in FIELDS
+    if one.name == f"{method.lower()}_cm"
+)
 
 _WITH = _columns(
     "config_sha256||text|hash of the options that it was measured with|hashes.config",
@@ -238,27 +165,22 @@ _ROWS = _columns(
     "unplaced||whole|detections without a position or depth",
 )
 
-# Every trait of the fitted tube that the store keeps; its lengths and tilt stand elsewhere.
-_TRAITS = tuple(
-    one.name
-    for one in FIELDS
-    if one.path.startswith("fruit.traits.")
-    and hasattr(DetectionRecord, one.si_name)
-    and one.name not in ("centreline_cm", "thread_cm", "chord_cm", "tilt_deg")
-)
-
+_INTERVAL = ("length_cm", "interval_low_cm", "interval_high_cm")
 _FRUIT = (
+    # What is printed comes first.
     *_columns(
         "number||whole|number in this list, by row and position",
-        "key||text|key of the view that stands|view.key",
         "row||text|row of the house|view.row",
-        "side||text|side of the row|view.side",
         "along_m|m|number 4|where along the row|view.along_m",
-        "along_sd_m|m|number 4|standard deviation of that|view.along_sd_m",
     ),
-    *_measured("length_cm", "length_kind", "interval_low_cm", "interval_high_cm", "interval_of"),
+    *(_KEPT[name] for name in _INTERVAL),
     *_columns(
         "grade||text|likeliest class|grade.name",
+        "remarks||text|what else to know, in words",
+        "taken_utc||text|when it was seen|view.taken_s",
+        "key||text|key of the view that stands|view.key",
+        "side||text|side of the row|view.side",
+        "along_sd_m|m|number 4|standard deviation of `along_m`|view.along_sd_m",
         "grade_verdict||text|in-class, out-of-grade, borderline, refused or missing|grade.verdict",
         "grade_probability||number 4|probability of that class|grade_probability",
         "grade_rule||text|the rule that decided|grade_rule",
@@ -267,24 +189,15 @@ _FRUIT = (
         "shape||text|class by crookedness|grade.shape",
         "mass_g|g|number|volume times the profile's density|mass_kg",
     ),
-    *_measured("thread_cm", "centreline_cm", "chord_cm"),
+    *(one for name, one in _KEPT.items() if name not in _INTERVAL),
+    *_METHODS,
     *_columns(
-        *(
-            f"{one.lower()}_cm|cm|number|{fruit_field(f'{one.lower()}_cm').says}|methods.{one}"
-            for one in Method
-        )
-    ),
-    *_measured(*_TRAITS),
-    *_measured("method", "reason", "fallback", "flags"),
-    *_columns("views||whole|how often it was seen|view.views"),
-    *_measured("score", "distance_cm", "tilt_deg", "hidden_share", "fill"),
-    *_columns(
+        "views||whole|how often it was seen|view.views",
         "verdict||text|accepted or rejected, where somebody said so|view.verdict",
         "corrected||yes/no|whether somebody corrected its mask|view.corrected",
         "picked_utc||text|when it was picked|view.picked_s",
         "capture||text|capture of the best view|view.capture",
         "stop_key||text|its stop|view.stop_key",
-        "taken_utc||text|when it was seen|view.taken_s",
         "simulated||yes/no|whether the capture is simulated|view.simulated",
         "picture||text|picture of the fruit, beside the tables",
     ),
@@ -361,7 +274,7 @@ _PROVENANCE = _columns(
     "stops||whole|stops that were measured with it",
 )
 
-COLUMNS: dict[str, tuple[ExportColumn, ...]] = {
+COLUMNS: dict[str, tuple[Field, ...]] = {
     "summary": _SUMMARY,
     "rows": _ROWS,
     "fruit": _FRUIT,

@@ -1,30 +1,28 @@
-"""A round as CSV, JSON, Parquet and a page to print, and in all formats at once."""
+"""A round as CSV, Excel, Parquet, JSON and a page to print, and in all formats at once."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.exports import ExportFormat
-from cucumbervision.exports.tables import ExportTable
-from cucumbervision.exports.workbook import fruit_remarks, write_round_workbook
+from cucumbervision.exports.tables import Table
 from cucumbervision.pipeline.tables import (
-    CsvSink,
-    arrow_schema,
-    import_arrow,
+    Workbook,
+    write_csv,
     write_json,
+    write_parquet,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterator, Sequence
+    from pathlib import Path
 
     from jinja2 import Template
 
-    from cucumbervision.exports.tables import Charts, RoundTables
+    from cucumbervision.exports.tables import RoundTables
     from cucumbervision.pipeline.fields import Cell
 
 
@@ -56,7 +54,7 @@ def write_exports(
     """
     writers: dict[ExportFormat, Callable[[RoundTables, Path], list[Path]]] = {
         ExportFormat.CSV: _write_csv,
-        ExportFormat.XLSX: write_round_workbook,
+        ExportFormat.XLSX: _write_workbook,
         ExportFormat.PARQUET: _write_parquet,
         ExportFormat.JSON: _write_json_round,
         ExportFormat.HTML: _write_sheet,
@@ -79,157 +77,143 @@ def write_exports(
 
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as CSV: UTF-8, commas, decimal points; texts defused."""
-    paths = []
-    for table in tables.tables.values():
-        paths.append(out / f"{table.name}.csv")
-        with CsvSink(paths[-1], [column.name for column in table.columns]) as sink:
-            for record in table.records():
-                sink.write(record)
+    paths = [out / f"{name}.csv" for name in tables.tables]
+    for path, table in zip(paths, tables.tables.values(), strict=True):
+        write_csv(path, [column.name for column in table.columns], table.rows)
     return paths
 
 
 def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
     """Write all tables as one JSON file, with the columns' units and meaning."""
-    path = out / "round.json"
-    write_json(
-        path,
-        {
-            "format": "cucumbervision-round",
-            "version": 1,
-            **tables.provenance,
-            "note": tables.note,
-            "columns": {name: _columns(table) for name, table in tables.tables.items()},
-            "tables": {name: table.records() for name, table in tables.tables.items()},
-        },
-    )
-    return [path]
-
-
-def _columns(table: ExportTable) -> list[dict[str, str]]:
-    return [{"name": c.name, "unit": c.unit, "type": c.type, "says": c.says} for c in table.columns]
+    keys = ("name", "unit", "type", "says")
+    columns = {
+        name: [{key: getattr(one, key) for key in keys} for one in table.columns]
+        for name, table in tables.tables.items()
+    }
+    report = {
+        "format": "cucumbervision-round",
+        "version": 1,
+        **tables.provenance,
+        "note": tables.note,
+        "columns": columns,
+        "tables": {name: table.rows for name, table in tables.tables.items()},
+    }
+    write_json(out / "round.json", report)
+    return [out / "round.json"]
 
 
 def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
-    """Write each table as Parquet; units and meaning with the columns, hashes with the file.
-
-    Raises
-    ------
-    MissingExtraError
-        If pyarrow is not installed.
-    """
-    pa = import_arrow()
-    paths = []
-    for table in tables.tables.values():
-        schema = arrow_schema(table.columns, tables.provenance)
-        paths.append(out / f"{table.name}.parquet")
-        pa.parquet.write_table(pa.Table.from_pylist(table.records(), schema=schema), paths[-1])
+    """Write each table as Parquet; units and meaning with the columns, hashes with the file."""
+    paths = [out / f"{name}.parquet" for name in tables.tables]
+    for path, table in zip(paths, tables.tables.values(), strict=True):
+        write_parquet(path, table.columns, table.rows, tables.provenance)
     return paths
 
 
-_HEIGHT = 100.0
-
-_FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
-
-_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
-
-_DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
-
-
-@dataclass(frozen=True)
-class Bar:
-    """One bar of a chart: what it is of, its number, and its place from the top, 0 to 100."""
-
-    label: str
-    number: float
-    top: float
-    height: float
-    fill: str = _FILLS[0]
+SHEETS = {
+    "fruit": ("Fruit", 5),
+    "stops": ("Stops", 2),
+    "forecast": ("Forecast", 0),
+    "picks": ("Pick list", 0),
+    "work": ("Work", 0),
+    "rows": ("Rows", 0),
+    "provenance": ("Provenance", 0),
+}
+_NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
 
 
-def bars(charts: Charts) -> tuple[Bar, ...]:
-    """Lay out the histogram of lengths.
-
-    Examples
-    --------
-    >>> from cucumbervision.exports.tables import Charts
-    >>> [(bar.label, bar.height) for bar in bars(Charts(bins=((20, 22, 1), (22, 24, 2))))]
-    [('20', 50.0), ('22', 100.0)]
-    """
-    most = max((count for *_, count in charts.bins), default=0) or 1
-    return tuple(
-        Bar(str(low), count, _HEIGHT * (1 - count / most), _HEIGHT * count / most)
-        for low, _, count in charts.bins
-    )
-
-
-def stacks(charts: Charts) -> tuple[tuple[int, tuple[Bar, ...]], ...]:
-    """Lay out the forecast: for each day its classes, one on the other.
-
-    Examples
-    --------
-    >>> from cucumbervision.exports.tables import Charts
-    >>> found = stacks(Charts(classes=("I", "II"), days=((0, (1.0, 3.0)),)))
-    >>> [(bar.label, bar.top, bar.height) for bar in found[0][1]]
-    [('I', 75.0, 25.0), ('II', 0.0, 75.0)]
-    """
-    most = max((sum(counts) for _, counts in charts.days), default=0.0) or 1.0
-    found = []
-    for day, counts in charts.days:
-        top, day_bars = _HEIGHT, []
-        for k, (name, count) in enumerate(zip(charts.classes, counts, strict=True)):
-            height = _HEIGHT * count / most
-            top -= height
-            day_bars.append(Bar(name, count, top, height, _FILLS[k % len(_FILLS)]))
-        found.append((day, tuple(day_bars)))
-    return tuple(found)
-
-
-def _write_sheet(tables: RoundTables, out: Path) -> list[Path]:
-    """Write `round.html`.
-
-    Raises
-    ------
-    MissingExtraError
-        If Jinja is not installed.
-    """
-    path = out / "round.html"
-    path.write_text(render_sheet(tables), encoding="utf-8")
+def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
+    """Write `round.xlsx`: summary, a sheet a table, and what the columns say."""
+    path, about = out / "round.xlsx", tables.provenance
+    with Workbook(path) as book:
+        book.book.set_properties(
+            {
+                "title": tables.title,
+                "comments": f"{about['software']}, {about['licence']}, {about['source']}",
+            }
+        )
+        summary = book.sheet("Summary", (20, 26, 6, 66), high=1)
+        summary.set_portrait()
+        facts = tables["summary"]
+        book.lines(summary, [[tables.title], ("what", "value", "unit", "what it says")])
+        for line, one in enumerate(facts.columns, 2):
+            said = (one.title.split(" [")[0], facts.rows[0][one.name], one.unit, one.says)
+            for at, cell in enumerate(said):
+                book.write(summary, line, at, cell, one if at == 1 else None)
+        book.lines(summary, _notes(tables), 3 + len(facts.columns))
+        for name, (title, frozen) in SHEETS.items():
+            table = tables[name]
+            book.table(title, table.columns, table.rows, frozen, _printed(table))
+        meaning = (
+            (name, one.name, one.unit, one.says)
+            for name, table in tables.tables.items()
+            for one in table.columns
+        )
+        head = ("table", "column", "unit", "what it says")
+        book.lines(book.sheet("Columns", (18, 18, 18, 70)), (head, *meaning))
     return [path]
 
 
+def _notes(tables: RoundTables) -> Iterator[Sequence[Cell]]:
+    if tables.note:
+        yield "no forecast", tables.note
+    for name in ("software", "licence", "source", "written_utc"):
+        yield name.replace("_", " "), tables.provenance[name]
+    for one in tables.provenance["hashes"]:
+        yield f"{one['kind']} SHA-256", one["name"], "", one["sha256"]
+
+
+def _printed(table: Table) -> int:
+    """Return how many of a table's columns are for people on paper."""
+    names = [column.name for column in table.columns]
+    # A key at the beginning is what a sheet goes by.
+    return next((n for n, name in enumerate(names) if n > 1 and name in _NOT_PRINTED), len(names))
+
+
+_FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
+_DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
 _NUMBERS = (
     *("ready_today", "fruit", "expected_fruit", "picked", "mean_length_cm", "sd_length_cm"),
     *("shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
 )
 
 
+def _write_sheet(tables: RoundTables, out: Path) -> list[Path]:
+    path = out / "round.html"
+    path.write_text(render_sheet(tables), encoding="utf-8")
+    return [path]
+
+
 def render_sheet(tables: RoundTables) -> str:
     """Return the page: numbers, charts, forecast, work, pick list, fruit, and what it rests on.
 
     Every text of it is escaped, and it loads nothing from anywhere.
+
+    Raises
+    ------
+    MissingExtraError
+        If Jinja is not installed.
     """
-    house = [line for line in tables["forecast"].records() if line["scope"] == "house"]
+    summary = tables.summary
     columns = {column.name: column for column in tables["summary"].columns}
+    house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
     return _template().render(
         title=tables.title,
         about=tables.provenance,
         note=tables.note,
-        numbers=[
-            (columns[name], tables.summary[name])
-            for name in _NUMBERS
-            if tables.summary[name] is not None
-        ],
-        where=[tables.summary[name] for name in ("house", "profile") if tables.summary[name]],
-        day=str(tables.summary["started_utc"])[:10],
-        simulated=tables.summary["simulated"],
-        bars=bars(tables.charts),
-        stacks=stacks(tables.charts),
-        classes=tables.charts.classes,
+        numbers=[(columns[name], summary[name]) for name in _NUMBERS if summary[name] is not None],
+        where=[summary[name] for name in ("house", "profile") if summary[name]],
+        day=str(summary["started_utc"])[:10],
+        simulated=summary["simulated"],
+        bins=tables.bins,
+        most=max((count for *_, count in tables.bins), default=0) or 1,
         fills=_FILLS,
         house=house,
-        work=tables["work"].records(),
-        picks=tables["picks"].records(),
-        fruit=tables["fruit"].records(),
+        classes=[*dict.fromkeys(str(line["class"]) for line in house)],
+        work=tables["work"].rows,
+        picks=tables["picks"].rows,
+        fruit=tables["fruit"].rows,
     )
 
 
@@ -245,7 +229,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(figure=_figure, fruit_remarks=fruit_remarks, hours=hours_words)
+    environment.filters.update(figure=_figure, hours=hours_words)
     return environment.get_template("round.html")
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -23,6 +24,14 @@ _UNITS = {"cm": ("m", 100.0, 3), "mm": ("m", 1e3, 2), "ml": ("m3", 1e6, 1), "g":
 _PLAIN: tuple[str, float, int | None] = ("", 1.0, None)
 _FORMULA_STARTS = frozenset("=+-@\t\r\n＝＋－＠")
 _STORED_DIGITS = 9
+
+
+_PYTHON: dict[str, Callable[[Any], Cell]] = {
+    "text": str,
+    "whole": int,
+    "number": float,
+    "yes/no": bool,
+}
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,12 @@ class Field(Column):
         None leaves the cell empty.
     digits : int, optional
         Digits that are written; those of the unit if not given.
+
+    Examples
+    --------
+    >>> chord = Field("chord_cm", "cm", "number", "straight", "record.chord_m")
+    >>> chord.of({"record": {"chord_m": 0.31234567}}), chord.of({"record": None})
+    (31.235, None)
     """
 
     path: str
@@ -108,9 +123,13 @@ class Field(Column):
         return value
 
     def of(self, line: Any) -> Cell:
-        """Return the cell of a table: in `unit`, rounded, enumerations as plain texts."""
-        cell: Cell = self.cell(self.value(line), self.digits)
-        return str(cell) if isinstance(cell, str) else cell
+        """Return the cell of a table: in `unit`, rounded, and of its type; times as UTC."""
+        cell = self.cell(self.value(line), self.digits)
+        if cell is None or cell != cell:  # not a number
+            return None
+        if self.name.endswith("_utc") and not isinstance(cell, str):
+            return utc(cell)
+        return _PYTHON[self.type](cell)
 
     def stored(self, line: Any) -> Cell:
         """Return the cell of the store: in SI units."""
@@ -293,6 +312,17 @@ def fruit_row(seen: NumberedFruit) -> dict[str, Cell]:
 def si_values(seen: NumberedFruit) -> dict[str, Cell]:
     """Return what is known of a fruit in SI units, by `Column.si_name`."""
     return {one.si_name: one.stored(seen) for one in FIELDS}
+
+
+def utc(seconds: float) -> str:
+    """Return a time as people and programs read it.
+
+    Examples
+    --------
+    >>> utc(86400.5)
+    '1970-01-02T00:00:00Z'
+    """
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def defused(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The tables of a run as files: CSV, JSON, Excel and Parquet, none of it whole in memory."""
+"""Tables as files: CSV, Excel, Parquet and JSON, a row at a time; and the files of a run."""
 
 from __future__ import annotations
 
@@ -44,6 +44,9 @@ PARQUET = "parquet"
 TABLES = ("measurements.csv", "measurements.json", "measurements.xlsx", "failures.csv", PARQUET)
 """What `write_reports` makes in an output folder."""
 _PART_ROWS = 100_000
+_FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "0.0", "h": "0.0"}
+_A4 = 9
+_MEANING = ("column", "unit", "what it says")
 
 
 class CsvSink:
@@ -109,6 +112,19 @@ def _csv_lines(lines: Sequence[Sequence[Any]]) -> bytes:
     return text.getvalue().encode(errors="backslashreplace")
 
 
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a table as CSV.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    with CsvSink(path, columns) as sink:
+        for row in rows:
+            sink.write(row)
+
+
 def cell_value(value: Cell) -> str | int | float | None:
     """Return what a spreadsheet's cell holds: texts defused, true and false as words.
 
@@ -125,6 +141,201 @@ def cell_value(value: Cell) -> str | int | float | None:
 def write_json(path: Path, report: Mapping[str, Any]) -> None:
     """Write a report as JSON, UTF-8, one value a line."""
     path.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+class Workbook:
+    """An Excel file as a context manager; what is written stays in no memory.
+
+    Texts are texts, whatever they start with: never formulas or links. Sheets print on A4, as wide
+    as the paper, their heads on every page.
+
+    Parameters
+    ----------
+    path : Path
+        The .xlsx file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import xlsxwriter
+
+        path.touch()  # what cannot be written is known before the rows are
+        # Its sheets are files until it is closed; they go with the folder, whatever happens.
+        self._sheets = TemporaryDirectory(prefix="cucumbervision-")
+        safe = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+        how = {**safe, "constant_memory": True, "tmpdir": self._sheets.name}
+        self.book = book = xlsxwriter.Workbook(path, how)
+        self.head = book.add_format(
+            {"bold": True, "font_color": "white", "bg_color": HEAD_COLOR, "text_wrap": True}
+        )
+        self._link = book.add_format({"font_color": "#1155CC", "underline": True})
+        self._numbers = {unit: book.add_format({"num_format": f}) for unit, f in _FORMATS.items()}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        from xlsxwriter.exceptions import FileCreateError
+
+        with self._sheets:
+            try:
+                if kind is None:
+                    self.book.close()
+            except FileCreateError as error:
+                raise error.args[0] from None
+            finally:
+                self.book.fileclosed = True  # one that broke off is not written as it is collected
+
+    def sheet(self, title: str, widths: Sequence[int] = (), high: int = 0) -> Any:
+        """Return a new sheet, its first columns so wide and at most so many pages high."""
+        sheet = self.book.add_worksheet(title)
+        for at, width in enumerate(widths):
+            sheet.set_column(at, at, width)
+        sheet.set_paper(_A4)
+        sheet.set_landscape()
+        sheet.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
+        sheet.fit_to_pages(1, high)
+        sheet.set_footer("&L&F: &A&Rpage &P of &N")
+        return sheet
+
+    def table(
+        self,
+        title: str,
+        columns: Sequence[Column],
+        rows: Iterable[Mapping[str, Cell]],
+        frozen: int = 0,
+        printed: int | None = None,
+    ) -> None:
+        """Write a table: heads with units that stay in place, formats and filters.
+
+        Parameters
+        ----------
+        title : str
+            The sheet's.
+        columns : sequence of Column
+            Its columns; `picture` holds names of files to link to.
+        rows : iterable of mapping
+            Each is written before the next is asked for.
+        frozen : int
+            Columns that stay in place.
+        printed : int, optional
+            Columns that are printed; all if not given.
+        """
+        sheet = self.sheet(title)
+        sheet.repeat_rows(0)
+        sheet.set_row(0, 32)
+        for at, column in enumerate(columns):
+            wide = min(max(12, len(column.title)), 24)
+            sheet.set_column(at, at, wide, self._numbers.get(column.unit))
+            sheet.write_string(0, at, column.title, self.head)
+        line = 0
+        for line, row in enumerate(rows, start=1):
+            for at, column in enumerate(columns):
+                self.write(sheet, line, at, row[column.name], column)
+        sheet.freeze_panes(1, frozen)
+        sheet.autofilter(0, 0, max(line, 1), len(columns) - 1)
+        sheet.print_area(0, 0, line, (printed or len(columns)) - 1)
+
+    def write(
+        self, sheet: Any, line: int, at: int, cell: Cell, column: Column | None = None
+    ) -> None:
+        """Write one cell as what it is."""
+        if isinstance(cell, bool):
+            sheet.write_boolean(line, at, cell)
+        elif isinstance(cell, int | float):
+            sheet.write_number(line, at, cell, column and self._numbers.get(column.unit))
+        elif column is not None and column.name == "picture" and cell is not None:
+            # Its letters, digits, dots and dashes are safe in a link, whatever a round is called.
+            sheet.write_url(line, at, f"external:{cell}", self._link, "picture")
+        elif cell not in (None, ""):
+            sheet.write_string(line, at, str(cell_value(cell)))
+
+    def lines(self, sheet: Any, lines: Iterable[Sequence[Cell]], start: int = 0) -> None:
+        """Write lines of cells below each other."""
+        for line, cells in enumerate(lines, start):
+            for at, cell in enumerate(cells):
+                self.write(sheet, line, at, cell)
+
+
+def write_workbook(
+    path: Path,
+    rows: Iterable[Mapping[str, Cell]],
+    summary: Sequence[tuple[str, Any]],
+    most: int = MOST_EXCEL_ROWS,
+) -> None:
+    """Write the rows as an Excel file: the fruit, a summary, and what each column means.
+
+    Parameters
+    ----------
+    path : Path
+        The .xlsx file.
+    rows : iterable of mapping
+        As `fields.fruit_row` fills them; each is written before the next is asked for.
+    summary : sequence of (str, value)
+        Lines of the summary sheet.
+    most : int
+        Rows that are written at most: a sheet of Excel ends there.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    with Workbook(path) as book:
+        book.lines(book.sheet("Summary", (34, 60)), summary)
+        book.table("Fruit", FIELDS, islice(rows, most), frozen=3)
+        meaning = ((one.name, one.unit, one.says) for one in FIELDS)
+        book.lines(book.sheet("Columns", (24, 24, 60)), (_MEANING, *meaning))
+
+
+def import_arrow() -> ModuleType:
+    """Import pyarrow with its Parquet part.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        raise MissingExtraError("pyarrow", "export") from None
+    module: ModuleType = pyarrow
+    return module
+
+
+def write_parquet(
+    path: Path,
+    columns: Iterable[Column],
+    rows: list[dict[str, Cell]],
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write a table as Parquet: types, units and words a column, provenance with the file.
+
+    Raises
+    ------
+    MissingExtraError
+        If pyarrow is not installed.
+    """
+    pa = import_arrow()
+    kinds: dict[str, Any] = {
+        "text": pa.string(),
+        "whole": pa.int64(),
+        "number": pa.float64(),
+        "yes/no": pa.bool_(),
+    }
+    fields = [
+        pa.field(one.name, kinds[one.type], metadata={"unit": one.unit, "says": one.says})
+        for one in columns
+    ]
+    about = {"cucumbervision": json.dumps(dict(provenance), ensure_ascii=False)}
+    schema = pa.schema(fields, metadata=about)
+    pa.parquet.write_table(pa.Table.from_pylist(rows, schema=schema), path)
 
 
 def capture_json(result: CaptureResult, rows: Sequence[Mapping[str, Cell]]) -> dict[str, Any]:
@@ -182,130 +393,6 @@ def provenance_of(
     }
 
 
-def write_workbook(
-    path: Path,
-    rows: Iterable[Mapping[str, Cell]],
-    summary: Sequence[tuple[str, Any]],
-    most: int = MOST_EXCEL_ROWS,
-) -> None:
-    """Write the rows as an Excel file: the fruit, a summary, and what each column means.
-
-    Parameters
-    ----------
-    path : Path
-        The .xlsx file.
-    rows : iterable of mapping
-        As `fields.fruit_row` fills them; each is written before the next is asked for.
-    summary : sequence of (str, value)
-        Lines of the summary sheet.
-    most : int
-        Rows that are written at most: a sheet of Excel ends there.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-    """
-    from xlsxwriter.exceptions import FileCreateError
-
-    path.touch()  # what cannot be written is known before the rows are
-    # Its sheets are files until it is closed; they go with the folder, whatever happens.
-    with TemporaryDirectory(prefix="cucumbervision-") as sheets:
-        try:
-            _write_book(path, islice(rows, most), summary, sheets)
-        except FileCreateError as error:
-            raise error.args[0] from None
-
-
-def _write_book(
-    path: Path,
-    rows: Iterable[Mapping[str, Cell]],
-    summary: Sequence[tuple[str, Any]],
-    sheets: str,
-) -> None:
-    import xlsxwriter
-
-    # Texts are written as texts, whatever they start with: never as formulas or links.
-    safe = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
-    how = {**safe, "constant_memory": True, "tmpdir": sheets}
-    with xlsxwriter.Workbook(path, how) as book:
-        head = book.add_format({"bold": True, "font_color": "white", "bg_color": HEAD_COLOR})
-        head.set_text_wrap()
-        sheet = book.add_worksheet("Summary")
-        sheet.set_column(0, 0, 34)
-        sheet.set_column(1, 1, 60)
-        for line, (what, value) in enumerate(summary):
-            sheet.write_string(line, 0, what)
-            _write(sheet, line, 1, value)
-        _fruit_sheet(book, rows, head)
-        sheet = book.add_worksheet("Columns")
-        sheet.set_column(0, 2, 24)
-        for column, text in enumerate(("column", "unit", "what it says")):
-            sheet.write_string(0, column, text, head)
-        for line, item in enumerate(FIELDS, start=1):
-            for column, text in enumerate((item.name, item.unit, item.says)):
-                sheet.write_string(line, column, text)
-
-
-def _fruit_sheet(book: Any, rows: Iterable[Mapping[str, Cell]], head: Any) -> None:
-    # Line by line: what is written stays in no memory.
-    sheet = book.add_worksheet("Fruit")
-    two_digits = book.add_format({"num_format": "0.00"})
-    sheet.set_row(0, 32)
-    for index, one in enumerate(FIELDS):
-        sheet.set_column(index, index, 12, two_digits if one.unit == "cm" else None)
-        sheet.write_string(0, index, one.title, head)
-    line = 0
-    for line, row in enumerate(rows, start=1):
-        for index, one in enumerate(FIELDS):
-            _write(sheet, line, index, cell_value(row[one.name]))
-    sheet.freeze_panes(1, 3)
-    sheet.autofilter(0, 0, max(line, 1), len(FIELDS) - 1)
-
-
-def _write(sheet: Any, line: int, column: int, value: Any) -> None:
-    if value is None:
-        return
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        sheet.write_number(line, column, value)
-    else:
-        sheet.write_string(line, column, str(value))
-
-
-def import_arrow() -> ModuleType:
-    """Import pyarrow with its Parquet part.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise MissingExtraError("pyarrow", "export") from None
-    module: ModuleType = pyarrow
-    return module
-
-
-def arrow_schema(columns: Iterable[Column], provenance: Mapping[str, Any]) -> Any:
-    """Return a table's schema: types, units and words a column, provenance with the file."""
-    pa = import_arrow()
-    kinds: dict[str, Any] = {
-        "text": pa.string(),
-        "whole": pa.int64(),
-        "number": pa.float64(),
-        "yes/no": pa.bool_(),
-    }
-    fields = [
-        pa.field(one.name, kinds[one.type], metadata={"unit": one.unit, "says": one.says})
-        for one in columns
-    ]
-    about = {"cucumbervision": json.dumps(dict(provenance), ensure_ascii=False)}
-    return pa.schema(fields, metadata=about)
-
-
 def rows_of(records: Iterable[JournalRecord]) -> Iterator[dict[str, Cell]]:
     """Yield the rows of all fruit, in order."""
     for record in records:
@@ -344,41 +431,23 @@ def write_reports(
         Why a table could not be written.
     """
     written: list[Failure] = []
-    with Boundary(written, str(out.path)):
-        _write_csv(out, "measurements.csv", [one.name for one in FIELDS], rows_of(records()))
-    with Boundary(written, str(out.path)):
-        _write_json(out, provenance, records(), failures)
+    with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
+        write_csv(path, [one.name for one in FIELDS], rows_of(records()))
+    with (
+        Boundary(written, str(out.path)),
+        out.replacing("measurements.json") as path,
+        path.open("w", encoding="utf-8", errors="backslashreplace") as file,
+    ):
+        file.writelines(_json_pieces(provenance, records(), failures))
     with Boundary(written, str(out.path)), out.replacing("measurements.xlsx") as path:
         lines = [*excel_limit(summary.fruit), *summary.lines(len(failures), provenance)]
         write_workbook(path, rows_of(records()), lines)
     if parquet:
         with Boundary(written, str(out.path)):
             _write_parts(out, rows_of(records()), provenance)
-    with Boundary(written, str(out.path)):
-        failed = (vars(failure) for failure in (*failures, *written))
-        _write_csv(out, "failures.csv", FAILURE_COLUMNS, failed)
+    with Boundary(written, str(out.path)), out.replacing("failures.csv") as path:
+        write_csv(path, FAILURE_COLUMNS, (vars(failure) for failure in (*failures, *written)))
     return written
-
-
-def _write_csv(
-    out: OutputFolder, name: str, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]
-) -> None:
-    with out.replacing(name) as path, CsvSink(path, columns) as sink:
-        for row in rows:
-            sink.write(row)
-
-
-def _write_json(
-    out: OutputFolder,
-    provenance: Mapping[str, Any],
-    records: Iterable[JournalRecord],
-    failures: Iterable[Failure],
-) -> None:
-    with (
-        out.replacing("measurements.json") as path,
-        path.open("w", encoding="utf-8", errors="backslashreplace") as file,
-    ):
-        file.writelines(_json_pieces(provenance, records, failures))
 
 
 def excel_limit(fruit: int, most: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
@@ -423,13 +492,12 @@ def _write_parts(
     out: OutputFolder, rows: Iterator[dict[str, Cell]], provenance: Mapping[str, Any]
 ) -> None:
     """Write `parquet/part-00000.parquet` and so on, and take away what an earlier run had more."""
-    pa, schema = import_arrow(), arrow_schema(FIELDS, provenance)
     names = set[str]()
     # Without any fruit there is one part, which tells the columns.
     while (part := list(islice(rows, _PART_ROWS))) or not names:
         name = f"part-{len(names):05d}.parquet"
         with out.replacing(f"{PARQUET}/{name}") as path:
-            pa.parquet.write_table(pa.Table.from_pylist(part, schema=schema), path)
+            write_parquet(path, FIELDS, part, provenance)
         names.add(name)
     for old in (out.path / PARQUET).glob("part-*.parquet"):
         if old.name not in names:

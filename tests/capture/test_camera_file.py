@@ -104,6 +104,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         (without("fx", "fy", "cx", "cy") | {"matrix": "identity"}, "camera matrix is not"),
         (without("fx", "fy", "cx", "cy") | {"matrix": [10**400] * 9}, "camera matrix is not"),
         (OURS | {"fx": 10**400}, "'fx': input should be a valid number"),
+        (OURS | {"width": 10**400}, "is no picture"),
         *(
             (OURS | wrong, "no camera of 1280x720 pixels has")
             for wrong in (

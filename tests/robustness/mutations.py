@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from random import Random
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_TEXTS = frozenset({"json", "jsonl", "csv", "txt", "toml", "yaml"})
+_TEXTS = frozenset({"json", "jsonl", "csv", "txt", "toml", "yaml", "xml"})
 _HUGE_CELL = 200_000  # beyond what Python's csv reads in one cell
 _BOUNDARIES = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 
@@ -30,7 +30,20 @@ _RAW = {
 }
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 2, 0.5, -0.5, 1e-300, 1e308, -1e308, 2**31, 2**63, 2**64),
-    *(10**30, float("nan"), float("inf"), "", "x", "0", "-1", "1e9", "\0", "Gürkchen 黄瓜 🥒"),
+    *(
+        10**30,
+        10**400,
+        1e300,
+        float("nan"),
+        float("inf"),
+        "",
+        "x",
+        "0",
+        "-1",
+        "1e9",
+        "\0",
+        "Gürkchen 黄瓜 🥒",
+    ),
     *("x" * 400, "../" * 20 + "etc/passwd", "a/b\\c", "=1+1", [], {}, [[]], [{}], [None], {"": 0}),
     *([0] * 3, [1e308] * 6, ["a", 1], *_RAW),
 )
@@ -79,7 +92,7 @@ def _kinds(ending: str, data: bytes) -> tuple[Callable[[bytes, Random], bytes], 
     if data.startswith(_PNG):
         return (*[_png] * 4, *raw)
     if data.startswith((b"\x93NUMPY", b"PK")):
-        return (*[_numpy_head] * 3, *raw, _word)
+        return (*[_numpy_head] * 3, *raw, _word, _member)
     return raw
 
 
@@ -162,6 +175,11 @@ def _numpy_head(data: bytes, random: Random) -> bytes:
     room = len(head.group())
     put = text.encode("latin-1")[: room - 1].ljust(room - 1) + b"\n"
     return data[: head.start()] + put + data[head.end() :]
+
+
+def _member(data: bytes, random: Random) -> bytes:
+    """Call the members of a zip something else."""
+    return data.replace(b".npy", random.choice((b".txt", b".NPY", b"/npy", b".pkl")))
 
 
 def _word(data: bytes, random: Random) -> bytes:

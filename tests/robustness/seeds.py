@@ -112,6 +112,20 @@ def camera_file(folder: Path) -> None:
     _json(folder / "matrix.json", {**lens, "matrix": [[60, 0, 31], [0, 60, 23], [0, 0, 1]]})
     bop_keys = ("cx", "cy", "fx", "fy", "height", "width")
     _json(folder / "bop.json", {**{k: _LENS[k] for k in bop_keys}, "depth_scale": 0.1})
+    size = {"width": _WIDTH, "height": _HEIGHT}
+    columns = [60.0, 0, 0, 0, 60.0, 0, 31.0, 23.0, 1]
+    _json(folder / "open3d.json", {**size, "intrinsic_matrix": columns})
+    realsense = {"fx": 60, "fy": 60, "ppx": 31, "ppy": 23, "coeffs": [0.1, 0, 0, 0, 0]}
+    _json(folder / "realsense.json", {**size, **realsense, "stream": "color"})
+    rows = [60.0, 0, 31.0, 0, 60.0, 23.0, 0, 0, 1]
+    ros = f"height: {_HEIGHT}\nwidth: {_WIDTH}\nD: [0.1, 0.0, 0.0, 0.0, 0.0]\nK: {rows}\n"
+    (folder / "ros.yaml").write_text(ros)
+    (folder / "cam_K.txt").write_text(" ".join(map(str, rows)))
+    storage = cv2.FileStorage(str(folder / "opencv.xml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", _WIDTH)
+    storage.write("image_height", _HEIGHT)
+    storage.write("camera_matrix", np.array(rows).reshape(3, 3))
+    storage.release()
 
 
 def pairs(folder: Path) -> None:

@@ -83,12 +83,12 @@ def _viewer(folder: Path, _name: str) -> None:
 
 def _camera_files(folder: Path, name: str) -> None:
     from cucumbervision.capture.camera_file import read_camera_file
-    from cucumbervision.capture.intrinsics import check_intrinsics
+    from cucumbervision.capture.readers.common import choose_intrinsics
 
     def read(path: Path) -> None:
-        check_intrinsics(read_camera_file(path).intrinsics, 64, 48, source=path)
+        choose_intrinsics(None, read_camera_file(path), 64, 48, source=path)
 
-    _those_of({p.name: partial(read, p) for p in sorted(folder.glob("*.json"))}, name)
+    _those_of({p.name: partial(read, p) for p in sorted(folder.iterdir())}, name)
 
 
 def _instances(*names: str) -> Callable[[Path, str], None]:

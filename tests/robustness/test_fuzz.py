@@ -122,7 +122,7 @@ def test_damage_to_a_chunk_keeps_its_checksum_right(tmp_path: Path) -> None:
 
 
 def test_json_damage_reaches_values(tmp_path: Path) -> None:
-    made = {damaged(b'{"a": [1, 2], "b": "x"}', "json", Random(n)) for n in range(200)}
+    made = {damaged(b'{"a": [1, 2], "b": "x"}', "json", Random(n)) for n in range(400)}
     longest = max(made, key=len)
     assert b"9" * 6000 in b"".join(made)
     assert len(longest) > 50_000

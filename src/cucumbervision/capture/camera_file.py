@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cucumbervision.capture.files import parse_model, read_json
+from cucumbervision.capture.camera_formats import camera_document
+from cucumbervision.capture.files import parse_model
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_matrix
 from cucumbervision.errors import IntrinsicsError, as_errors_of
 from cucumbervision.geometry.camera import Distortion
@@ -22,8 +23,9 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import Folder
 
 _OWN_NAME = "intrinsics.json"
-_CAMERA_NAME = re.compile(r".*(intrinsic|camera|cam_?k|calib).*\.json", re.IGNORECASE)
-_BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
+_CAMERA_NAME = re.compile(
+    r".*(intrinsic|camera|cam_?k|calib).*\.(json|ya?ml|xml|txt)", re.IGNORECASE
+)
 _SAY_STREAM = (
     'add "stream": "color" if they are the colour camera\'s at that size (depth-stream '
     "intrinsics scale every length)"
@@ -62,6 +64,8 @@ class CameraFile:
         From the depth camera to the colour camera.
     depth_unit_m : float, optional
         Metres of one depth step.
+    is_sized : bool
+        Whether it says the size of its picture.
     """
 
     intrinsics: Intrinsics
@@ -69,6 +73,7 @@ class CameraFile:
     depth: Intrinsics | None = None
     depth_to_color: Extrinsics | None = None
     depth_unit_m: float | None = None
+    is_sized: bool = True
 
 
 class StrictModel(BaseModel):
@@ -151,10 +156,9 @@ def read_camera_file(path: Path) -> CameraFile:
     Parameters
     ----------
     path : Path
-        JSON: ours (`stream, width, height, fx, fy, cx, cy`, optionally `distortion,
-        coefficients, depth, depth_to_color, depth_unit_m`), the same with a 3x3 `matrix` for
-        fx, fy, cx, cy, or a BOP data set's `camera.json`, which belongs to the colour picture
-        by definition.
+        JSON with `stream, width, height, fx, fy, cx, cy`, optionally `distortion, coefficients,
+        depth, depth_to_color, depth_unit_m`, or the same with a 3x3 `matrix` for fx, fy, cx, cy; or
+        what `camera_formats.camera_document` knows.
 
     Returns
     -------
@@ -168,23 +172,20 @@ def read_camera_file(path: Path) -> CameraFile:
     IntrinsicsError
         If a key is missing, unknown or senseless, or the file does not say its stream.
     """
-    data = read_json(path)
-    if not isinstance(data, dict):
-        raise IntrinsicsError(
-            "holds no intrinsics", source=path, remedy="give one JSON object with stream, fx, …"
-        )
-    data = dict(data)
-    is_bop = frozenset(data) == _BOP_KEYS
-    if is_bop:
-        data |= {"stream": "color", "depth_unit_m": data.pop("depth_scale")}
+    data = camera_document(path)
     if "stream" not in data:
         raise IntrinsicsError(
             "does not say which stream these intrinsics belong to", source=path, remedy=_SAY_STREAM
         )
+    sized = True
     if "matrix" in data:
         with as_errors_of(path):
             values = pinhole_of_matrix(data.pop("matrix"))
         data |= dict(zip(("fx", "fy", "cx", "cy"), values, strict=True))
+        # Without a size they are those of the picture that they are used for.
+        sized = {"width", "height"} <= data.keys()
+        if not sized:
+            data |= {"width": max(1, round(2 * values[2])), "height": max(1, round(2 * values[3]))}
     model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
     with as_errors_of(path):
         return CameraFile(
@@ -192,8 +193,8 @@ def read_camera_file(path: Path) -> CameraFile:
             path,
             model.depth.intrinsics if model.depth else None,
             _extrinsics(model.depth_to_color, path) if model.depth_to_color else None,
-            # BOP: depth_scale times the stored number is millimetres.
-            model.depth_unit_m and model.depth_unit_m * (0.001 if is_bop else 1.0),
+            model.depth_unit_m,
+            sized,
         )
 
 

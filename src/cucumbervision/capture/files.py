@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pydantic import TypeAdapter
 
-COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
+COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"})
 PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
-DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".npz"})
+DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy", ".npz", ".csv"})
 
 MOST_PIXELS = 64_000_000
 """Of a picture; OpenCV refuses larger ones by their heads, as `cucumbervision` sets it up to."""
@@ -210,7 +210,7 @@ def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def read_depth(path: Path) -> NDArray[Any]:
-    """Read a depth picture's numbers as they are: PNG or TIFF, `.npy`, or `.npz` key 'depth'.
+    """Read a depth picture's numbers as they are: PNG, TIFF or PGM, CSV, `.npy` or `.npz`.
 
     Returns
     -------
@@ -227,15 +227,31 @@ def read_depth(path: Path) -> NDArray[Any]:
     suffix = path.suffix.lower()
     if suffix in {".npy", ".npz"}:
         return read_arrays(path)["depth"]
+    if suffix == ".csv":
+        return _read_table(path)
     if suffix not in DEPTH_SUFFIXES:
         raise CaptureError(
             f"'{suffix}' is no depth picture",
             source=path,
-            remedy="give a 16-bit PNG, a TIFF, .npy or .npz",
+            remedy="give a 16-bit PNG, a TIFF, a PGM, .csv, .npy or .npz",
         )
     import cv2
 
     return _decode(path, cv2.IMREAD_UNCHANGED)
+
+
+def _read_table(path: Path) -> NDArray[Any]:
+    text = read_text(path).replace(";", ",")
+    if text.count(",") > MOST_PIXELS:
+        raise DepthError(
+            f"has more than {MOST_PIXELS / 1e6:g} million cells",
+            source=path,
+            remedy="give a smaller picture",
+        )
+    with wrap_reader_errors(path, DepthError, "give a line of numbers for each row of pixels"):
+        table = np.loadtxt(text.splitlines(), delimiter=",", ndmin=2)
+    whole = bool(np.isfinite(table).all() and (table == np.rint(table)).all())
+    return table.astype(np.int32) if whole and np.abs(table).max(initial=0) < 2**31 else table
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:

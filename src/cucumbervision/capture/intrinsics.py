@@ -83,7 +83,7 @@ class Intrinsics:
                 f"{self.cy_px} px are no camera",
                 remedy="give fx, fy, cx, cy in pixels, all finite, the focal lengths positive",
             )
-        if min(self.width, self.height) <= 0:
+        if min(self.width, self.height) <= 0 or max(self.width, self.height) >= 2**31:
             raise IntrinsicsError(
                 f"size {self.width}x{self.height} is no picture",
                 remedy="give the width and height in pixels that the calibration is for",
@@ -201,7 +201,8 @@ def pinhole_of_matrix(matrix: ArrayLike) -> tuple[float, float, float, float]:
         k = np.asarray(matrix, dtype=float).reshape(3, 3)
     except (ValueError, TypeError, OverflowError):
         k = np.zeros((3, 3))
-    if not np.allclose(k[2], (0, 0, 1)) or k[0, 1] != 0 or k[1, 0] != 0:
+    form = np.isfinite(k).all() and np.allclose(k[2], (0, 0, 1)) and not k[0, 1] and not k[1, 0]
+    if not form:
         raise IntrinsicsError(
             "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
             remedy="give the 3x3 matrix row by row, in pixels, without skew",

@@ -59,7 +59,7 @@ class Limits:
     zip_depth : int
         1 allows a zip in a zip; 0 none.
     text_bytes : int
-        Size of a JSON, CSV, YAML or text file.
+        Size of a JSON, YAML, XML or text file.
     recording : RecordingLimits
         For `.bag` and `.db3`.
 

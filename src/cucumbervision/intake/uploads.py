@@ -33,8 +33,8 @@ LOOSE = "upload"
 """The title of files that were sent one by one."""
 
 _CHUNK = 1 << 20
-_TEXTS = frozenset({".json", ".csv", ".txt", ".yaml", ".yml", ".xml"})
-_PICTURES = COLOR_SUFFIXES | DEPTH_SUFFIXES
+_TEXTS = frozenset({".json", ".txt", ".yaml", ".yml", ".xml"})
+_PICTURES = (COLOR_SUFFIXES | DEPTH_SUFFIXES) - {".csv"}
 _REMEDY = (
     "pack capture folders, BOP scenes, .npz files, or colour and depth pictures with matching names"
 )
@@ -245,7 +245,7 @@ class _Intake:
             if suffix in RECORDING_SUFFIXES:
                 own = AcceptedSource(path / name, shown, self.limits.recording)
                 self.out.sources.append(own)
-            elif suffix in _TEXTS or (title != LOOSE and not _needs_partner(name, used)):
+            elif suffix in _TEXTS | {".csv"} or (title != LOOSE and not _needs_partner(name, used)):
                 self.out.ignored.append(shown)
             else:
                 self.out.refused.append(Refused(shown, _left_alone(shown, suffix)))

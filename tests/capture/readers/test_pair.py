@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.files import read_depth, write_png
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers import ReadOptions, list_folder, open_source
@@ -233,3 +233,52 @@ def test_usual_names_of_pairs(tmp_path: Path, color: str, depth: str) -> None:
     for name in (color, depth, "mask.png", "notes.txt"):
         (tmp_path / name).touch()
     assert match_pairs(list_folder(tmp_path)) == [Pair(tmp_path / color, tmp_path / depth)]
+
+
+def test_a_list_in_tum_s_form_says_what_belongs_together(tmp_path: Path) -> None:
+    for part in ("rgb", "depth"):
+        (tmp_path / part).mkdir()
+    write_png(tmp_path / "rgb" / "1.10.png", COLOR)
+    write_png(tmp_path / "depth" / "1.12.png", np.full((48, 64), 2250, np.uint16))
+    write_png(tmp_path / "depth" / "1.10.png", np.zeros((48, 64), np.uint16))
+    lines = "# colour, depth\n1.10 rgb/1.10.png 1.12 depth/1.12.png\n9.0 rgb/../x.png 9.0 x\n"
+    (tmp_path / "associations.txt").write_text(lines)
+    (tmp_path / "cam_K.txt").write_text("60 0 32 0 60 24 0 0 1")
+    capture = load(tmp_path)
+    # Of a fifth of a millimetre a step.
+    assert np.unique(capture.depth_m).tolist() == [np.float32(0.45)]
+    assert (capture.name, capture.intrinsics.size) == ("1.10", (64, 48))
+    assert np.unique(load(tmp_path, depth_unit_m=0.001).depth_m).tolist() == [np.float32(2.25)]
+
+
+def test_intrinsics_without_a_size_belong_to_pictures_around_their_centre(tmp_path: Path) -> None:
+    write_png(tmp_path / "rgb.png", COLOR)
+    write_png(tmp_path / "depth.png", DEPTH_MM)
+    (tmp_path / "cam_K.txt").write_text("910 0 640 0 910 360 0 0 1")
+    with pytest.raises(IntrinsicsError, match=r"cam_K\.txt: does not say its size, and 640, 360"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "step"),
+    [
+        ("450,460\n450,nan\n", 1.0),
+        ("0.45;0.46\n0.45;0.47\n", 1.0),
+        ("450,460\n450,470\n", 0.001),
+    ],
+)
+def test_depth_as_a_table(text: str, step: float, tmp_path: Path) -> None:
+    (tmp_path / "d.csv").write_text(text)
+    read = read_depth(tmp_path / "d.csv")
+    assert read.shape == (2, 2)
+    assert (read.dtype.kind == "f") == (step == 1.0)
+    assert read[0, 1] in (460, 0.46)
+    (tmp_path / "d.csv").write_text("1,2\n3\n")
+    with pytest.raises(DepthError, match=r"d\.csv: .*"):
+        read_depth(tmp_path / "d.csv")
+
+
+def test_depth_as_pgm(tmp_path: Path, intrinsics: Path) -> None:
+    cv2.imwrite(str(tmp_path / "rgb_1.ppm"), COLOR)
+    cv2.imwrite(str(tmp_path / "depth_1.pgm"), DEPTH_MM)
+    assert load(tmp_path, intrinsics=intrinsics).depth_m[0, 0] == np.float32(0.45)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.depth import depth_to_metres, require_readings
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
+
+_MIDDLE = 0.3  # where a principal point is at least, of the picture's width and height
 
 
 def choose_intrinsics(
@@ -37,7 +40,18 @@ def choose_intrinsics(
         would cause; or if there are none at all.
     """
     if given is not None:
-        return check_intrinsics(given.intrinsics, width, height, known=own, source=given.path)
+        camera = given.intrinsics
+        if not given.is_sized:
+            middle = camera.cx_px / width, camera.cy_px / height
+            if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
+                raise IntrinsicsError(
+                    f"does not say its size, and {camera.cx_px:g}, {camera.cy_px:g} px is not near "
+                    f"the middle of a picture of {width}x{height}",
+                    source=given.path,
+                    remedy="give the intrinsics of this size of picture",
+                )
+            camera = replace(camera, width=width, height=height)
+        return check_intrinsics(camera, width, height, known=own, source=given.path)
     if own is not None:
         return check_intrinsics(own, width, height, source=source)
     raise no_intrinsics(source)

@@ -18,6 +18,7 @@ from cucumbervision.capture.files import (
     read_color,
     read_depth,
     read_head,
+    read_text,
 )
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import Folder, Listed, Opener, ReadOptions
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
+_LISTS = frozenset({"associations.txt", "associated.txt", "associate.txt", "assoc.txt"})
+_TUM_STEP_M = 1 / 5000
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
 
 
@@ -45,11 +48,14 @@ class Pair:
         The pictures.
     camera : Path, optional
         The nearest intrinsics file: beside the colour picture, or in a folder above it.
+    unit_m : float, optional
+        Metres of one depth step, where the format says it.
     """
 
     color: Path | None
     depth: Path | None
     camera: Path | None = None
+    unit_m: float | None = None
 
     @property
     def is_whole(self) -> bool:
@@ -59,7 +65,12 @@ class Pair:
 
 def find_pairs(folder: Folder) -> Opener | None:
     """Find the frames of `match_pairs`, and take their files."""
-    pairs = match_pairs(folder)
+    try:
+        pairs = _associated(folder)
+    except CaptureError as error:
+        folder.faults.append(error)
+        pairs = []
+    pairs = pairs or match_pairs(folder)
     taken = {file for pair in pairs for file in (pair.color, pair.depth)}
     for at, names in folder.files.items():
         names[:] = [name for name in names if folder.path / at / name not in taken]
@@ -91,6 +102,22 @@ def match_pairs(folder: Folder) -> list[Pair]:
         pictures = [None if name is None else folder.path / name for name in (color, depth)]
         found.append(Pair(pictures[0], pictures[1], camera_file_near(folder, at)))
     return found
+
+
+def _associated(folder: Folder) -> list[Pair]:
+    """Return the pairs that a list in TUM's form names: time, colour, time and depth a line."""
+    names, pairs = {*folder}, []
+    for at, own in folder.files.items():
+        for path in (folder.path / at / name for name in own if name.lower() in _LISTS):
+            camera = camera_file_near(folder, at)
+            for words in (line.split() for line in read_text(path).splitlines()):
+                files = [f"{at}/{word}".lstrip("/") for word in words[1::2]]
+                if len(words) == 4 and {*files} <= names:
+                    color, depth = sorted(files, key=lambda f: bool(_DEPTH_WORD.search(f)))
+                    pairs.append(
+                        Pair(folder.path / color, folder.path / depth, camera, _TUM_STEP_M)
+                    )
+    return pairs
 
 
 def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
@@ -242,7 +269,7 @@ def _load_pair(
         partial(read_depth, pair.depth),
         None,
         given,
-        options.depth_unit_m,
+        options.depth_unit_m or given.depth_unit_m or pair.unit_m,
         source=pair.color,
         depth_source=pair.depth,
         name=name,

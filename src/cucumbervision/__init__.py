@@ -18,7 +18,7 @@ import os
 import lazy_loader
 
 # OpenCV makes room for as much as a picture's head promises, up to this; it is read as OpenCV is
-# loaded, and `capture.files.MOST_PIXELS` is the same.
+# loaded, and `capture.pictures.MOST_PIXELS` is the same.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "64000000")
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.files import write_png
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import write_png
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 WIDTH, HEIGHT = 160, 120

@@ -111,7 +111,7 @@ def test_damage_to_a_chunk_keeps_its_checksum_right(tmp_path: Path) -> None:
     from tests.robustness.mutations import _png
     from tests.robustness.seeds import bop
 
-    from cucumbervision.capture.files import _whole_png
+    from cucumbervision.capture.pictures import _whole_png
 
     bop(tmp_path)
     data = (tmp_path / "rgb" / "000001.png").read_bytes()

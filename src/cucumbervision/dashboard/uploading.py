@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.files import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
 from cucumbervision.errors import CucumberVisionError, IntrinsicsError
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.rounds.adding import (

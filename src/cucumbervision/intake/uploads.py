@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, BinaryIO
 
-from cucumbervision.capture.files import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, find_captures, list_folder
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CaptureError, CucumberVisionError, UploadError, wrap_os_errors

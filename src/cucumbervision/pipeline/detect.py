@@ -15,13 +15,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from cucumbervision.about import software
-from cucumbervision.capture.files import (
-    PHOTO_SUFFIXES,
-    json_value,
-    read_photo,
-    write_bytes,
-    write_jpeg,
-)
+from cucumbervision.capture.files import json_value, write_bytes
+from cucumbervision.capture.pictures import PHOTO_SUFFIXES, read_photo, write_jpeg
 from cucumbervision.capture.source import safe_name, unique_name
 from cucumbervision.errors import CaptureError, CucumberVisionError, wrap_os_errors
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from pydantic import BaseModel, Field, create_model
 
-from cucumbervision.capture.files import read_photo
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import read_photo
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import clean_name
 from cucumbervision.intake.uploads import accept_uploads

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.mask_codes import Rle

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from cucumbervision.capture.files import COLOR_SUFFIXES, read_bytes, read_color
+from cucumbervision.capture.files import read_bytes
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.mask_codes import Rle

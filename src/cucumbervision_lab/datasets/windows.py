@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.capture.files import read_color, write_jpeg
+from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.boxes import share_inside
 from cucumbervision.perception.mask_codes import Rle

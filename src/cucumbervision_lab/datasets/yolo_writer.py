@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from cucumbervision.capture.files import read_color, write_bytes
+from cucumbervision.capture.files import write_bytes
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.labels import (
     SPLITS,

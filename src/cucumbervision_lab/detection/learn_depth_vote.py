@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.perception.boxes import box_ious, share_inside
 from cucumbervision.perception.depth_vote import (
     AGAINST,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.pipeline.finders import Finder, make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import stress_cases

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.outcomes import (

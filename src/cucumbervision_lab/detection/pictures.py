@@ -381,8 +381,8 @@ def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]
     if picture.depth_file is None or picture.camera is None:
         return None
     from cucumbervision.capture.depth import depth_to_metres
-    from cucumbervision.capture.files import read_depth
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.pictures import read_depth
 
     path = data.folder / picture.depth_file
     depth_m = depth_to_metres(read_depth(path), picture.depth_unit_m, source=path)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import load_registry

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.capture.files import read_color, read_depth, write_jpeg
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import read_color, read_depth, write_jpeg
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision_lab.synthesis.appearance import FAR, Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation

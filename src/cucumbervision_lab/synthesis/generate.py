@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.files import read_color, write_jpeg, write_png
+from cucumbervision.capture.pictures import read_color, write_jpeg, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import collect_fragments, read_coco
 from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.yolo import BY_PLACE
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, Label

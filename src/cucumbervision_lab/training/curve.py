@@ -10,7 +10,7 @@ import math
 from functools import cached_property
 from pathlib import Path
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision_lab.detection.average_precision import Judged, average_precision
 from cucumbervision_lab.detection.photos import Photo, audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import Networks, detect_picture, open_networks

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.capture.files import read_color
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.perception.ends import LEAST_END_CONFIDENCE, STRIP_PX, orient

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError

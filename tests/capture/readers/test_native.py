@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import ReadOptions, native, open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import read_depth, write_png
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Stream
+from cucumbervision.capture.pictures import read_depth, write_png
 from cucumbervision.capture.readers import ReadOptions, list_folder, open_source
 from cucumbervision.capture.readers.pair import Pair, match_pairs
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 

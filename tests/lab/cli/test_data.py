@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.datasets.coco import read_coco

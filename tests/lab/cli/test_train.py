@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import MissingExtraError, TrainingError
 from cucumbervision_lab.cli.screen import epoch_line
 from cucumbervision_lab.cli.train import app

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import read_color, write_png
+from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.mask_codes import Rle
 from cucumbervision_lab.datasets.checks import (

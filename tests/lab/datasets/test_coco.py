@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import CaptureError, DataSetError
 from cucumbervision_lab.datasets.coco import collect_fragments, read_coco
 from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.perception.networks import Segmenter, open_segmenter
 from cucumbervision_lab.datasets.checks import check_dataset
 from cucumbervision_lab.datasets.derive import add_pseudo_masks

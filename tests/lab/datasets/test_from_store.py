@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.files import read_color
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.mask_codes import encode_rle
 from cucumbervision.store.records import (

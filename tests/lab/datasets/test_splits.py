@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cucumbervision.capture.files import read_color, write_png
+from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.checks import check_dataset
 from cucumbervision_lab.datasets.labels import SPLITS, DataSet, Label, LabelledPicture

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import read_color, write_png
+from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, keep_classes
 from cucumbervision_lab.datasets.yolo import read_yolo

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 pytest.importorskip("pycocotools")
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.perception.instances import Instance
 from cucumbervision_lab.detection.photos import (
     Photo,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco_writer import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture

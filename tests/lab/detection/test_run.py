@@ -21,8 +21,8 @@ pytest.importorskip("onnx")
 import onnx
 
 from cucumbervision.accuracy.table import Cell
-from cucumbervision.capture.files import write_png
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app

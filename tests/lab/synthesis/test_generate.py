@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import read_color, read_depth
+from cucumbervision.capture.pictures import read_color, read_depth
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.labels import DataSet

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision.capture.files import write_png  # noqa: E402
+from cucumbervision.capture.pictures import write_png  # noqa: E402
 from cucumbervision.errors import TrainingError  # noqa: E402
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier  # noqa: E402
 from cucumbervision.perception.instances import Instance  # noqa: E402

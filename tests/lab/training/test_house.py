@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import write_png
+from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.in_use import use_network
 from cucumbervision.perception.registry import load_registry

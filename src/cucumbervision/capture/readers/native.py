@@ -12,18 +12,15 @@ from pydantic import AfterValidator, Field
 
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.depth import depth_to_metres, require_readings
-from cucumbervision.capture.files import (
+from cucumbervision.capture.files import json_value, parse_model, read_json, write_bytes
+from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
+from cucumbervision.capture.pictures import (
     MOST_BURST_PIXELS,
-    json_value,
-    parse_model,
     read_color,
     read_depth,
-    read_json,
     read_masks,
-    write_bytes,
     write_png,
 )
-from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
 from cucumbervision.capture.readers.common import choose_intrinsics, require_same_size
 from cucumbervision.capture.source import fail
 from cucumbervision.errors import CaptureError, as_errors_of, wrap_os_errors

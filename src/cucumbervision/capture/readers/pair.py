@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraFile, camera_file_near, read_camera_file
-from cucumbervision.capture.files import (
+from cucumbervision.capture.files import read_head, read_text
+from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.pictures import (
     COLOR_SUFFIXES,
     DEPTH_SUFFIXES,
     read_arrays,
     read_color,
     read_depth,
-    read_head,
-    read_text,
 )
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
 from cucumbervision.capture.source import CaptureSource, fail
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.capture.files import read_photo
+from cucumbervision.capture.pictures import read_photo
 from cucumbervision.errors import CaptureError
 
 GREEN, GREY = (40, 160, 60), 114

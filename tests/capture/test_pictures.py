@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.files import (
+from cucumbervision.capture.files import read_json
+from cucumbervision.capture.pictures import (
     read_arrays,
     read_color,
     read_depth,
-    read_json,
     read_masks,
     read_photo,
     write_png,

@@ -1,0 +1,323 @@
+"""Pictures and arrays on disk: decoded within limits, or refused with the file's name."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+import zlib
+from typing import IO, TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.lib import format as npy
+
+from cucumbervision.capture.files import read_bytes, read_text, write_bytes
+from cucumbervision.errors import CaptureError, DepthError, wrap_reader_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"})
+PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
+DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy", ".npz", ".csv"})
+
+MOST_PIXELS = 64_000_000
+"""Of a picture; OpenCV refuses larger ones by their heads, as `cucumbervision` sets it up to."""
+MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
+"""Of all frames of a burst together, and of all masks of a frame."""
+_MOST_ARRAYS = 16  # of an .npz
+
+_GREY = 114  # what stands for nothing in a network's input too
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+
+
+def read_color(path: Path) -> NDArray[np.uint8]:
+    """Read a colour picture.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated or no picture.
+    """
+    import cv2
+
+    # A picture's EXIF orientation must not turn it: depth would not turn with it.
+    image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return cast("NDArray[np.uint8]", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+
+
+def read_photo(path: Path) -> NDArray[np.uint8]:
+    """Read a plain picture the way a viewer shows it.
+
+    Its EXIF orientation turns it, 16 bits become 8, grey becomes colour, and what is transparent
+    lies on grey.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated or no picture of whole numbers.
+    """
+    import cv2
+
+    colour = _photo_levels(path, _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH))
+    opaque = path.suffix.lower() in {".jpg", ".jpeg"}
+    raw = colour if opaque else _decode(path, cv2.IMREAD_UNCHANGED)
+    if raw.ndim == 3 and raw.shape[2] == 4:
+        alpha = _photo_levels(path, raw)[..., 3:].astype(np.float32) / 255
+        # The transparent plane comes as it was stored: it fits where nothing was turned.
+        stored = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if stored.shape == colour.shape:
+            colour = np.rint(colour * alpha + _GREY * (1 - alpha)).astype(np.uint8)
+    return cast("NDArray[np.uint8]", cv2.cvtColor(colour, cv2.COLOR_BGR2RGB))
+
+
+def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
+    if image.dtype == np.uint8:
+        return image
+    if image.dtype == np.uint16:
+        return np.rint(image / 257.0).astype(np.uint8)
+    raise CaptureError(
+        f"its levels are {image.dtype}, of which nobody knows the white",
+        source=path,
+        remedy="save it with 8 or 16 bits a colour",
+    )
+
+
+def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], ...]:
+    """Read mask pictures: every pixel that is not 0 belongs to the fruit.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Pictures of one channel.
+    shape : tuple of int
+        (H, W) that each must have.
+
+    Raises
+    ------
+    CaptureError
+        If a file is missing, truncated, no picture or of another size, or all of them together
+        take more than memory should hold.
+    """
+    if len(paths) * shape[0] * shape[1] > MOST_MASK_PIXELS:
+        raise CaptureError(
+            f"its {len(paths)} masks have more than {MOST_MASK_PIXELS / 1e6:g} million pixels",
+            source=paths[0].parent,
+            remedy="give fewer masks, or smaller pictures",
+        )
+    return tuple(_read_mask(path, shape) for path in paths)
+
+
+def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    import cv2
+
+    image = _decode(path, cv2.IMREAD_GRAYSCALE)
+    if image.shape != shape[:2]:
+        raise CaptureError(
+            f"the mask is {image.shape[1]}x{image.shape[0]}, the picture {shape[1]}x{shape[0]}",
+            source=path,
+            remedy="give a mask of the picture's size",
+        )
+    return image > 0
+
+
+def read_depth(path: Path) -> NDArray[Any]:
+    """Read a depth picture's numbers as they are: PNG, TIFF or PGM, CSV, `.npy` or `.npz`.
+
+    Returns
+    -------
+    ndarray
+        As stored, of whatever shape and dtype; `depth_to_metres` judges it.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, truncated, or of no known kind.
+    DepthError
+        If it holds no array, or Python objects, which are never loaded.
+    """
+    suffix = path.suffix.lower()
+    if suffix in {".npy", ".npz"}:
+        return read_arrays(path)["depth"]
+    if suffix == ".csv":
+        return _read_table(path)
+    if suffix not in DEPTH_SUFFIXES:
+        raise CaptureError(
+            f"'{suffix}' is no depth picture",
+            source=path,
+            remedy="give a 16-bit PNG, a TIFF, a PGM, .csv, .npy or .npz",
+        )
+    import cv2
+
+    return _decode(path, cv2.IMREAD_UNCHANGED)
+
+
+def _read_table(path: Path) -> NDArray[Any]:
+    text = read_text(path).replace(";", ",")
+    if text.count(",") > MOST_PIXELS:
+        raise DepthError(
+            f"has more than {MOST_PIXELS / 1e6:g} million cells",
+            source=path,
+            remedy="give a smaller picture",
+        )
+    with wrap_reader_errors(path, DepthError, "give a line of numbers for each row of pixels"):
+        table = np.loadtxt(text.splitlines(), delimiter=",", ndmin=2)
+    whole = bool(np.isfinite(table).all() and (table == np.rint(table)).all())
+    return table.astype(np.int32) if whole and np.abs(table).max(initial=0) < 2**31 else table
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read an `.npz`'s arrays, or an `.npy` as {'depth': array}; never Python objects.
+
+    Raises
+    ------
+    DepthError
+        If it holds Python objects (pickle) or more than pictures of `MOST_PIXELS` have, is no
+        NumPy file, or has no 'depth'.
+    """
+    data = read_bytes(path)
+    try:
+        if data.startswith(b"PK"):
+            _require_arrays(data)
+            arrays = dict(np.load(io.BytesIO(data), allow_pickle=False))
+        else:
+            _require_whole_array(io.BytesIO(data), len(data))
+            arrays = {"depth": np.load(io.BytesIO(data), allow_pickle=False)}
+    except MemoryError:
+        raise
+    except Exception as error:  # its parsers raise what they like, a tokenizer's errors too
+        # NumPy calls every file that it does not know a pickle; a real one begins with 0x80.
+        pickled = "Object arrays" in str(error) or data.startswith(b"\x80")
+        fault = "holds Python objects (pickle), which are never loaded" if pickled else ""
+        if isinstance(error, _TooLargeError):
+            fault = f"holds {error}"
+        raise DepthError(
+            fault or "is truncated or no NumPy file",
+            source=path,
+            remedy="save the array as uint16 or float32 with numpy.save",
+        ) from None
+    if "depth" not in arrays:
+        raise DepthError(
+            f"has no array 'depth', only {', '.join(sorted(arrays)) or 'nothing'}",
+            source=path,
+            remedy="save it with numpy.savez(file, depth=...)",
+        )
+    return arrays
+
+
+class _TooLargeError(ValueError):
+    """More than a picture has."""
+
+
+def _require_arrays(data: bytes) -> None:
+    """Refuse arrays whose heads promise more than a picture has: room is made by the head."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = archive.infolist()
+        if len(members) > _MOST_ARRAYS:
+            raise _TooLargeError(f"more than {_MOST_ARRAYS} arrays")
+        for member in members:
+            if not member.filename.endswith(".npy"):
+                raise _TooLargeError("something other than arrays")
+            with archive.open(member) as stream:
+                _require_whole_array(stream, member.file_size)
+
+
+def _require_whole_array(stream: IO[bytes], size: int) -> None:
+    version = npy.read_magic(stream)
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, dtype = read(stream, max_header_size=4000)
+    # Objects have no size of their own: they are refused as they are read.
+    room = math.prod(shape) * dtype.itemsize
+    if not dtype.hasobject and stream.tell() + room > size:
+        raise ValueError("the array is longer than the file")
+    # Numbers of eight bytes, three a pixel.
+    if max(room, size) > 24 * MOST_PIXELS:
+        raise _TooLargeError(
+            f"an array larger than pictures of {MOST_PIXELS / 1e6:g} million pixels"
+        )
+
+
+def _decode(path: Path, flags: int) -> NDArray[Any]:
+    import cv2
+
+    data = read_bytes(path)
+    # OpenCV gives a truncated picture with its missing part grey, as if nothing were wrong.
+    truncated = (data.startswith(_PNG) and not _whole_png(data)) or (
+        data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:]
+    )
+    image = None
+    fault = "is truncated or damaged" if truncated else "is no picture that can be read"
+    remedy = "copy or export it again"
+    if not truncated:
+        # OpenCV would tell of a broken file itself, in lines of its own.
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error as error:
+            if "CV_IO_MAX_IMAGE" in str(error):  # told by the head, before there is room made
+                fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
+                remedy = "give a smaller picture"
+        cv2.utils.logging.setLogLevel(level)
+    if image is None:
+        raise CaptureError(fault, source=path, remedy=remedy)
+    return image
+
+
+def _whole_png(data: bytes) -> bool:
+    """Walk the PNG's chunks (ISO/IEC 15948, 5.3): each whole, its checksum right, IEND last."""
+    at = len(_PNG)
+    while at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        body, end = at + 4, at + 8 + length
+        if data[end : end + 4] != zlib.crc32(data[body:end]).to_bytes(4, "big"):
+            return False
+        if data[body : body + 4] == b"IEND":
+            return True
+        at = end + 4
+    return False
+
+
+def write_png(path: Path, image: NDArray[Any]) -> None:
+    """Write an RGB, grey or 16-bit picture.
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be written.
+    """
+    import cv2
+
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, data = cv2.imencode(".png", image)
+    write_bytes(path, data.tobytes())
+
+
+def write_jpeg(path: Path, color_rgb: NDArray[np.uint8], quality: int = 95) -> None:
+    """Write an RGB picture.
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be written.
+    """
+    import cv2
+
+    bgr = np.ascontiguousarray(color_rgb[..., ::-1])
+    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    write_bytes(path, data.tobytes())

@@ -68,6 +68,10 @@ class FileError(CucumberVisionError):
     """The operating system cannot read or write a file: a full disk, a name that is too long."""
 
 
+class DiskFullError(FileError):
+    """There is no room on the disk: what comes next cannot be written either, so batches stop."""
+
+
 class OutOfMemoryError(CucumberVisionError):
     """There is not enough memory for a picture or a network."""
 
@@ -229,6 +233,8 @@ def wrap_os_errors(
         yield
     except OSError as error:
         text = error.strerror or " ".join(str(error).split()) or type(error).__name__
+        if error.errno in _FULL:
+            kind, remedy = DiskFullError, _FILE_REMEDIES[errno.ENOSPC]
         raise kind(f"{fault} ({text})", source=source, remedy=remedy) from error
     except ValueError as error:
         # A name that no file can have: Python does not even ask the system.
@@ -292,6 +298,7 @@ def _fault_of(error: Exception) -> str:
 
 _LONGEST_FAULT = 200  # of what a library says
 
+_FULL = frozenset((errno.ENOSPC, errno.EDQUOT))
 _FILE_REMEDIES = {
     errno.ENAMETOOLONG: "shorten the name",
     errno.ENOSPC: "free some space on the disk",
@@ -332,7 +339,8 @@ def named_error(error: Exception, source: object = None) -> CucumberVisionError:
         # A name that is too long is itself no source that anybody wants to read.
         file = error.filename if error.errno != errno.ENAMETOOLONG else None
         remedy = _FILE_REMEDIES.get(error.errno or 0, "check the disk and its permissions")
-        return FileError(text, source=file or source, remedy=remedy)
+        kind = DiskFullError if error.errno in _FULL else FileError
+        return kind(text, source=file or source, remedy=remedy)
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     text = f"{type(error).__name__}: {error}".rstrip(": ")[:300]

@@ -96,3 +96,14 @@ def test_a_store_is_checked(house: list[str]) -> None:
 def test_faults_are_named(house: list[str]) -> None:
     with pytest.raises(CucumberVisionError, match="no round is called 'evening'"):
         run("show", "--round", "evening", *house)
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["list", "show", "merge", "check", "pick-list", "add x", "link monday", "remeasure"],
+)
+def test_a_store_that_is_not_there_is_not_made(tmp_path: Path, command: str) -> None:
+    store = tmp_path / "houses" / "hause.db"
+    with pytest.raises(CucumberVisionError, match="is not there; check the path"):
+        run(*command.split(), "--store", str(store))
+    assert not any(tmp_path.iterdir())

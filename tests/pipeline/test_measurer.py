@@ -22,7 +22,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CalibrationError
+from cucumbervision.errors import CalibrationError, DiskFullError
 from cucumbervision.measurement.result import (
     Choice,
     Flag,
@@ -217,7 +217,7 @@ def test_another_camera_is_refused_and_the_rest_goes_on(tmp_path: Path) -> None:
 
 ERRORS = {
     "OutOfMemoryError": MemoryError(),
-    "FileError": OSError(errno.ENOSPC, "No space left on device"),
+    "FileError": OSError(errno.EIO, "Input/output error"),
     "InternalError": OverflowError("cannot convert float infinity to integer"),
 }
 
@@ -249,6 +249,13 @@ def test_a_recursion_without_end_is_a_defect_with_its_place() -> None:
     assert "RecursionError" in failures[0].message
     assert "test_measurer.py, line" in failures[0].message
     assert "report" in failures[0].message
+
+
+def test_a_full_disk_passes_the_boundary_by_its_name() -> None:
+    failures: list[Failure] = []
+    with pytest.raises(DiskFullError, match="free some space"), Boundary(failures, "house"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert failures == []
 
 
 def test_an_interruption_passes_the_boundary() -> None:

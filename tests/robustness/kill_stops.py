@@ -26,8 +26,8 @@ from sqlalchemy import func, select
 from tests.robustness.made_stops import FRUIT, METHODS, made_round, made_stop
 
 from cucumbervision.errors import CucumberVisionError
+from cucumbervision.store.check import check_store
 from cucumbervision.store.engine import begin
-from cucumbervision.store.images import check_store
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.schema import CaptureLine, DetectionLine, MaskLine, MethodLine, StopLine
 

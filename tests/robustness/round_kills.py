@@ -84,7 +84,7 @@ def _compared(before: list[str], now: list[str], adding: _Program) -> tuple[list
 
 def _at_the_end(store: Path, last: _Program) -> str:
     """Return what is wrong with a round that was added to its end, pictures included."""
-    from cucumbervision.store.images import check_store
+    from cucumbervision.store.check import check_store
     from cucumbervision.store.repository import open_store
 
     if stops_in(store) != [f"c{k}" for k in range(_STOPS)]:

@@ -145,7 +145,7 @@ def _calibration(folder: Path, _name: str) -> None:
 
 
 def _store(folder: Path, _name: str) -> None:
-    from cucumbervision.store.images import check_store
+    from cucumbervision.store.check import check_store
     from cucumbervision.store.repository import open_store
 
     with open_store(folder / "house.db", images=folder / "pictures", create=False) as store:

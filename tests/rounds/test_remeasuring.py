@@ -16,7 +16,7 @@ from cucumbervision.measurement.result import LengthDefinition, Method
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.adding import add_captures
 from cucumbervision.rounds.remeasuring import measure_round_again
-from cucumbervision.store.images import check_store
+from cucumbervision.store.check import check_store
 from cucumbervision.store.links import LinkKind
 from cucumbervision.store.records import key_of
 from cucumbervision.store.repository import Store

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import sqlite3
+import tempfile
 from contextlib import closing
 from pathlib import Path
 from threading import Timer
@@ -9,6 +11,7 @@ import pytest
 
 from cucumbervision.errors import StoreError
 from cucumbervision.store.engine import begin, database_url, named
+from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import open_store
 
 
@@ -107,3 +110,34 @@ def test_a_file_that_another_never_leaves_is_told(
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(StoreError, match="is locked; another program is writing"):
             open_store(tmp_path / "house.db")
+
+
+def test_a_store_that_may_not_be_written_can_be_read() -> None:
+    with tempfile.TemporaryDirectory() as name:  # pytest's own are closed to others
+        folder = Path(name)
+        with open_store(folder / "house.db") as store:
+            store.save_round(RoundRecord(key_of("walk"), "morning"))
+        for path, mode in ((folder / "house.db", 0o444), (folder, 0o555)):
+            path.chmod(mode)
+        before, files = os.geteuid(), sorted(folder.iterdir())
+        if before == 0:  # whom modes do not stop
+            os.seteuid(65534)
+        try:
+            with open_store(folder / "house.db") as store:
+                assert [one.record.name for one in store.rounds()] == ["morning"]
+                with pytest.raises(StoreError, match="readonly database; check the file's perm"):
+                    store.rename_round(key_of("walk"), "noon")
+        finally:
+            os.seteuid(before)
+            folder.chmod(0o755)
+        assert sorted(folder.iterdir()) == files
+
+
+def test_damage_that_sqlite_cannot_say_in_utf_8_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "house.db"
+    open_store(path).close()
+    data = path.read_bytes()
+    at = data.index(b"CREATE TABLE rounds")
+    path.write_bytes(data[:at] + b"CREATE T\xc1BLE rounds" + data[at + 19 :])
+    with pytest.raises(StoreError, match="damaged"):
+        open_store(path)

@@ -1,17 +1,22 @@
 from __future__ import annotations
 
+import errno
+import fcntl
 import hashlib
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.errors import StoredImageError, StoreError
+from cucumbervision.errors import DiskFullError, StoredImageError, StoreError
 from cucumbervision.store.images import DEPTH_UNIT_M, THUMBNAIL_PX, ImageStore
 from cucumbervision.store.records import ImageRef
+from cucumbervision.store.repository import open_store
 
 
 @pytest.fixture
@@ -37,7 +42,7 @@ def test_a_picture_is_named_by_its_content_and_comes_back_exactly(
         f"{ref.sha256}.png",
     )
     np.testing.assert_array_equal(images.read_color(ref), color)
-    assert list(images.unfinished()) == []
+    assert list((images.folder / "writing").iterdir()) == []
 
 
 @pytest.mark.parametrize(("size", "small"), [((480, 848), (181, 320)), ((20, 10), (20, 10))])
@@ -115,10 +120,10 @@ def test_what_cannot_be_finished_leaves_nothing(
     images: ImageStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_handle: int) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(StoreError, match=r"No space left on device.*; make room"):
+    with pytest.raises(DiskFullError, match=r"No space left on device.*; free some space"):
         images.put(b"x", ".png", 1, 1)
     assert [p for p in images.folder.rglob("*") if p.is_file()] == []
 
@@ -147,3 +152,22 @@ def test_a_name_is_given_only_to_what_is_on_the_disk(
     done.clear()
     images.put(b"first", ".png", 1, 1)
     assert done == []
+
+
+def test_what_a_killed_run_left_half_written_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    program = """
+import os, pathlib, sys
+from cucumbervision.store.images import ImageStore
+os.fsync = lambda _: os.kill(os.getpid(), 9)
+ImageStore(pathlib.Path(sys.argv[1])).put(b"half a picture", ".png", 1, 1)
+"""
+    folder = tmp_path / "house.images"
+    killed = subprocess.run([sys.executable, "-c", program, folder], check=False)
+    assert killed.returncode == -9
+    [left] = [path for path in folder.rglob("*") if path.is_file()]
+    os.utime(left, (1.0, 1.0))
+    with (folder / "writing" / "other").open("wb") as running:
+        fcntl.flock(running, fcntl.LOCK_EX)
+        os.utime(running.name, (1.0, 1.0))
+        open_store(tmp_path / "house.db").close()
+        assert [path for path in folder.rglob("*") if path.is_file()] == [Path(running.name)]

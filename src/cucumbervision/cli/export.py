@@ -36,7 +36,7 @@ def export(
     from cucumbervision.exports.writers import write_exports
 
     usual = [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.JSON]
-    with opened_round(store, round_, images, create=False) as (opened, one):
+    with opened_round(store, round_, images) as (opened, one):
         tables = round_tables(
             opened,
             one.key,

@@ -38,13 +38,13 @@ app = typer.Typer(
 
 @contextmanager
 def opened_round(
-    where: str, name: str, images: Path | None = None, *, create: bool = True
+    where: str, name: str, images: Path | None = None
 ) -> Iterator[tuple[Store, RoundView]]:
     """Open a store and find a round in it; close the store at the end."""
     from cucumbervision.rounds.from_store import find_round
     from cucumbervision.store.repository import open_store
 
-    with open_store(where, images=images, create=create) as store:
+    with open_store(where, images=images, create=False) as store:
         yield store, find_round(store, name)
 
 
@@ -332,7 +332,7 @@ def list_(store: StoreName = "house.db") -> None:
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.store.repository import open_store
 
-    with open_store(store) as opened:
+    with open_store(store, create=False) as opened:
         rounds = opened.rounds()
     left = ("key", "name", "house", "began", "profile")
     table = columns_table(None, left, "stops", "views")
@@ -354,7 +354,7 @@ def check(
 ) -> None:
     """Check a store: its file, and that every picture is there and whole. Exits 1 if not."""
     from cucumbervision.cli.console import screen
-    from cucumbervision.store.images import check_store
+    from cucumbervision.store.check import check_store
     from cucumbervision.store.repository import open_store
 
     with open_store(store, images=images, create=False) as opened:

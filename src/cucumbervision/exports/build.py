@@ -25,6 +25,7 @@ from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table, hanging_lengths_m, round_figures
 from cucumbervision.rounds.merge_and_link import DAY_S, row_reports
 from cucumbervision.rounds.today import day_0_s, forecast_today
+from cucumbervision.store.check import refuse_changed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -84,6 +85,7 @@ def round_tables(
         raise CucumberVisionError(
             f"no round has the key {round_key}", source=store.name, remedy="see `round list`"
         )
+    refuse_changed(store, round_key)
     content = read_round(store, round_key)
     table = fruit_table(content)
     now_s = time.time()

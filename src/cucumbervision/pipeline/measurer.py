@@ -11,7 +11,13 @@ import numpy as np
 from cucumbervision.calibration.corrections import Form, corrected
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
-from cucumbervision.errors import CalibrationError, CaptureError, InternalError, named_error
+from cucumbervision.errors import (
+    CalibrationError,
+    CaptureError,
+    DiskFullError,
+    InternalError,
+    named_error,
+)
 from cucumbervision.geometry.threads import OneThread
 from cucumbervision.measurement.result import (
     Choice,
@@ -105,8 +111,16 @@ class Boundary:
         """Begin what may fail."""
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> bool:
-        """Note the failure, if there is one."""
+        """Note the failure, if there is one; a full disk ends what is done to many captures.
+
+        Raises
+        ------
+        DiskFullError
+            If there is no room left: nothing that comes next could be written either.
+        """
         if isinstance(error, Exception):
+            if isinstance(named := named_error(error, self._input), DiskFullError):
+                raise named from error
             self._failures.append(Failure.of(error, self._input, self._capture))
         return isinstance(error, Exception)
 

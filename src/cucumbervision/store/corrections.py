@@ -10,6 +10,7 @@ from sqlalchemy.exc import IntegrityError
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import round_id_of
+from cucumbervision.store.check import with_hash
 from cucumbervision.store.edits import MEASURE_AGAIN, Edits, change_line, log_action
 from cucumbervision.store.links import LinkKind, group_detections
 from cucumbervision.store.queries import links_of
@@ -327,6 +328,7 @@ def _mark(
     _end(connection, Mark, action, (Mark.fruit_id.in_(ids)) & (Mark.slot == slot))
     if value is not None:
         cells = {"slot": slot, "value": str(value), "details": details or {}, "action_id": action}
+        cells = with_hash(Mark, cells)
         connection.execute(insert(Mark), [{"fruit_id": one, **cells} for one in ids])
 
 

@@ -14,6 +14,7 @@ from sqlalchemy import insert, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.store.cells import row_id_of
+from cucumbervision.store.check import seal_stops, with_hash
 from cucumbervision.store.engine import SIGNED_BY, Database
 from cucumbervision.store.records import checked_key
 from cucumbervision.store.schema import Action, Round, StopLine
@@ -137,15 +138,14 @@ def log_action(
 
     `by` names who did it; without it, who the store is signed by (`Database.signed`).
     """
-    line = insert(Action).values(
-        at_s=time.time(),
-        by=by or connection.get_execution_options().get(SIGNED_BY, ""),
-        kind=kind,
-        round_id=round_id,
-        fruit=list(fruit),
-        details=details or {},
-        **cells,
-    )
+    said = {
+        "at_s": time.time(),
+        "by": by or connection.get_execution_options().get(SIGNED_BY, ""),
+        "kind": kind,
+        "fruit": list(fruit),
+        "details": details or {},
+    }
+    line = insert(Action).values(**with_hash(Action, said), round_id=round_id, **cells)
     return connection.execute(line.returning(Action.id)).scalar_one()
 
 
@@ -167,6 +167,8 @@ def change_line(connection: Connection, details: dict[str, Any], *, back: bool =
     line = update(table).where(table.key == details["key"], *now)
     if connection.execute(line.values(**new, **fitted)).rowcount != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
+    if table is StopLine:
+        seal_stops(connection, StopLine.key == details["key"])
 
 
 def original_name(connection: Connection, round_key: str) -> str | None:

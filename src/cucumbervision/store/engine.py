@@ -5,6 +5,7 @@ A new database gets its tables when it is opened; one of another version is refu
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from contextlib import AbstractContextManager, contextmanager
@@ -16,7 +17,13 @@ from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from cucumbervision.errors import MissingExtraError, StoreError, StoreVersionError
+from cucumbervision.errors import (
+    DiskFullError,
+    MissingExtraError,
+    StoreError,
+    StoreVersionError,
+    wrap_os_errors,
+)
 from cucumbervision.store.images import ImageStore
 from cucumbervision.store.schema import Base
 
@@ -29,6 +36,7 @@ SIGNED_BY = "cucumbervision_signed_by"
 """Name of the connections' option that says who writes."""
 
 _WRITES = "cucumbervision_writes"
+_MAKE_ROOM = "make room on the disk"
 _HINTS = (
     ("is locked", "another program is writing to it for a long time; try again"),
     ("not a database", "name another file; this one is left as it is"),
@@ -36,8 +44,8 @@ _HINTS = (
     ("unable to open", "check the folder and its permissions"),
     ("readonly", "check the file's permissions"),
     ("attempt to write", "check the file's permissions"),
-    ("is full", "make room on the disk"),
-    ("No space left", "make room on the disk"),
+    ("is full", _MAKE_ROOM),
+    ("No space left", _MAKE_ROOM),
     ("connection", "check that the PostgreSQL server runs, and the address and password"),
 )
 
@@ -100,6 +108,8 @@ def make_engine(url: URL) -> Engine:
     begins by reading and writes later would fail at once where another has written in between
     (SQLite, "Isolation", SQLITE_BUSY_SNAPSHOT).
 
+    A file that may not be written, or whose folder may not, is opened for reading alone.
+
     Raises
     ------
     MissingExtraError
@@ -113,17 +123,33 @@ def make_engine(url: URL) -> Engine:
             return create_engine(url, pool_pre_ping=True, connect_args={"client_encoding": "utf8"})
         except ModuleNotFoundError:
             raise MissingExtraError("psycopg", "postgres") from None
-    folder = Path(url.database or "").absolute().parent
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            f"cannot be made ({error.strerror})", source=folder, remedy="name another folder"
-        ) from None
+    path = Path(url.database or "").absolute()
+    if path.exists() and not all(
+        os.access(one, os.W_OK, effective_ids=True) for one in (path, path.parent)
+    ):
+        engine = create_engine(url, creator=lambda: _open_read_only(path))
+        event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    with wrap_os_errors("cannot be made", path.parent, "name another folder", StoreError):
+        path.parent.mkdir(parents=True, exist_ok=True)
     engine = create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S})
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _open_read_only(path: Path) -> sqlite3.Connection:
+    """Open an SQLite file that may not be written: from a read-only disk, or somebody else's.
+
+    Where nobody has it open there is no log of changes beside it, and none can be made for
+    reading: only as an immutable file does SQLite then read it.
+    """
+    log = path.with_name(f"{path.name}-wal")
+    alone = not log.exists() or not log.stat().st_size
+    address = f"{path.as_uri()}?mode=ro{'&immutable=1' if alone else ''}"
+    return sqlite3.connect(
+        address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+    )
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
@@ -186,11 +212,18 @@ def _store_errors(url: URL) -> Iterator[None]:
     """
     try:
         yield
+    except UnicodeError as error:  # SQLite names what is damaged with its damaged bytes
+        raise StoreError(
+            "the file is damaged",
+            source=named(url),
+            remedy="copy the file away and run 'sqlite3 FILE .recover'",
+        ) from error
     except SQLAlchemyError as error:
         cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
-        raise StoreError(fault, source=named(url), remedy=remedy) from error
+        kind = DiskFullError if remedy == _MAKE_ROOM else StoreError
+        raise kind(fault, source=named(url), remedy=remedy) from error
 
 
 class Database:

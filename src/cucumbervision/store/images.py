@@ -1,39 +1,31 @@
-"""Pictures beside the database: named by the hash of their content, whole or not there.
-
-`check_store` compares a store with its pictures: whether each is there and whole, and which are
-not needed.
-"""
+"""Pictures beside the database: named by the hash of their content, whole or not there."""
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import time
 import uuid
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from sqlalchemy import select
 
 from cucumbervision.capture.files import sync_folder
-from cucumbervision.errors import StoredImageError, StoreError
+from cucumbervision.errors import StoredImageError, StoreError, wrap_os_errors
 from cucumbervision.store.records import ImageRef
-from cucumbervision.store.schema import IMAGE_COLUMNS, Image
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from cucumbervision.store.engine import Database
-
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
 _THUMBNAIL_QUALITY = 80
-_TEMPORARY = ".writing-"
+_STARTED_S = 5.0  # a file that is younger may not be locked yet
 _SUFFIXES = (".png", ".jpg")
 
 
@@ -123,15 +115,10 @@ class ImageStore:
         sha256 = hashlib.sha256(data).hexdigest()
         ref = ImageRef(sha256, suffix, len(data), width_px, height_px)
         path = self.path(ref)
-        try:
+        remedy = "check the folder's permissions, then send the stop again"
+        with wrap_os_errors("cannot be written", path, remedy, StoreError):
             if not self._has(path, sha256):
-                _write_whole(path, data)
-        except OSError as error:
-            raise StoreError(
-                f"cannot be written ({error.strerror})",
-                source=path,
-                remedy="make room or check the folder's permissions, then send the stop again",
-            ) from None
+                self._write_whole(path, data)
         return ref
 
     def path(self, ref: ImageRef) -> Path:
@@ -147,19 +134,12 @@ class ImageStore:
             If it is missing, or its content is not what its name says.
         """
         path = self.path(ref)
-        try:
+        remedy = "copy it back from a backup; its name is the hash of its content"
+        with wrap_os_errors("cannot be read", path, remedy, StoredImageError):
             data = path.read_bytes()
-        except OSError as error:
-            raise StoredImageError(
-                f"cannot be read ({error.strerror})",
-                source=path,
-                remedy="copy it back from a backup; its name is the hash of its content",
-            ) from None
         if hashlib.sha256(data).hexdigest() != ref.sha256:
             raise StoredImageError(
-                "its content is not what its name says",
-                source=path,
-                remedy="copy it back from a backup; its name is the hash of its content",
+                "its content is not what its name says", source=path, remedy=remedy
             )
         return data
 
@@ -179,13 +159,19 @@ class ImageStore:
 
     def files(self) -> Iterator[Path]:
         """Return every picture in the folder, named by a hash or not."""
-        for path in self.folder.glob("??/??/*"):
-            if not path.name.startswith(_TEMPORARY):
-                yield path
+        yield from self.folder.glob("??/??/*")
 
-    def unfinished(self) -> Iterator[Path]:
-        """Return files whose writing was broken off."""
-        return self.folder.glob(f"??/??/{_TEMPORARY}*")
+    def clean(self) -> None:
+        """Remove what runs that were killed left half written; what is being written stays."""
+        for path in self._half_written.glob("*"):
+            with suppress(OSError), path.open("rb") as stream:
+                if time.time() - path.stat().st_mtime > _STARTED_S:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    path.unlink()
+
+    @property
+    def _half_written(self) -> Path:
+        return self.folder / "writing"
 
     def _put_picture(
         self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...] = ()
@@ -214,170 +200,27 @@ class ImageStore:
         path.replace(path.with_name(f"{path.name}.damaged-{uuid.uuid4().hex[:8]}"))
         return False
 
-
-def _write_whole(path: Path, data: bytes) -> None:
-    new_folders = [folder for folder in path.parents[:3] if not folder.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}")
-    try:
-        with temporary.open("xb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
-    for folder in (path.parent, *(new.parent for new in new_folders)):
-        sync_folder(folder)
+    def _write_whole(self, path: Path, data: bytes) -> None:
+        new_folders = [folder for folder in path.parents[:3] if not folder.exists()]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._half_written.mkdir(exist_ok=True)
+        temporary = self._half_written / uuid.uuid4().hex
+        try:
+            with temporary.open("xb") as stream:
+                fcntl.flock(stream, fcntl.LOCK_EX)  # until it has its name; a kill ends it
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+                temporary.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+        for folder in (path.parent, *(new.parent for new in new_folders)):
+            sync_folder(folder)
 
 
 def _decoded(image: Any) -> NDArray[Any]:
     if image is None:  # the hash is right, so it was no picture when it was put
         raise StoredImageError("is no picture that can be read", remedy="measure the capture again")
     return cast("NDArray[Any]", image)
-
-
-_GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
-
-_ASIDE = ".removing"
-
-
-@dataclass(frozen=True)
-class CheckReport:
-    """What was found.
-
-    Parameters
-    ----------
-    pictures : int
-        How many the database names.
-    missing, damaged : tuple of Path
-        Which of them are not there, or are not what their names say.
-    orphans : tuple of Path
-        Files that no stop names: a program ended between its pictures and its stop.
-    removed : tuple of Path
-        Which orphans were removed.
-    faults : tuple of str
-        What SQLite says of its own file; empty where it is sound.
-    """
-
-    pictures: int
-    missing: tuple[Path, ...]
-    damaged: tuple[Path, ...]
-    orphans: tuple[Path, ...]
-    removed: tuple[Path, ...]
-    faults: tuple[str, ...]
-
-    @property
-    def sound(self) -> bool:
-        """Whether nothing that was saved is missing or damaged."""
-        return not (self.missing or self.damaged or self.faults)
-
-
-def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> CheckReport:
-    """Check a store against its pictures; nothing that a stop names is ever removed.
-
-    Parameters
-    ----------
-    store : Store
-        The store; others may be writing to it.
-    remove : bool
-        Remove orphans, and files whose writing was broken off.
-    grace_s : float
-        Younger files are left alone: the stop that names them may be on its way.
-
-    Raises
-    ------
-    StoreError
-        If the database cannot be read.
-    """
-    if remove:
-        _bring_back(store)
-    with store.reading() as connection:
-        rows = connection.execute(select(*IMAGE_COLUMNS)).all()
-    refs = {row[0]: ImageRef(*row) for row in rows}
-    missing, damaged = [], []
-    for ref in refs.values():
-        path = store.images.path(ref)
-        if not path.exists():
-            missing.append(path)
-        elif not _whole(store, ref):
-            damaged.append(path)
-    orphans = _orphans(store, refs, time.time() - grace_s)
-    return CheckReport(
-        len(refs),
-        tuple(missing),
-        tuple(damaged),
-        tuple(orphans),
-        tuple(path for path in orphans if _removed(store, path, grace_s)) if remove else (),
-        _faults(store),
-    )
-
-
-def _whole(store: Database, ref: ImageRef) -> bool:
-    try:
-        store.images.read(ref)
-    except StoredImageError:
-        return False
-    return True
-
-
-def _orphans(store: Database, refs: dict[str, ImageRef], before_s: float) -> list[Path]:
-    named = {store.images.path(ref) for ref in refs.values()}
-    files = [*store.images.files(), *store.images.unfinished()]
-    return sorted(path for path in files if path not in named and _older(path, before_s))
-
-
-def _older(path: Path, before_s: float) -> bool:
-    try:
-        return path.stat().st_mtime < before_s
-    except FileNotFoundError:  # another program removed or finished it
-        return False
-
-
-def _removed(store: Database, path: Path, grace_s: float) -> bool:
-    """Remove one orphan, unless somebody is about to use it.
-
-    It is first taken away under another name, and its time and the database are then asked
-    again. A writer of the same picture either finds it before that, which makes its time new,
-    so that it is brought back; or does not find it, and writes it anew.
-    """
-    aside = path.with_name(path.name + _ASIDE)
-    try:
-        path.replace(aside)
-    except FileNotFoundError:
-        return False
-    if _older(aside, time.time() - grace_s) and not _is_named(store, path.stem):
-        aside.unlink(missing_ok=True)
-        return True
-    if path.exists():
-        aside.unlink(missing_ok=True)
-    else:
-        aside.replace(path)
-    return False
-
-
-def _bring_back(store: Database) -> None:
-    """Restore files that a check was just removing when it was killed."""
-    for aside in list(store.images.files()):
-        if aside.name.endswith(_ASIDE):
-            path = aside.with_name(aside.name.removesuffix(_ASIDE))
-            with suppress(FileNotFoundError):
-                aside.unlink() if path.exists() else aside.replace(path)
-
-
-def _is_named(store: Database, sha256: str) -> bool:
-    with store.reading() as connection:
-        query = select(Image.sha256).where(Image.sha256 == sha256)
-        return connection.execute(query).first() is not None
-
-
-def _faults(store: Database) -> tuple[str, ...]:
-    if store.engine.dialect.name != "sqlite":
-        return ()
-    with store.reading() as connection:
-        said = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
-        loose = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
-    faults = [str(line) for line in said if line != "ok"]
-    return (*faults, *(f"{row[0]} names a line of {row[2]} that is not there" for row in loose))

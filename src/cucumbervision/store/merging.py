@@ -19,6 +19,7 @@ from cucumbervision.store.cells import (
     insert_new,
     round_id_of,
 )
+from cucumbervision.store.check import with_hash
 from cucumbervision.store.corrections import find_detections, lock_rounds
 from cucumbervision.store.engine import Database
 from cucumbervision.store.links import LinkKind
@@ -131,7 +132,7 @@ class Merging(Database):
                     "record": one.record and record_json(replace(one.record, methods=())),
                     "drawing": drawing,
                 }
-                insert_new(connection, JointLine, cells, "key")
+                insert_new(connection, JointLine, with_hash(JointLine, cells), "key")
 
     def joint(self, round_key: str) -> dict[str, JointRecord]:
         """Return a round's joint measurements by their keys, without paths and poses."""

@@ -156,12 +156,14 @@ class Queries(Database):
             ends = {key, *(end for link in links for end in (link.first, link.second))}
             group = group_detections(ends, links)[key]
             views = _detections_of(connection, round_key, sorted(group))
-            view = next(one for one in views if one.key == key)
+            with decoding(connection):  # a line may have lost those that it is part of
+                [view] = [one for one in views if one.key == key]
             stop = read_stop(connection, view.stop_key)
             corrected = corrected_of(connection, DetectionLine.key == key).get(key)
             log = _actions_of(connection, round_key, None)
-        capture = next(one for one in stop.captures if one.name == view.capture)
-        original = next(one for one in capture.fruit if one.number == view.record.number)
+            with decoding(connection):
+                [capture] = [one for one in stop.captures if one.name == view.capture]
+                [original] = [one for one in capture.fruit if one.number == view.record.number]
         return DetectionDetail(
             replace(view, record=corrected or original),
             original,

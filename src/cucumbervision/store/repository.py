@@ -19,6 +19,7 @@ from cucumbervision.store.cells import (
     round_id_of,
     row_id_of,
 )
+from cucumbervision.store.check import seal_stops, with_hash
 from cucumbervision.store.corrections import (
     Corrections,
     lock_rounds,
@@ -26,6 +27,7 @@ from cucumbervision.store.corrections import (
 )
 from cucumbervision.store.edits import MEASURE_AGAIN, log_action, original_name, stop_line
 from cucumbervision.store.engine import database_url, make_engine, named, prepare
+from cucumbervision.store.images import ImageStore
 from cucumbervision.store.merging import Merging
 from cucumbervision.store.queries import Queries
 from cucumbervision.store.records import (
@@ -115,6 +117,8 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
         raise
     if images is None and url.get_backend_name() == "sqlite":
         images = Path(url.database or "").with_suffix(".images")
+    if images is not None:
+        ImageStore(images).clean()
     return Store(engine, images)
 
 
@@ -185,6 +189,7 @@ class Store(Queries, Corrections, Merging):
                 for number, capture in enumerate(stop.captures)
             ]
             _add_content(connection, stop_id, round_id, stop, keys)
+            seal_stops(connection, StopLine.id == stop_id)
         return Saved.NEW
 
     def measure_again(
@@ -222,7 +227,7 @@ class Store(Queries, Corrections, Merging):
         with self.writing() as connection:
             line = stop_line(connection, stop.key)
             lock_rounds(connection, [line.round_id])
-            old = _put_aside(connection, line)
+            aside, old = _put_aside(connection, line)
             keys = [
                 [
                     known.get((capture.name, one.number))
@@ -235,6 +240,7 @@ class Store(Queries, Corrections, Merging):
             _carry_over(connection, old, corrected)
             cells = {"content_sha256": sha256, "failures": [dict(one) for one in stop.failures]}
             connection.execute(update(StopLine).where(StopLine.id == line.id).values(**cells))
+            seal_stops(connection, StopLine.id.in_((aside, line.id)))
             gone = sorted(old.keys() - same.keys())
             details = {"key": stop.key, "gone": gone}
             return log_action(connection, MEASURE_AGAIN, by, line.round_id, list(same), details)
@@ -283,6 +289,7 @@ class Store(Queries, Corrections, Merging):
             key = key_of("fruit", stop_key, place, number)
             numbered = replace(record, number=number)
             _add_detections(connection, capture_id, round_id, [key], [numbered])
+            seal_stops(connection, StopLine.key == stop_key)
             mark_added(connection, key, by, accept="doubtful" not in record.flags.split())
         return key
 
@@ -409,8 +416,10 @@ def _conflict(what: str, key: str) -> StoreConflictError:
     )
 
 
-def _put_aside(connection: Connection, line: Any) -> dict[str, int]:
-    """Move a stop's captures to a deleted stop, and return its fruit's numbers by their old keys.
+def _put_aside(connection: Connection, line: Any) -> tuple[int, dict[str, int]]:
+    """Move a stop's captures to a deleted stop.
+
+    Return that stop's number, and the fruit's numbers by their old keys.
 
     Parameters
     ----------
@@ -433,7 +442,7 @@ def _put_aside(connection: Connection, line: Any) -> dict[str, int]:
     for one in old:
         named = update(DetectionLine).where(DetectionLine.id == one.id)
         connection.execute(named.values(key=key_of(cells["key"], one.key)))
-    return {line.key: line.id for line in old}
+    return aside, {one.key: one.id for one in old}
 
 
 def _carry_over(
@@ -461,5 +470,6 @@ def _carry_over(
             connection.execute(update(LinkLine).where(end == was).values({end: new}))
         active = (Mark.fruit_id == new, Mark.slot == "mask", Mark.ended_by_id.is_(None))
         if key in corrected:
-            again = update(Mark).where(*active)
-            connection.execute(again.values(details=record_json(corrected[key])))
+            details = record_json(corrected[key])
+            cells = {"slot": "mask", "value": "corrected", "details": details}
+            connection.execute(update(Mark).where(*active).values(**with_hash(Mark, cells)))

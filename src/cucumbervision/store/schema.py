@@ -145,6 +145,8 @@ class StopLine(Base):
     pose: Mapped[list[Any]]
     note: Mapped[str]
     failures: Mapped[list[Any]]
+    # Of all lines of the stop, as `check.py` reads them.
+    rows_sha256: Mapped[str] = mapped_column(server_default="")
     # Where an algorithm puts the stop, from the fruit that it shares with its neighbours.
     fitted_m: Mapped[float | None]
     fitted_sd_m: Mapped[float | None]
@@ -238,6 +240,7 @@ class Action(Base):
     round_id: Mapped[int | None] = mapped_column(ForeignKey("rounds.id"), index=True)
     fruit: Mapped[list[Any]]
     details: Mapped[dict[str, Any]]
+    sha256: Mapped[str]
     undoes_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), unique=True)
 
 
@@ -252,6 +255,7 @@ class Mark(Base):
     slot: Mapped[str]
     value: Mapped[str]
     details: Mapped[dict[str, Any]]
+    sha256: Mapped[str]
     action_id: Mapped[int] = mapped_column(ForeignKey("actions.id"), index=True)
     ended_by_id: Mapped[int | None] = mapped_column(ForeignKey("actions.id"), index=True)
 
@@ -301,6 +305,7 @@ class JointLine(Base):
     reason: Mapped[str]
     record: Mapped[dict[str, Any] | None]
     drawing: Mapped[dict[str, Any]]
+    sha256: Mapped[str]
 
 
 ADDED = "added"

@@ -172,7 +172,7 @@ def test_a_head_that_promises_gigabytes_makes_no_room(tmp_path: Path) -> None:
         )
     )
     code = (
-        "import re, sys, pathlib; from cucumbervision.capture.files import read_color\n"
+        "import re, sys, pathlib; from cucumbervision.capture.pictures import read_color\n"
         "try: read_color(pathlib.Path(sys.argv[1]))\n"
         "except Exception as error: print(type(error).__name__)\n"
         # getrusage would tell the parent's peak, too.

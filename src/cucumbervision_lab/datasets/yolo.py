@@ -83,7 +83,7 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     Examples
     --------
     >>> import tempfile
-    >>> from cucumbervision.capture.files import write_png
+    >>> from cucumbervision.capture.pictures import write_png
     >>> with tempfile.TemporaryDirectory() as tmp:
     ...     for kind in ("images", "labels"):
     ...         Path(tmp, kind).mkdir()

@@ -31,7 +31,6 @@ from .perception.instances import MaskSource as MaskSource
 from .perception.networks import Segmenter as Segmenter
 from .perception.networks import open_segmenter as open_segmenter
 from .perception.yolo import YoloDetector as YoloDetector
-from .pipeline.detect import DetectOptions as DetectOptions
 from .pipeline.detect import detect_inputs as detect_inputs
 from .pipeline.finders import dataset_instances as dataset_instances
 from .pipeline.measurer import CaptureResult as CaptureResult

@@ -7,6 +7,7 @@ failure and go on with the rest; `named_error` makes one of whatever else was ra
 from __future__ import annotations
 
 import errno
+import re
 import traceback
 from contextlib import contextmanager
 from pathlib import Path
@@ -308,6 +309,14 @@ _FILE_REMEDIES = {
 }
 
 
+# What libraries and the system's loader say where they should raise MemoryError.
+_NO_MEMORY = re.compile(
+    "cannot allocate memory|insufficient memory|failed to map segment|can't start new thread|"
+    "bad.?alloc",
+    re.IGNORECASE,
+)
+
+
 def named_error(error: Exception, source: object = None) -> CucumberVisionError:
     """Return an error of this family for any exception.
 
@@ -321,8 +330,8 @@ def named_error(error: Exception, source: object = None) -> CucumberVisionError:
     Returns
     -------
     CucumberVisionError
-        `OutOfMemoryError` for a MemoryError, `FileError` for an OSError, and `InternalError`, with
-        the place in the code, for everything else.
+        `OutOfMemoryError` where memory was short, `FileError` for an OSError, and `InternalError`,
+        with the place in the code, for everything else.
 
     Examples
     --------
@@ -331,7 +340,7 @@ def named_error(error: Exception, source: object = None) -> CucumberVisionError:
     """
     if isinstance(error, CucumberVisionError):
         return error
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         remedy = "close other programs, or use smaller pictures"
         return OutOfMemoryError("there is not enough memory", source=source, remedy=remedy)
     if isinstance(error, OSError):

@@ -44,7 +44,7 @@ def test_a_round_from_captures_to_pick_list(house: list[str]) -> None:
     assert "0 stops added with 0 fruit; 2 were there already." in again
     assert "morning" in run("list", *house)
     assert "expected" in run("merge", *house)
-    table = run("show", *house, "--limit", "0")
+    table = run("show", *house)
     assert "morning" in table
     assert "2.0" in table
     with open_store(house[1]) as store:
@@ -76,6 +76,15 @@ def test_what_has_changed_is_measured_again_and_a_round_on_demand(house: list[st
     assert "0 stops added with 0 fruit; 0 were there already." in again
     assert "1 were measured again" in again
     assert "1 stops measured again." in run("remeasure", "--instances", "dataset", *house)
+
+
+def test_lines_of_a_pose_file_without_a_capture_are_named(house: list[str], tmp_path: Path) -> None:
+    poses = tmp_path / "poses.csv"
+    poses.write_text("capture,position_m\nsimulated-row-a,0.4\nb7,0.8\n")
+    row = (str(example_captures() / "simulated-row-a"), "--instances", "dataset")
+    said = run("add", *row, "--poses", str(poses), "--workers", "2", *house)
+    assert "1 stops added" in said
+    assert "no capture is called b7" in said
 
 
 def test_a_store_is_checked(house: list[str]) -> None:

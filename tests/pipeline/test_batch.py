@@ -19,9 +19,9 @@ from cucumbervision.capture.source import (
     ReadOptions,
     example_captures,
 )
-from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.errors import CaptureError
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.batch import Processes, choose_engine, in_process
+from cucumbervision.pipeline.batch import Processes, in_process
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 
@@ -98,8 +98,3 @@ class Killing:
 
     def __call__(self) -> Capture:
         return killing(self._path, self._once)
-
-
-def test_an_address_without_ray_is_refused() -> None:
-    with pytest.raises(CucumberVisionError, match="--engine ray"):
-        choose_engine("local", 2, "ray://house:10001")

@@ -13,7 +13,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.perception.registry import Registry
-from cucumbervision.pipeline.detect import DetectOptions, DetectResult, detect_inputs
+from cucumbervision.pipeline.detect import DetectResult, detect_inputs
+from cucumbervision.pipeline.options import MeasureOptions
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def run(
     seen: list[tuple[int, int]] = []
     out = tmp_path_factory.mktemp("out")
     result = detect_inputs(
-        [photos], out, DetectOptions(), lambda *done: seen.append(done), own_registry
+        [photos], out, MeasureOptions(), lambda *done: seen.append(done), own_registry
     )
     return result, seen
 
@@ -51,7 +52,7 @@ def test_bad_pictures_lose_nothing_of_the_rest(
 ) -> None:
     result, seen = run
     assert [one.name for one in result.pictures] == ["a.png", "more/a.webp"]
-    assert [len(one.scores) for one in result.pictures] == [3, 3]
+    assert [len(one.entries) for one in result.pictures] == [3, 3]
     assert result.skipped == 1
     assert seen == [(1, 3), (2, 3), (3, 3)]
     with (result.out / "failures.csv").open(encoding="utf-8-sig") as stream:
@@ -138,26 +139,25 @@ def test_an_overlay_for_each_picture(run: tuple[DetectResult, list[tuple[int, in
     assert picture.shape == (480, 848, 3)
 
 
-def test_the_detectors_masks_and_no_overlays(
+def test_the_detectors_masks(
     photos: Path, own_registry: Registry, row_a: Capture, tmp_path: Path
 ) -> None:
-    options = DetectOptions(segmenter="none", overlays=False, confidence=0.82)
+    options = MeasureOptions(segmenter="none", confidence=0.82)
     result = detect_inputs([photos / "a.png"], tmp_path, options, registry=own_registry)
     entries = read(result, "results.json")
     assert [e["mask_source"] for e in entries] == ["detector"] * 2
-    assert not (tmp_path / "overlays").exists()
     assert [m["name"] for m in result.models] == ["tiny-seg", "tiny-pose"]
 
 
 def test_ones_own_networks(
     photos: Path, own_networks: dict[str, Path], bare_registry: Registry, tmp_path: Path
 ) -> None:
-    options = DetectOptions(model=own_networks["pose"], segmenter="none")
+    options = MeasureOptions(instances=str(own_networks["pose"]), segmenter="none")
     result = detect_inputs([photos / "a.png"], tmp_path, options, registry=bare_registry)
     entries = read(result, "results.json")
     assert len(entries) == 3
     assert all("segmentation" not in e and e["num_keypoints"] == 5 for e in entries)
-    options = DetectOptions(model=own_networks["segment"], segmenter="none")
+    options = MeasureOptions(instances=str(own_networks["segment"]), segmenter="none")
     result = detect_inputs([photos / "a.png"], tmp_path, options, registry=bare_registry)
     assert all("keypoints" not in e for e in read(result, "results.json"))
 
@@ -165,14 +165,11 @@ def test_ones_own_networks(
 def test_a_run_that_cannot_start_says_why(
     photos: Path, own_registry: Registry, bare_registry: Registry, tmp_path: Path
 ) -> None:
-    with pytest.raises(ModelError, match=r"without a cucumber detector; .*--model"):
-        detect_inputs([photos], tmp_path / "out", DetectOptions(), registry=bare_registry)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(CucumberVisionError, match=r"empty: there are no pictures"):
-        detect_inputs([tmp_path / "empty"], tmp_path, DetectOptions(), registry=own_registry)
+    with pytest.raises(ModelError, match=r"without a cucumber detector; .*--instances"):
+        detect_inputs([photos], tmp_path / "out", MeasureOptions(), registry=bare_registry)
     (tmp_path / "file").write_text("")
     with pytest.raises(CucumberVisionError, match=r"file/out: cannot be written"):
-        detect_inputs([photos], tmp_path / "file/out", DetectOptions(), registry=own_registry)
+        detect_inputs([photos], tmp_path / "file/out", MeasureOptions(), registry=own_registry)
 
 
 def test_an_interrupted_run_leaves_what_it_found(
@@ -181,7 +178,7 @@ def test_an_interrupted_run_leaves_what_it_found(
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
-    options = DetectOptions(segmenter="none", overlays=False)
+    options = MeasureOptions(segmenter="none")
     with pytest.raises(KeyboardInterrupt):
         detect_inputs([photos], tmp_path, options, stop, own_registry)
     assert len(json.loads((tmp_path / "results.json").read_text())) == 3

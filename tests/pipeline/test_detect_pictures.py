@@ -4,7 +4,14 @@ from pathlib import Path
 
 import pytest
 
+from cucumbervision.pipeline.batch import Item
 from cucumbervision.pipeline.detect import find_pictures
+from cucumbervision.pipeline.inputs import Listed
+from cucumbervision.pipeline.measurer import Failure
+
+
+def names(items: list[Item]) -> list[str]:
+    return [one.name for one in items if isinstance(one, Listed)]
 
 
 @pytest.fixture
@@ -25,44 +32,36 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_folder_gives_its_pictures_by_name_and_counts_the_rest(folder: Path) -> None:
-    found = find_pictures([folder])
-    assert [p.name for p in found.pictures] == ["a.JPEG", "b/1.jpg", "b/2.webp", "c.tiff"]
-    assert (found.skipped, found.failures) == (1, ())
+    found, skipped = find_pictures([folder])
+    assert names(found) == ["a.JPEG", "b/1.jpg", "b/2.webp", "c.tiff"]
+    assert skipped == 1
 
 
 def test_a_named_file_is_a_picture_whatever_it_is_called(folder: Path) -> None:
-    found = find_pictures([str(folder / "notes.txt")])
-    assert [p.name for p in found.pictures] == ["notes.txt"]
-    assert found.skipped == 0
-
-
-def test_patterns_that_the_shell_left_alone(folder: Path) -> None:
-    found = find_pictures([f"{folder}/**/*.jpg", f"{folder}/*"])
-    # The pattern '*' also names the folder b, and passes over hidden files.
-    assert [p.name for p in found.pictures] == ["1.jpg", "a.JPEG", "2.webp", "c.tiff"]
-    assert found.skipped == 1
+    found, skipped = find_pictures([str(folder / "notes.txt")])
+    assert (names(found), skipped) == (["notes.txt"], 0)
 
 
 def test_a_file_is_looked_at_once_and_names_differ(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "other" / "a.JPEG"
     other.parent.mkdir()
     other.write_bytes(b"x")
-    found = find_pictures([folder / "a.JPEG", folder, other])
-    names = [p.name for p in found.pictures]
-    assert names == ["a.JPEG", "b/1.jpg", "b/2.webp", "c.tiff", other.as_posix()]
+    found, _ = find_pictures([folder / "a.JPEG", folder, other])
+    assert names(found) == ["a.JPEG", "b/1.jpg", "b/2.webp", "c.tiff", other.as_posix()]
 
 
 def test_results_of_an_earlier_run_are_no_pictures(folder: Path) -> None:
     out = folder / "b"
-    assert [p.name for p in find_pictures([folder], out).pictures] == ["a.JPEG", "c.tiff"]
+    assert names(find_pictures([folder], out)[0]) == ["a.JPEG", "c.tiff"]
     # Unless they are named.
-    assert len(find_pictures([out / "1.jpg"], out).pictures) == 1
+    assert len(find_pictures([out / "1.jpg"], out)[0]) == 1
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:
-    found = find_pictures([tmp_path / "none.jpg", f"{tmp_path}/*.png"])
-    assert found.pictures == ()
-    assert [f.message for f in found.failures] == [
+    (tmp_path / "empty").mkdir()
+    found, _ = find_pictures([tmp_path / "none.jpg", tmp_path / "empty"])
+    assert [one.message for one in found if isinstance(one, Failure)] == [
         f"{tmp_path}/none.jpg: does not exist; check the path",
-        f"{tmp_path}/*.png: no file matches it; check the path",
+        f"{tmp_path}/empty: there are no pictures; name JPEG, PNG, WebP, TIFF or BMP files, or a "
+        "folder with some",
     ]

@@ -13,7 +13,7 @@ from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.registry import Registry, load_registry
-from cucumbervision.pipeline.finders import demo_options, make_finder
+from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 
 
@@ -103,18 +103,6 @@ def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Regist
         assert m3.length_m is not None
         assert m4.length_m == pytest.approx(m3.length_m, rel=0.06)
         assert "keypoints-logged" in fruit.flags
-
-
-def test_the_demo_takes_the_packages_own_networks_when_there_are_some(
-    own_registry: Registry,
-) -> None:
-    options, line = demo_options(own_registry)
-    assert options.instances == "models"
-    assert line == "Fruit by tiny-seg, keypoints by tiny-pose, masks by mobile-sam."
-    sam = own_registry.segmenter()
-    options, line = demo_options(replace(own_registry, models=(sam,)))
-    assert (options.instances, options.segmenter) == ("dataset", "mobile-sam")
-    assert "boxes of the captures' own masks" in line
 
 
 def test_the_packages_own_networks_come_with_a_card() -> None:

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 def test_rows_are_those_of_one_process_in_the_same_order(tmp_path: Path) -> None:
     inputs = [example_captures(), tmp_path / "missing"]
-    engine = choose_engine("ray", 1)
+    engine = choose_engine(1, "local")
     tables: list[list[bytes]] = []
     for batch in (BatchOptions(), BatchOptions(engine=engine)):
         out = tmp_path / f"out{len(tables)}"
@@ -36,5 +36,8 @@ def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
     options = MeasureOptions(instances="models", segmenter="none", pose=tmp_path / "no.onnx")
     with pytest.raises(CucumberVisionError, match=r"no\.onnx: "):
         measure_inputs(
-            [example_captures()], tmp_path, options, batch=BatchOptions(engine=choose_engine("ray"))
+            [example_captures()],
+            tmp_path,
+            options,
+            batch=BatchOptions(engine=choose_engine(ray="local")),
         )

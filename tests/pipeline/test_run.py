@@ -181,6 +181,11 @@ def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: 
         "annotations": [{"id": 1, "image_id": 0, "category_id": 1, "bbox": [180, 85, 80, 295]}],
         "categories": [{"id": 1, "name": "cucumber"}],
     }
+    unknown = [f"image id {number}" for number in range(90, 98)] if named else []
+    content["annotations"] += [
+        {"id": number, "image_id": number, "category_id": 1, "bbox": [1, 1, 9, 9]}
+        for number in range(90, 90 + len(unknown))
+    ]
     boxes = tmp_path / "boxes.json"
     boxes.write_text(json.dumps(content))
     result = measure_inputs(
@@ -193,8 +198,10 @@ def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: 
         assert result.failures == []
         assert result.notes == [
             f"{boxes}: no fruit given for simulated-bench, simulated-row-b",
-            f"{boxes}: no capture is called elsewhere.png",
+            f"{boxes}: no capture is called elsewhere.png, {', '.join(unknown)}",
         ]
+        report = json.loads((tmp_path / "out" / "measurements.json").read_text(encoding="utf-8"))
+        assert report["notes"] == result.notes
     else:
         (failure,) = result.failures
         assert "names none of the captures (simulated-bench, " in failure.message

@@ -104,6 +104,18 @@ def test_a_full_disk_at_the_start_is_2(tmp_path: Path) -> None:
     assert "cannot be written (File too large)" in done.stderr
 
 
+def test_a_console_that_lacks_letters_shows_question_marks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manifest = json.loads((BENCH / "capture.json").read_text())
+    house = named(tmp_path / "黄瓜", json.dumps({**manifest, "name": "黄瓜"}))
+    monkeypatch.setenv("PYTHONIOENCODING", "cp1252")
+    done = measure(house, tmp_path / "没有", "--out", tmp_path / "out")
+    assert (done.returncode, rows(tmp_path / "out")) == (1, 3)
+    assert "??" in done.stdout
+    assert "??: does not exist" in done.stderr
+
+
 def test_an_error_without_a_name_is_a_defect_of_ours_and_70(tmp_path: Path) -> None:
     named(tmp_path / "other", (BENCH / "capture.json").read_text())
     done = measure(tmp_path / "other", BENCH, "--out", tmp_path / "out", before=DEFECT)

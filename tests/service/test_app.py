@@ -6,7 +6,9 @@ import io
 import json
 import threading
 from collections.abc import Iterator, MutableMapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,10 +28,11 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.app import create_app
 from cucumbervision.service.client import packed
 from cucumbervision.service.server import ServiceSettings, request_limits
-from cucumbervision.service.work import Work
+from cucumbervision.service.work import LeftError, Work
 
 TOKEN = "0123456789abcdef"
 ADMITTED = {"Authorization": f"Bearer {TOKEN}"}
+HERE = "http://127.0.0.1:8600"
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +89,7 @@ def test_detect_gives_boxes_as_coco_has_them(one_box_detector: Path) -> None:
     measurer = Measurer(MeasureOptions(instances=str(one_box_detector), segmenter="none"))
     picture = cv2.imencode(".png", np.full((64, 64, 3), 90, np.uint8))[1].tobytes()
     files = [("files", ("a.png", picture)), ("files", ("b.txt", b"text"))]
-    with TestClient(create_app(measurer)) as client:
+    with TestClient(create_app(measurer), HERE) as client:
         told = client.post("/detect", files=files).json()
         (seen,) = told["pictures"]
         # The network's box is 8, 8 to 40, 30 pixels from the picture's corner.
@@ -96,6 +99,32 @@ def test_detect_gives_boxes_as_coco_has_them(one_box_detector: Path) -> None:
             ("b.txt", "CaptureError")
         ]
         assert client.get("/health").json()["models"] == [one_box_detector.name]
+
+
+def form(*parts: bytes) -> dict[str, Any]:
+    """A request whose form has these parts, and no closing boundary but the caller's own."""
+    head = b'--x\r\nContent-Disposition: form-data; name="files"; filename="a.png"\r\n\r\n'
+    kind = {"Content-Type": "multipart/form-data; boundary=x"}
+    return {"content": b"".join(head + part for part in parts), "headers": kind}
+
+
+def test_a_form_whose_last_file_is_cut_off_is_refused(client: TestClient) -> None:
+    reply = client.post("/measure", **form(b"one\r\n", b"tw"))
+    assert (reply.status_code, reply.json()["message"]) == (
+        400,
+        "the form is cut off; send it again",
+    )
+    assert client.post("/measure", **form(b"one\r\n", b"two\r\n--x--\r\n")).status_code == 200
+
+
+def test_nothing_is_begun_for_a_client_that_has_left(measurer: Measurer, bench: Capture) -> None:
+    work, asked = Work(measurer, ServiceSettings()), [False, True]
+    with pytest.raises(LeftError), work.turn(lambda: True):
+        raise AssertionError
+    two = [(f"{n}.zip", io.BytesIO(packed(replace(bench, name=n))[1])) for n in ("a", "b", "c")]
+    # It leaves while the first capture is read.
+    reply = work.measure(two, lambda: asked.pop(0) if asked else True)
+    assert reply.captures == []
 
 
 @pytest.mark.parametrize("token", ["", "Bearer", "Bearer 0123456789abcdeF", f"Basic {TOKEN}"])
@@ -135,7 +164,7 @@ def test_a_body_that_is_too_large_is_refused(measurer: Measurer, told: bool) -> 
     settings = ServiceSettings(limits=request_limits(1))
     body = b"--x\r\n" + b"a" * 3_000_000
     content: bytes | io.BytesIO = body if told else io.BytesIO(body)
-    with TestClient(create_app(measurer, settings)) as client:
+    with TestClient(create_app(measurer, settings), HERE) as client:
         kind = {"Content-Type": "multipart/form-data; boundary=x"}
         reply = client.post("/measure", headers=kind, content=content)
     assert reply.status_code == 413
@@ -152,7 +181,7 @@ def test_who_comes_when_too_many_wait_is_told_when_to_come_again(
         taken.append(self)
 
     monkeypatch.setattr(Work, "__init__", keep)
-    with TestClient(create_app(measurer, ServiceSettings(waiting=0))) as client:
+    with TestClient(create_app(measurer, ServiceSettings(waiting=0)), HERE) as client:
         with taken[0].turn():
             reply = client.post("/measure", files=[("files", ("a.png", b""))])
         assert (reply.status_code, reply.headers["retry-after"]) == (503, "1")

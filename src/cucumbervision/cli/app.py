@@ -9,6 +9,7 @@ import logging
 import sys
 import traceback
 from importlib.metadata import entry_points
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
@@ -79,6 +80,9 @@ def _options(
 
 def main() -> None:
     """Run the command line; the console script's entry point."""
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, TextIOWrapper):  # a console that is not UTF-8 shows question marks
+            output.reconfigure(errors="replace")
     logging.basicConfig(level=logging.WARNING, format="cucumbervision: %(message)s")
     try:
         app()

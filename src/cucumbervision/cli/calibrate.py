@@ -42,7 +42,6 @@ def calibrate(
     intrinsics: Annotated[
         Path | None, typer.Option(help="With --grid: camera file (JSON) of the colour stream.")
     ] = None,
-    level: Annotated[float, typer.Option(min=0.5, max=0.99, help="Level of the intervals.")] = 0.90,
 ) -> None:
     """Fit corrections to hand-measured fruit, or depth scale and lens to a printed grid."""
     from cucumbervision.accuracy.measured import read_measured
@@ -64,7 +63,7 @@ def calibrate(
         )
     else:
         measured = read_measured(measurements)
-        site = calibrate_lengths(measured, read_truth(truth), name or out.stem, level)
+        site = calibrate_lengths(measured, read_truth(truth), name or out.stem)
     write_site_calibration(out, site)
     _show(site, out)
 

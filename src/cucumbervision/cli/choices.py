@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
 
@@ -14,6 +14,7 @@ from cucumbervision.measurement.result import LengthDefinition, Selector
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 
 if TYPE_CHECKING:
+    from cucumbervision.pipeline.batch import LoopOptions
     from cucumbervision.pipeline.options import MeasureOptions
 
 Command: TypeAlias = Callable[..., None]
@@ -28,22 +29,6 @@ EXIT_CODES = (
 PromptChoice: TypeAlias = Literal["box+point", "box", "point"]
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 
-Instances = Annotated[
-    str,
-    typer.Option(
-        help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
-        "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
-    ),
-]
-Segmenter = Annotated[
-    str | None,
-    typer.Option(
-        help="Network that draws the masks (`models list` names them), or none; also redraws a "
-        "data set's own masks. Default: mobile-sam, for fruit without a mask.",
-        show_default=False,
-    ),
-]
-Prompt = Annotated[PromptChoice, typer.Option(help="What SAM is shown.")]
 Confidence = Annotated[
     float, typer.Option(min=0.0, max=1.0, help="Least confidence of a detection.")
 ]
@@ -56,62 +41,65 @@ InputSize = Annotated[
     ),
 ]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="What runs the networks.")]
-Fast = Annotated[
-    bool,
-    typer.Option(
-        "--fast",
-        help="Let networks compute in half precision where the processor can: quicker, but "
-        "outlines and lengths may differ a little from machine to machine.",
-    ),
-]
-Length = Annotated[
-    LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
-]
-Pose = Annotated[
-    Path | None,
-    typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
-]
-Methods = Annotated[
-    str,
-    typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given."),
-]
-SelectorChoice = Annotated[Selector, typer.Option(help="How one method is chosen.")]
-DepthPicture = Annotated[
-    Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
-]
-DepthUnit = Annotated[
-    float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
-]
-Crop = Annotated[
-    str, typer.Option("--profile", help="Crop profile; lengths outside its range are rejected.")
-]
-Calibration = Annotated[
-    Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
-]
-Intrinsics = Annotated[Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")]
 Burst = Annotated[
     int, typer.Option(min=1, max=99, help="Frames of a recording or camera fused to one capture.")
 ]
 
 
 def measure_options(
-    instances: Instances = "auto",
-    pose: Pose = None,
-    methods: Methods = "all",
-    selector: SelectorChoice = Selector.BEST,
-    length: Length = LengthDefinition.CENTRELINE,
-    segmenter: Segmenter = None,
-    prompt: Prompt = "box+point",
+    instances: Annotated[
+        str,
+        typer.Option(
+            help="Where fruit come from: models (the package's own), dataset (its own masks), or a "
+            "FILE: COCO JSON, YOLO txt, YOLO .onnx. auto: the data set's masks, else models."
+        ),
+    ] = "auto",
+    pose: Annotated[
+        Path | None,
+        typer.Option(help="YOLO pose .onnx of your own for the keypoints.", metavar="FILE"),
+    ] = None,
+    methods: Annotated[
+        str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")
+    ] = "",
+    selector: Annotated[Selector, typer.Option(help="How one method is chosen.")] = Selector.BEST,
+    length: Annotated[
+        LengthDefinition, typer.Option(help="Which length, where a tube could be fitted.")
+    ] = LengthDefinition.CENTRELINE,
+    segmenter: Annotated[
+        str | None,
+        typer.Option(
+            help="Network that draws the masks (`models list` names them), or none; also redraws a "
+            "data set's own masks. Default: mobile-sam, for fruit without a mask.",
+            show_default=False,
+        ),
+    ] = None,
     confidence: Confidence = DEFAULT_CONFIDENCE,
-    intrinsics: Intrinsics = None,
-    depth: DepthPicture = None,
-    depth_unit: DepthUnit = None,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Camera file (JSON) of the colour stream.")
+    ] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="Depth picture, where INPUT is a colour picture.")
+    ] = None,
+    depth_unit: Annotated[
+        float | None, typer.Option(min=1e-6, help="Metres of one depth step, such as 0.001.")
+    ] = None,
     burst: Burst = 5,
-    calibration: Calibration = None,
-    profile: Crop = "long-cucumber",
+    calibration: Annotated[
+        Path | None, typer.Option(help="Site's calibration, from `cucumbervision calibrate`.")
+    ] = None,
+    profile: Annotated[
+        str, typer.Option(help="Crop profile; lengths outside its range are rejected.")
+    ] = "long-cucumber",
     input_size: InputSize = "",
     runtime: Runtime = "auto",
-    fast: Fast = False,
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast",
+            help="Let networks compute in half precision where the processor can: quicker, but "
+            "outlines and lengths may differ a little from machine to machine.",
+        ),
+    ] = False,
 ) -> MeasureOptions:
     """Return what these options of a command ask for."""
     from cucumbervision.agronomy.profiles import load_profile
@@ -123,8 +111,7 @@ def measure_options(
         instances=instances,
         pose=pose,
         segmenter=segmenter,
-        prompt=prompt,
-        methods=parse_methods(methods),
+        methods=parse_methods(methods or "all"),
         selector=selector,
         length=length,
         confidence=confidence,
@@ -137,45 +124,80 @@ def measure_options(
     )
 
 
-def takes_measure_options(*without: str) -> Callable[[Command], Command]:
-    """Return a decorator that gives a command the options of `measure_options`.
+def loop_options(
+    guard: Annotated[
+        bool,
+        typer.Option(
+            "--guard",
+            help="Play recordings from untrusted senders in a separate, limited process.",
+        ),
+    ] = False,
+    workers: Annotated[
+        int,
+        typer.Option(min=0, help="Processes that measure; by default 1, or with Ray one a CPU."),
+    ] = 0,
+    ray: Annotated[
+        str,
+        typer.Option(
+            help="Measure on a Ray cluster: its address, or local for one on this machine.",
+            metavar="ADDRESS",
+        ),
+    ] = "",
+) -> LoopOptions:
+    """Return where these options of a command have captures measured."""
+    from cucumbervision.capture.readers import open_source
+    from cucumbervision.intake.recordings import open_guarded
+    from cucumbervision.pipeline.batch import LoopOptions, choose_engine
 
-    They replace the command's keyword `options`, which gets their `MeasureOptions`.
+    return LoopOptions(open_guarded if guard else open_source, choose_engine(workers, ray))
+
+
+def takes(
+    keyword: str, make: Callable[..., object], without: Collection[str] = ()
+) -> Callable[[Command], Command]:
+    """Return a decorator that gives a command the options of a function such as `measure_options`.
 
     Parameters
     ----------
-    without : str
-        Names of those that the command does not offer; they keep their defaults.
+    keyword : str
+        The command's parameter that gets what the function makes of them.
+    make : callable
+        The function; a parameter of the command's own that has the name of one of its options gets
+        its value, too.
+    without : collection of str
+        Options that the command does not offer; they keep their defaults.
     """
 
     def decorate(command: Command) -> Command:
-        hints = get_type_hints(command, localns={"MeasureOptions": object}, include_extras=True)
-        shared_hints = get_type_hints(
-            measure_options, localns={"MeasureOptions": object}, include_extras=True
-        )
-        own = inspect.signature(command).parameters
-        shared = [
-            one.replace(annotation=shared_hints[name], kind=one.KEYWORD_ONLY)
-            for name, one in inspect.signature(measure_options).parameters.items()
-            if name not in without
-        ]
-        before = [
-            one.replace(annotation=hints[name]) for name, one in own.items() if name != "options"
-        ]
+        shared = [one for one in _parameters(make) if one.name not in without]
+        own = [one for one in _parameters(command) if one.name != keyword]
+        both = {one.name for one in own} & {one.name for one in shared}
 
         @functools.wraps(command)
         def run(**values: Any) -> None:
-            chosen = {one.name: values.pop(one.name) for one in shared}
-            command(**values, options=measure_options(**chosen))
+            take = {one.name: values[one.name] for one in shared}
+            rest = {one.name: values[one.name] for one in own}
+            command(**rest, **{keyword: make(**take)})
 
+        before = [one for one in own if one.name not in both]
         positional = [one for one in before if one.kind is not one.KEYWORD_ONLY]
         keywords = [one for one in before if one.kind is one.KEYWORD_ONLY]
-        signature = inspect.Signature([*positional, *shared, *keywords])
+        signature = inspect.Signature(
+            [*positional, *(one.replace(kind=one.KEYWORD_ONLY) for one in shared), *keywords]
+        )
         vars(run)["__signature__"] = signature
         run.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()}
         return run
 
     return decorate
+
+
+def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
+    """Return a function's parameters with their annotations evaluated."""
+    later = {"MeasureOptions": object, "LoopOptions": object}
+    hints = get_type_hints(function, localns=later, include_extras=True)
+    parameters = inspect.signature(function).parameters.values()
+    return [one.replace(annotation=hints.get(one.name, one.annotation)) for one in parameters]
 
 
 Serial = Annotated[

@@ -8,7 +8,8 @@ import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
-from statistics import fmean, median
+from statistics import fmean
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -38,13 +39,14 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy import table
     from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.pipeline.detect import DetectOptions, DetectResult
+    from cucumbervision.pipeline.detect import DetectResult
     from cucumbervision.pipeline.measurer import Failure
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.pipeline.run import BatchOptions, RunResult
 
 _MOST_ROWS = 40
 _WIDTH = 120
+_LONGEST_NOTE = 400
 _SIMULATED = "some of these captures are simulated"
 
 
@@ -101,8 +103,8 @@ def measure_and_show(
     options: MeasureOptions,
     batch: BatchOptions,
     *,
-    quiet: bool,
-    as_json: bool,
+    quiet: bool = False,
+    as_json: bool = False,
     profile: str = "long-cucumber",
     by_method: bool = False,
 ) -> int:
@@ -116,8 +118,9 @@ def measure_and_show(
         task = bar.add_task("measuring", total=total)
         batch = replace(batch, stop=stop)
         result = measure_inputs(inputs, out, options, lambda _: bar.advance(task), batch)
-    for note in result.notes:
-        errors.print(note, markup=False, soft_wrap=True)
+    for note in result.notes:  # whole in measurements.json
+        short = shorten(note, _LONGEST_NOTE, placeholder=" …")
+        errors.print(short, markup=False, soft_wrap=True)
     if as_json:
         Console(highlight=False, soft_wrap=True).print_json(json.dumps(result.rows))
     elif not quiet:
@@ -133,7 +136,7 @@ def measure_and_show(
 
 
 def detect_and_show(
-    inputs: Sequence[str], out: Path, options: DetectOptions, *, quiet: bool
+    inputs: Sequence[str], out: Path, options: MeasureOptions, *, quiet: bool
 ) -> int:
     """Detect fruit in pictures, show progress and a summary, and return the exit code.
 
@@ -148,7 +151,7 @@ def detect_and_show(
     if not quiet:
         console = Console(highlight=False)
         console.print(summary_table(result))
-        written = "results.json, images.json" + (" and overlays/" if options.overlays else "")
+        written = "results.json, images.json and overlays/"
         console.print(f"{written} are in {out}/", soft_wrap=True, markup=False)
     show_failures(result.failures, out)
     return result.exit_code
@@ -251,17 +254,14 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
 
 
 def summary_table(result: DetectResult) -> Table:
-    """Lay out how many pictures, how many fruit, how sure, how quick, and by which networks."""
-    scores = [score for one in result.pictures for score in one.scores]
-    seconds = [one.seconds for one in result.pictures]
-    empty = sum(not one.scores for one in result.pictures)
+    """Lay out how many pictures, how many fruit, how sure, and by which networks."""
+    scores = [entry["score"] for one in result.pictures for entry in one.entries]
+    empty = sum(not one.entries for one in result.pictures)
     table = Table(show_header=False)
     without = f", {empty} without fruit" if empty else ""
     table.add_row("pictures", f"{len(result.pictures)}{without}")
     table.add_row("fruit", str(len(scores)))
     table.add_row("mean score", f"{fmean(scores):.2f}" if scores else "")
-    # The first picture also waits for SAM to load.
-    table.add_row("seconds a picture", f"{median(seconds):.2f} (median)" if seconds else "")
     if result.skipped:
         table.add_row("no pictures, skipped", str(result.skipped))
     networks = ", ".join(f"{m['name']} on {m['runtime']}" for m in result.models)

@@ -25,11 +25,6 @@ def export(
         typer.Option("--format", "-f", help="Repeat for several; csv, xlsx, json without."),
     ] = None,
     profile: Profile = None,
-    days: Annotated[int, typer.Option(min=0, max=31, help="Days of the forecast.")] = 7,
-    pictures: Annotated[
-        bool,
-        typer.Option("--pictures/--no-pictures", help="Write pictures of fruit and stops along."),
-    ] = True,
 ) -> None:
     """Write a round: summary, fruit, stops, forecast, pick list; with the hashes it rests on."""
     from cucumbervision.exports.build import round_tables
@@ -42,8 +37,6 @@ def export(
             one.key,
             chosen_profile(profile, one),
             profile_name=profile or one.record.profile,
-            days=days,
-            pictures=pictures,
         )
         for path in write_exports(tables, out, formats or usual):
             typer.echo(path)

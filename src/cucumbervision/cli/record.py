@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import typer
 
-from cucumbervision.cli.choices import Burst, Fps, Quiet, Retries, Serial
+from cucumbervision.cli.choices import Burst, Quiet, Retries, Serial
 
 Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
@@ -31,22 +31,12 @@ Side = Annotated[str | None, typer.Option(help="Side of the row: left or right."
 Position = Annotated[float | None, typer.Option(help="Metres along the row of the first capture.")]
 Step = Annotated[float, typer.Option(help="Metres from one capture to the next.")]
 CapturesName = Annotated[str, typer.Option(help="What the captures are called.")]
-Width = Annotated[int, typer.Option(min=1, help="Pixels.")]
-Height = Annotated[int, typer.Option(min=1, help="Pixels.")]
 DepthPreset = Annotated[
     Preset | None, typer.Option(help="The depth camera's preset; its own without.")
 ]
 Exposure = Annotated[
     float | None,
     typer.Option(min=1, help="Colour exposure in microseconds; automatic without."),
-]
-Gain = Annotated[float | None, typer.Option(min=0, help="Colour gain.")]
-DepthExposure = Annotated[
-    float | None,
-    typer.Option(min=1, help="Depth exposure in microseconds; automatic without."),
-]
-LaserPower = Annotated[
-    float | None, typer.Option(min=0, help="Projector's power in milliwatts; 0 is off.")
 ]
 
 
@@ -62,14 +52,8 @@ def record(
     position: Position = None,
     step: Step = 0.0,
     name: CapturesName = "capture",
-    width: Width = 1280,
-    height: Height = 720,
-    fps: Fps = 15,
     preset: DepthPreset = None,
     exposure: Exposure = None,
-    gain: Gain = None,
-    depth_exposure: DepthExposure = None,
-    laser: LaserPower = None,
     retries: Retries = 3,
     quiet: Quiet = False,
 ) -> None:
@@ -85,10 +69,7 @@ def record(
     from cucumbervision.capture.recorder import Walk, record_captures
     from cucumbervision.cli.live import clock, enter_keys, print_recording
 
-    settings = CameraSettings(
-        preset, exposure, gain, depth_exposure_us=depth_exposure, laser_mw=laser
-    )
-    config = CameraConfig(serial, width, height, fps, burst, settings=settings)
+    config = CameraConfig(serial, fps=15, burst=burst, settings=CameraSettings(preset, exposure))
 
     def open_camera() -> RgbdCamera:
         return RealSenseCamera(config) if folder is None else FolderCamera(folder)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,15 +17,18 @@ from cucumbervision.cli.choices import (
     Profile,
     RoundName,
     StoreName,
-    takes_measure_options,
+    loop_options,
+    measure_options,
+    takes,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.pipeline.batch import LoopOptions
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.rounds.adding import Place
+    from cucumbervision.rounds.adding import Added
     from cucumbervision.rounds.fruit_table import RoundFruit
     from cucumbervision.store.repository import Store
     from cucumbervision.store.views import RoundView
@@ -77,7 +81,8 @@ def new(
 
 
 @app.command(epilog=EXIT_CODES)
-@takes_measure_options("profile")
+@takes("options", measure_options, {"profile"})
+@takes("loop", loop_options)
 def add(
     captures: Annotated[list[Path], typer.Argument(help="Whatever `measure` reads.")],
     store: StoreName = "house.db",
@@ -103,13 +108,18 @@ def add(
     images: Images = None,
     *,
     options: MeasureOptions,
+    loop: LoopOptions,
 ) -> None:
     """Measure captures and save each as a stop.
 
     One that is there already is measured again only if its intrinsics, the calibration or the
     options have changed.
     """
-    from cucumbervision.rounds.adding import Place
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar, screen, stopping_gently
+    from cucumbervision.pipeline.inputs import count_captures
+    from cucumbervision.rounds.adding import Place, add_captures
     from cucumbervision.rounds.poses import read_poses
 
     if higher_to not in (None, "left", "right"):
@@ -117,9 +127,18 @@ def add(
     sign = {None: None, "right": 1, "left": -1}[higher_to]
     given = {} if poses is None else read_poses(poses)
     place = Place(row, side, position, spacing, position_sd, sign, given)
-    with opened_round(store, round_, images) as (opened, one):
-        options = with_limits(options, one)
-        raise typer.Exit(_add(opened, one.key, captures, options, place))
+    with (
+        opened_round(store, round_, images) as (opened, one),
+        progress_bar(Console(stderr=True, highlight=False)) as bar,
+        stopping_gently() as stop,
+    ):
+        task = bar.add_task("measuring", total=count_captures(captures, options.reading))
+        options, loop = with_limits(options, one), replace(loop, stop=stop)
+        step = partial(bar.advance, task)
+        done = add_captures(opened, one.key, captures, options, place, lambda _: step(), loop)
+    if unused := sorted(given.keys() - {one.name for one in done}):
+        screen().print(f"{poses}: no capture is called {', '.join(unused)}", soft_wrap=True)
+    raise typer.Exit(_show_added(done, interrupted=stop()))
 
 
 def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
@@ -128,20 +147,11 @@ def with_limits(options: MeasureOptions, one: RoundView) -> MeasureOptions:
     return options if profile is None else replace(options, accepted_m=profile.accepted_m)
 
 
-def _add(
-    store: Store, key: str, inputs: Sequence[Path], options: MeasureOptions, place: Place
-) -> int:
-    """Add captures, show progress and outcomes, and return the exit code."""
-    from rich.console import Console
-
-    from cucumbervision.cli.console import progress_bar, screen, show_failures
-    from cucumbervision.pipeline.inputs import count_captures
+def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
+    """Print what became of captures, and return the exit code."""
+    from cucumbervision.cli.console import screen, show_failures
     from cucumbervision.pipeline.measurer import exit_code
-    from cucumbervision.rounds.adding import add_captures
 
-    with progress_bar(Console(stderr=True, highlight=False)) as bar:
-        task = bar.add_task("measuring", total=count_captures(inputs, options.reading))
-        done = add_captures(store, key, inputs, options, place, lambda _: bar.advance(task))
     new = [one for one in done if one.new]
     failures = [one.failure for one in done if one.failure]
     again = sum(one.again for one in done)
@@ -153,17 +163,19 @@ def _add(
     if deleted := sum(one.deleted for one in done):
         screen().print(f"{deleted} of these were deleted: undo that to have them back.")
     show_failures(failures)
-    return exit_code(len(done) - len(failures), failures)
+    return 130 if interrupted else exit_code(len(done) - len(failures), failures)
 
 
 @app.command(epilog=EXIT_CODES)
-@takes_measure_options("profile", "depth", "intrinsics", "depth_unit", "burst")
+@takes("options", measure_options, {"profile", "depth", "intrinsics", "depth_unit", "burst"})
+@takes("loop", loop_options, {"guard"})
 def remeasure(
     store: StoreName = "house.db",
     round_: RoundName = "",
     images: Images = None,
     *,
     options: MeasureOptions,
+    loop: LoopOptions,
 ) -> None:
     """Measure a round again from the captures that the store keeps, and merge it.
 
@@ -181,6 +193,7 @@ def remeasure(
             done, failures = measure_round_again(
                 *(opened, one.key, with_limits(options, one)),
                 lambda k, of: bar.update(task, completed=k, total=of),
+                loop,
             )
         settle_round(opened, one.key)
     screen().print(f"{done} stops measured again.")
@@ -278,7 +291,6 @@ def show(
     store: StoreName = "house.db",
     round_: RoundName = "",
     profile: Profile = None,
-    limit: Annotated[int, typer.Option(min=0, help="Most lines; 0 for all.")] = 60,
 ) -> None:
     """Show a round's fruit by row and position."""
     from cucumbervision.cli.console import columns_table, screen
@@ -293,11 +305,8 @@ def show(
     table = columns_table(title, ("no.", "row", "side"), *right)
     for head in ("class", "remarks", "key"):
         table.add_column(head, overflow="fold")
-    shown = lines[:limit] if limit else lines
-    for line in shown:
+    for line in lines:
         table.add_row(*_cells(line, crop))
-    if len(shown) < len(lines):
-        table.caption = f"and {len(lines) - len(shown)} more; --limit 0 shows all"
     screen().print(table)
 
 

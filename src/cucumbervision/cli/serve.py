@@ -6,25 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import ListenOn, Port, takes_measure_options
+from cucumbervision.cli.choices import ListenOn, Port, measure_options, takes
 
 if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
 
 
-@takes_measure_options("depth")
+@takes("options", measure_options, {"depth"})
 def serve(
     address: ListenOn = "127.0.0.1",
     port: Port = 8600,
-    token: Annotated[
-        str,
-        typer.Option(
-            envvar="CUCUMBERVISION_TOKEN",
-            help="What requests must carry; needed for addresses that other machines reach. "
-            "Better in the environment than on the command line, where others see it.",
-            show_default=False,
-        ),
-    ] = "",
     most_mb: Annotated[
         int, typer.Option("--max-mb", min=1, help="Largest request, megabytes.")
     ] = 200,
@@ -34,10 +25,17 @@ def serve(
     *,
     options: MeasureOptions,
 ) -> None:
-    """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'."""
-    from cucumbervision.service.server import ServiceSettings, request_limits
+    """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'.
+
+    Requests must carry the token in the environment's CUCUMBERVISION_TOKEN, where there is one;
+    addresses that other machines reach need it.
+    """
+    import os
+
+    from cucumbervision.service.server import TOKEN_VARIABLE, ServiceSettings, request_limits
     from cucumbervision.service.server import serve as run
 
+    token = os.environ.get(TOKEN_VARIABLE, "")
     settings = ServiceSettings(token, request_limits(most_mb), waiting)
 
     def ready() -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import Fps, Quiet, Retries, Serial, takes_measure_options
+from cucumbervision.cli.choices import Fps, Quiet, Retries, Serial, measure_options, takes
 
 if TYPE_CHECKING:
     from cucumbervision.pipeline.options import MeasureOptions
@@ -38,7 +38,7 @@ Frames = Annotated[
 ]
 
 
-@takes_measure_options("fast", "depth", "burst")
+@takes("options", measure_options, {"fast", "depth", "burst"})
 def stream(
     source: Source,
     fast: FastWay = False,

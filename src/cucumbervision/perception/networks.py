@@ -410,7 +410,7 @@ class NetworkLoader:
         if file is None and own is None:
             raise ModelError(
                 "this version comes without a cucumber detector",
-                remedy="name a YOLO ONNX export (measure --instances FILE, detect --model FILE)",
+                remedy="name a YOLO ONNX export (--instances FILE)",
             )
         both = file is None and keypoints and own_pose is not None
         least = detector_floor(self._confidence, votes=both or pose is not None)

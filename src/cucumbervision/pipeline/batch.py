@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
-from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.capture.readers import open_source
+from cucumbervision.errors import CaptureError
 from cucumbervision.perception.runtime import limit_threads
 from cucumbervision.pipeline.inputs import Listed
 from cucumbervision.pipeline.measurer import (
@@ -33,6 +34,7 @@ from cucumbervision.pipeline.measurer import (
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.pipeline.inputs import Opener
 
 T = TypeVar("T")
 ItemT = TypeVar("ItemT", bound="Listed | Failure")
@@ -326,37 +328,45 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def choose_engine(name: str, workers: int = 0, address: str = "") -> Engine:
-    """Return what the command's options ask for.
+def choose_engine(workers: int = 0, ray: str = "") -> Engine:
+    """Return what a command's options ask for.
 
     Parameters
     ----------
-    name : str
-        'local' or 'ray'.
     workers : int
         Processes; 0 for one, or with Ray for one a CPU.
-    address : str
-        Of the Ray cluster; empty for one on this machine.
-
-    Raises
-    ------
-    CucumberVisionError
-        If an address is given without Ray.
+    ray : str
+        Address of a Ray cluster, or 'local' for one on this machine; empty for none.
     """
-    if name == "ray":
+    if ray:
         from cucumbervision.pipeline.ray_engine import RayEngine
 
-        return RayEngine(address, workers)
-    if address:
-        raise CucumberVisionError(
-            "only a Ray cluster has an address", source="--address", remedy="add --engine ray"
-        )
+        return RayEngine(ray, workers)
     return Processes(workers) if workers > 1 else in_process
 
 
 def never() -> bool:
     """Return False: nobody asks the loop to stop."""
     return False
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """How the loop goes about it; none of it changes a result.
+
+    Parameters
+    ----------
+    opener : callable
+        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
+    engine : Engine
+        Where the work is done.
+    stop : callable
+        Asked before each capture whether to end after those that are being measured.
+    """
+
+    opener: Opener = open_source
+    engine: Engine = in_process
+    stop: Callable[[], bool] = never
 
 
 def measure_all(

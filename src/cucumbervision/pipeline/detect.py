@@ -2,79 +2,55 @@
 
 from __future__ import annotations
 
-import glob
 import json
-import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from cucumbervision.about import software
-from cucumbervision.capture.files import json_value, write_bytes
+from cucumbervision.capture.files import write_bytes
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import PHOTO_SUFFIXES, read_photo, write_jpeg
-from cucumbervision.capture.source import safe_name, unique_name
-from cucumbervision.errors import CaptureError, CucumberVisionError, wrap_os_errors
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.capture.source import CaptureRef, safe_name, unique_name
+from cucumbervision.errors import CaptureError, wrap_os_errors
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
-from cucumbervision.perception.keypoint_axis import place_keypoints
 from cucumbervision.perception.mask_codes import encode_rle
-from cucumbervision.pipeline.measurer import Boundary, Failure, exit_code
+from cucumbervision.pipeline.batch import Item, Outcome, SearchedCapture, Worker, measure_all
+from cucumbervision.pipeline.inputs import Listed
+from cucumbervision.pipeline.measurer import (
+    Boundary,
+    CaptureResult,
+    Failure,
+    Measurer,
+    exit_code,
+)
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.overlay import draw_detections
 from cucumbervision.pipeline.tables import FAILURE_COLUMNS, CsvSink, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterator, Sequence
 
     from cucumbervision.perception.instances import Instance
     from cucumbervision.perception.registry import Registry
 
-
-@dataclass(frozen=True)
-class InputPicture:
-    """A file to look at.
-
-    Parameters
-    ----------
-    path : Path
-        Where it lies.
-    name : str
-        What tables call it: its path below the folder that was given, with '/'; no two are alike.
-    """
-
-    path: Path
-    name: str
+_JPEG_QUALITY = 90
 
 
-@dataclass(frozen=True)
-class PictureList:
-    """What the inputs hold.
+def find_pictures(
+    inputs: Sequence[str | Path], leave_out: Path | None = None
+) -> tuple[list[Item], int]:
+    """List the pictures of files and of folders, with those below.
 
-    Parameters
-    ----------
-    pictures : tuple of InputPicture
-        Each file once, in the inputs' order, sorted within a folder.
-    skipped : int
-        Files in folders that are no pictures by their ending.
-    failures : tuple of Failure
-        Inputs that name nothing.
-    """
-
-    pictures: tuple[InputPicture, ...]
-    skipped: int
-    failures: tuple[Failure, ...]
-
-
-def find_pictures(inputs: Sequence[str | Path], leave_out: Path | None = None) -> PictureList:
-    """List the pictures of files, folders (with those below) and patterns such as 'a/*.jpg'.
-
-    A file that is named is a picture whatever it is called; in folders and patterns the ending
-    decides, and hidden files are passed over.
+    A file that is named is a picture whatever it is called; in folders the ending decides, and
+    hidden files are passed over.
 
     Parameters
     ----------
@@ -83,121 +59,114 @@ def find_pictures(inputs: Sequence[str | Path], leave_out: Path | None = None) -
     leave_out : Path, optional
         A folder whose files are not taken: that of the results.
 
+    Returns
+    -------
+    items : list of Listed or Failure
+        Each file once, in the inputs' order, sorted within a folder; and inputs that name nothing.
+    skipped : int
+        Files in folders that are no pictures by their ending.
+
     Examples
     --------
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
     >>> for name in ("b.JPG", "a.png", "notes.txt"):
     ...     _ = (folder / name).write_bytes(b"")
-    >>> found = find_pictures([folder, folder / "b.JPG"])
-    >>> [picture.name for picture in found.pictures], found.skipped
+    >>> found, skipped = find_pictures([folder, folder / "b.JPG"])
+    >>> [picture.name for picture in found], skipped
     (['a.png', 'b.JPG'], 1)
     """
     apart = leave_out.resolve() if leave_out is not None else None
     seen: set[Path] = set()
     names: set[str] = set()
-    pictures: list[InputPicture] = []
-    failures: list[Failure] = []
+    items: list[Item] = []
     skipped = 0
-    for given in inputs:
-        files, failure = _files(str(given))
-        failures += [failure] if failure else []
-        for path, name, named in files:
+    for given in map(Path, inputs):
+        is_folder, before = given.is_dir(), len(seen) - skipped
+        if not is_folder and not given.exists():
+            error = CaptureError("does not exist", source=given, remedy="check the path")
+            items.append(Failure.of(error, str(given)))
+            continue
+        for path, name in _below(given) if is_folder else [(given, given.name)]:
             whole = path.resolve()
-            if whole in seen or (not named and apart is not None and apart in whole.parents):
+            if whole in seen or (is_folder and apart is not None and apart in whole.parents):
                 continue
             seen.add(whole)
-            if not named and path.suffix.lower() not in PHOTO_SUFFIXES:
+            if is_folder and path.suffix.lower() not in PHOTO_SUFFIXES:
                 skipped += 1
                 continue
-            pictures.append(InputPicture(path, _own_name((name, path.as_posix()), whole, names)))
-    return PictureList(tuple(pictures), skipped, tuple(failures))
+            own = next((one for one in (name, path.as_posix()) if one not in names), str(whole))
+            names.add(own)
+            ref = CaptureRef(own, 0, partial(read_picture, path, own))
+            items.append(Listed(str(path), ref, own))
+        if is_folder and len(seen) - skipped == before:
+            remedy = "name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some"
+            error = CaptureError("there are no pictures", source=given, remedy=remedy)
+            items.append(Failure.of(error, str(given)))
+    return items, skipped
 
 
-def _files(given: str) -> tuple[Iterable[tuple[Path, str, bool]], Failure | None]:
-    """Return each file with its name and whether the user named it, or why there is none."""
-    path = Path(given)
-    if path.is_dir():
-        return _below(path), None
-    if path.exists():
-        return [(path, path.name, True)], None
-    # Some shells leave patterns alone. Path.glob takes no absolute ones.
-    matches = [Path(match) for match in sorted(glob.glob(given, recursive=True))]  # noqa: PTH207
-    if not matches:
-        fault = "no file matches it" if glob.has_magic(given) else "does not exist"
-        error = CaptureError(fault, source=given, remedy="check the path")
-        return [], Failure(given, "", error.code, str(error))
-    return (file for match in matches for file in _matched(match)), None
+def read_picture(path: Path, name: str) -> Capture:
+    """Read a plain picture as a capture without depth: what finds fruit sees its colour only."""
+    color = read_photo(path)
+    height, width = color.shape[:2]
+    lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
+    return Capture(color, np.zeros((height, width), np.float32), lens, name, source=str(path))
 
 
-def _matched(match: Path) -> Iterator[tuple[Path, str, bool]]:
-    if match.is_dir():
-        yield from _below(match)
-    else:
-        yield match, match.name, False
-
-
-def _below(folder: Path) -> Iterator[tuple[Path, str, bool]]:
+def _below(folder: Path) -> Iterator[tuple[Path, str]]:
     for path in sorted(folder.rglob("*")):
         inner = path.relative_to(folder)
         if path.is_file() and not any(part.startswith(".") for part in inner.parts):
-            yield path, inner.as_posix(), False
+            yield path, inner.as_posix()
 
 
-def _own_name(names: tuple[str, ...], whole: Path, taken: set[str]) -> str:
-    name = next((name for name in names if name not in taken), whole.as_posix())
-    taken.add(name)
-    return name
+@dataclass(frozen=True, eq=False)
+class DetectedPicture:
+    """What was found in one picture: its size in pixels, COCO's results, and the classes' names.
 
-
-_JPEG_QUALITY = 90
-
-
-@dataclass(frozen=True)
-class DetectOptions:
-    """One run's choices.
-
-    Parameters
-    ----------
-    model : Path, optional
-        A YOLO ONNX export of the user's own; the package's detector if not given.
-    pose : Path, optional
-        A YOLO pose ONNX export of the user's own; with the package's detector, the package's pose
-        network if not given.
-    segmenter : str, optional
-        Name of the network that draws the masks, or 'none' to keep the detector's.
-    prompt : str
-        SAM's prompt: 'box+point', 'box' or 'point'.
-    confidence : float
-        Detections below it are left out.
-    input_sizes : tuple of int
-        Long sides that the networks see, as in `MeasureOptions`.
-    runtime : str
-        What runs the networks.
-    full_precision : bool
-        Networks in float32: the same finds on every machine.
-    overlays : bool
-        Whether annotated pictures are written.
+    Each entry has a fruit's class name where COCO has a category's number.
     """
 
-    model: Path | None = None
-    pose: Path | None = None
-    segmenter: str | None = None
-    prompt: str = "box+point"
-    confidence: float = DEFAULT_CONFIDENCE
-    input_sizes: tuple[int, ...] = ()
-    runtime: str = "auto"
-    full_precision: bool = True
-    overlays: bool = True
-
-
-@dataclass(frozen=True)
-class DetectedPicture:
-    """The result of one picture: its name, its fruit's confidences, and the seconds it took."""
-
     name: str
-    scores: tuple[float, ...]
-    seconds: float
+    width: int
+    height: int
+    entries: list[dict[str, Any]]
+    classes: tuple[str, ...] = ()
+
+
+class PictureWorker(Worker[DetectedPicture]):
+    """Finds the fruit of plain pictures, and draws them into a folder if one is given."""
+
+    def __init__(self, measurer: Measurer, out: Path | None = None) -> None:
+        super().__init__(measurer)
+        self._out = out
+        self._taken: set[str] = set()
+
+    def measure(self, seen: Outcome[DetectedPicture] | SearchedCapture) -> Outcome[DetectedPicture]:
+        """Return what was found; nothing is measured."""
+        if isinstance(seen, Outcome):
+            return seen
+        if isinstance(seen.detected, CaptureResult):
+            return self.make(seen.detected, "")
+        capture, found = seen.detected.capture, seen.detected.found
+        entries = [
+            coco_fields(one, keypoints=found.posed) | {"class": one.class_name}
+            for one in found.instances
+        ]
+        size = capture.width, capture.height
+        failures: list[Failure] = []
+        if self._out is not None:
+            with Boundary(failures, capture.source, capture.name):
+                stem = unique_name(safe_name(str(Path(capture.name).with_suffix(""))), self._taken)
+                drawn = draw_detections(capture.color, found.instances)
+                write_jpeg(self._out / f"{stem}.jpg", drawn, _JPEG_QUALITY)
+        picture = DetectedPicture(capture.name, *size, entries, found.labels)
+        return Outcome(picture, tuple(failures))
+
+    def make(self, result: CaptureResult, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
+        """Return why a picture could not be looked at."""
+        return Outcome(failures=result.failures)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +205,7 @@ Report: TypeAlias = Callable[[int, int], None]
 def detect_inputs(
     inputs: Sequence[str | Path],
     out: Path,
-    options: DetectOptions,
+    options: MeasureOptions | None = None,
     report: Report | None = None,
     registry: Registry | None = None,
 ) -> DetectResult:
@@ -253,8 +222,8 @@ def detect_inputs(
         Files, folders and patterns.
     out : Path
         Made where it is missing; pictures in it are left out.
-    options : DetectOptions
-        The run's choices.
+    options : MeasureOptions, optional
+        The run's choices; those of measuring do not matter.
     report : callable, optional
         Called with the number of pictures done and their total; for progress bars.
     registry : Registry, optional
@@ -267,121 +236,65 @@ def detect_inputs(
     Raises
     ------
     CucumberVisionError
-        If the run cannot start: no picture anywhere, a network that cannot be loaded, or a folder
-        that cannot be written.
+        If the run cannot start: a network that cannot be loaded, or a folder that cannot be
+        written.
     """
-    listed = find_pictures(inputs, leave_out=out)
-    if not listed.pictures and not listed.failures:
-        raise CucumberVisionError(
-            "there are no pictures",
-            source=", ".join(map(str, inputs)),
-            remedy="name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some",
-        )
-    run = _Run(DetectResult(skipped=listed.skipped, out=out), options, registry)
-    with run.failures:
-        for failure in listed.failures:
-            run.note(failure)
+    started = datetime.now(UTC)
+    items, skipped = find_pictures(inputs, leave_out=out)
+    options = options or MeasureOptions()
+    if options.instances == "auto":  # plain pictures come without masks
+        options = replace(options, instances="models")
+    measurer = Measurer(options, registry)
+    result = DetectResult(skipped=skipped, models=measurer.load().models, out=out)
+    with wrap_os_errors("cannot be written", out):
+        (out / "overlays").mkdir(parents=True, exist_ok=True)
+        table = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
+    worker = PictureWorker(measurer, out / "overlays")
+    with table:
         try:
-            for done, picture in enumerate(listed.pictures, start=1):
-                failed: list[Failure] = []
-                with Boundary(failed, str(picture.path), picture.name):
-                    run.look_at(picture)
-                for failure in failed:
-                    run.note(failure)
+            for done, (_, outcome) in enumerate(measure_all(items, worker), start=1):
+                result.pictures.extend([] if outcome.value is None else [outcome.value])
+                result.failures.extend(outcome.failures)
+                with suppress(OSError):  # a full disk: the failures are still shown at the end
+                    table.write(*map(vars, outcome.failures))
                 if report is not None:
-                    report(done, len(listed.pictures))
+                    report(done, len(items))
         finally:
-            run.finish()
-    return run.result
+            _write(result, options, started)
+    return result
 
 
-class _Run:
-    """One run: its networks, and the output folder while it fills."""
-
-    def __init__(
-        self, result: DetectResult, options: DetectOptions, registry: Registry | None
-    ) -> None:
-        from cucumbervision.perception.networks import NetworkLoader
-
-        self.result, self._options = result, options
-        self._started = datetime.now(UTC)
-        self._networks = NetworkLoader(
-            registry,
-            runtime=options.runtime,
-            confidence=options.confidence,
-            prompt=options.prompt,
-            full_precision=options.full_precision,
-            input_sizes=options.input_sizes,
-            models=result.models,
-        )
-        self._detectors = self._networks.detectors(options.model, options.pose)
-        self._segmenter = "none"
-        if options.segmenter != "none":
-            self._segmenter = self._networks.registry.segmenter(options.segmenter).name
-            self._networks.verify(self._segmenter)
-        self._labels = list(self._detectors.labels)
-        self._images: list[dict[str, Any]] = []
-        self._entries: list[dict[str, Any]] = []
-        self._taken: set[str] = set()
-        out = result.out
-        with wrap_os_errors("cannot be written", out):
-            (out / "overlays" if options.overlays else out).mkdir(parents=True, exist_ok=True)
-            self.failures = CsvSink(out / "failures.csv", FAILURE_COLUMNS)
-
-    def note(self, failure: Failure) -> None:
-        self.result.failures.append(failure)
-        with suppress(OSError):  # a full disk: the failures are still shown at the end
-            self.failures.write(vars(failure))
-
-    def look_at(self, picture: InputPicture) -> None:
-        start = time.perf_counter()
-        color = read_photo(picture.path)
-        found = self._detectors.find(color)
-        if found and self._segmenter != "none":
-            found = self._networks.segmenter(self._segmenter).segment(color, found)
-        found = place_keypoints(found)
-        self._add(picture.name, color, found)
-        scores = tuple(one.confidence for one in found)
-        seconds = time.perf_counter() - start
-        self.result.pictures.append(DetectedPicture(picture.name, scores, seconds))
-
-    def _add(self, name: str, color_rgb: NDArray[np.uint8], found: tuple[Instance, ...]) -> None:
-        self._labels += sorted({one.class_name for one in found} - set(self._labels))
-        height, width = color_rgb.shape[:2]
-        number = len(self._images) + 1
-        self._images.append({"id": number, "file_name": name, "width": width, "height": height})
-        for one in found:
-            category = self._labels.index(one.class_name) + 1
-            head = {"image_id": number, "file_name": name, "category_id": category}
-            keypoints = self._detectors.gives_keypoints
-            self._entries.append(head | coco_fields(one, keypoints=keypoints))
-        if self._options.overlays:
-            from cucumbervision.pipeline.overlay import draw_detections
-
-            stem = unique_name(safe_name(str(Path(name).with_suffix(""))), self._taken)
-            path = self.result.out / "overlays" / f"{stem}.jpg"
-            write_jpeg(path, draw_detections(color_rgb, found), _JPEG_QUALITY)
-
-    def finish(self) -> None:
-        info = {
-            "description": "Pictures given to cucumbervision detect; results.json has their fruit",
-            **software(),
-            "started": self._started.isoformat(timespec="seconds"),
-            "options": json_value(vars(self._options)),
-            "models": self.result.models,
-        }
-        pictures = {
-            "info": info,
-            "licenses": [],
-            "images": self._images,
-            "annotations": [],
-            "categories": _coco_categories(self._labels),
-        }
-        write_json(self.result.out / "images.json", pictures)
-        # One entry a line.
-        lines = ",\n".join(json.dumps(entry, ensure_ascii=False) for entry in self._entries)
-        text = f"[\n{lines}\n]\n" if lines else "[]\n"
-        write_bytes(self.result.out / "results.json", text.encode())
+def _write(result: DetectResult, options: MeasureOptions, started: datetime) -> None:
+    named = [one.classes for one in result.pictures]
+    found = [{entry["class"] for entry in one.entries} for one in result.pictures]
+    labels = list(dict.fromkeys(name for names in (*named, *map(sorted, found)) for name in names))
+    images, lines = [], []
+    for number, one in enumerate(result.pictures, start=1):
+        size = {"width": one.width, "height": one.height}
+        images.append({"id": number, "file_name": one.name, **size})
+        for entry in one.entries:
+            rest = {key: value for key, value in entry.items() if key != "class"}
+            category = labels.index(entry["class"]) + 1
+            head = {"image_id": number, "file_name": one.name, "category_id": category}
+            lines.append(json.dumps(head | rest, ensure_ascii=False))
+    info = {
+        "description": "Pictures given to cucumbervision detect; results.json has their fruit",
+        **software(),
+        "started": started.isoformat(timespec="seconds"),
+        "options": options.as_json(),
+        "models": result.models,
+    }
+    pictures = {
+        "info": info,
+        "licenses": [],
+        "images": images,
+        "annotations": [],
+        "categories": _coco_categories(labels),
+    }
+    write_json(result.out / "images.json", pictures)
+    # One entry a line.
+    text = ",\n".join(lines)
+    write_bytes(result.out / "results.json", (f"[\n{text}\n]\n" if lines else "[]\n").encode())
 
 
 def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -17,7 +16,7 @@ from cucumbervision.pipeline.stages import Stage
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.perception.networks import Detectors, NetworkLoader
+    from cucumbervision.perception.networks import NetworkLoader
     from cucumbervision.perception.registry import Registry
     from cucumbervision.perception.yolo import YoloDetector
 
@@ -36,12 +35,18 @@ class Found:
         What a file gave that is no fruit in this picture.
     stages : tuple of str
         What they went through, as `stages.py` names it.
+    labels : tuple of str
+        The classes that a detector knows.
+    posed : bool
+        Whether a pose network looked for keypoints.
     """
 
     instances: tuple[Instance, ...]
     clipped: frozenset[int] = frozenset()
     refused: tuple[CucumberVisionError, ...] = ()
     stages: tuple[Stage, ...] = ()
+    labels: tuple[str, ...] = ()
+    posed: bool = False
 
 
 Find: TypeAlias = Callable[["Capture"], Found]
@@ -56,14 +61,25 @@ class Finder:
     find : callable
         Gives the fruit of a capture.
     models : list of dict
-        Name, SHA-256 and runtime of each network that was loaded so far, for the provenance.
-    by_stage : mapping of str to list of dict
-        The same by the stage that they work in.
+        Name, task, SHA-256 and runtime of each network that was loaded so far.
     """
 
     find: Find
     models: list[dict[str, Any]]
-    by_stage: Mapping[Stage, list[dict[str, Any]]]
+
+    def models_of(self, stages: Collection[Stage]) -> tuple[dict[str, Any], ...]:
+        """Return the networks that took part in some stages."""
+        tasks = {"pose", "ends"} if Stage.POSED in stages else set()
+        tasks |= _FINDING if Stage.DETECTED in stages else set()
+        drawn = Stage.DRAWN in stages
+        return tuple(
+            one
+            for one in self.models
+            if one["task"] in tasks or (drawn and one["task"] not in _FINDING)
+        )
+
+
+_FINDING = {"segment", "detect", "pose", "ends"}  # tasks of networks; all others draw masks
 
 
 def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Finder:
@@ -99,11 +115,10 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
         full_precision=options.full_precision,
         input_sizes=options.input_sizes,
     )
-    by_stage: dict[Stage, list[dict[str, Any]]] = {}
     name = options.segmenter
     if name not in (None, "none"):
         networks.verify(networks.registry.segmenter(name).name)
-    boxes = _box_finder(options, _Staged(networks, by_stage, name))
+    boxes = _box_finder(options, networks)
 
     def find(capture: Capture) -> Found:
         found = boxes(capture)
@@ -113,14 +128,13 @@ def make_finder(options: MeasureOptions, registry: Registry | None = None) -> Fi
             kept: tuple[Stage, ...] = (Stage.KEPT,) if found.instances else ()
             return _placed(capture, found, found.instances, kept)
         prompts = [replace(found.instances[k], mask=None, mask_source=None) for k in drawn]
-        with _noting(networks, by_stage, Stage.DRAWN):
-            segmenter = networks.segmenter(name)
+        segmenter = networks.segmenter(name)
         masked = dict(zip(drawn, segmenter.segment(capture.color, prompts), strict=True))
         instances = tuple(masked.get(k, one) for k, one in enumerate(found.instances))
         kept = (Stage.KEPT,) if len(drawn) < len(instances) else ()
         return _placed(capture, found, instances, (*kept, Stage.DRAWN))
 
-    return Finder(find, networks.models, by_stage)
+    return Finder(find, networks.models)
 
 
 def _placed(
@@ -134,53 +148,6 @@ def _placed(
         for one in instances
     )
     return replace(found, instances=place_keypoints(cleaned), stages=found.stages + stages)
-
-
-@contextmanager
-def _noting(
-    networks: NetworkLoader, by_stage: dict[Stage, list[dict[str, Any]]], stage: Stage
-) -> Iterator[None]:
-    """Put the networks that are loaded inside under a stage."""
-    before = len(networks.models)
-    yield
-    by_stage.setdefault(stage, []).extend(networks.models[before:])
-
-
-class _Staged:
-    """Loads networks and notes the stage that each works in."""
-
-    def __init__(
-        self,
-        networks: NetworkLoader,
-        by_stage: dict[Stage, list[dict[str, Any]]],
-        segmenter: str | None,
-    ) -> None:
-        self._networks, self._by_stage, self._segmenter = networks, by_stage, segmenter
-
-    def pose(self, path: Path | None) -> YoloDetector | None:
-        """Load a user's own pose network, if one is named."""
-        if path is None:
-            return None
-        with _noting(self._networks, self._by_stage, Stage.POSED):
-            return self._networks.pose(path)
-
-    def detectors(
-        self,
-        file: Path | None = None,
-        pose: YoloDetector | Path | None = None,
-        *,
-        keypoints: bool = True,
-    ) -> Detectors:
-        """Load what finds fruit, beside a pose network that may be there already.
-
-        What it finds is drawn next, so the segmenter begins to load meanwhile.
-        """
-        if self._segmenter != "none":
-            self._networks.preload_segmenter(self._segmenter)
-        with _noting(self._networks, self._by_stage, Stage.DETECTED):
-            detectors = self._networks.detectors(file, pose, keypoints=keypoints)
-        self._by_stage[Stage.DETECTED] += self._by_stage.get(Stage.POSED, [])
-        return detectors
 
 
 def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
@@ -212,56 +179,27 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     )
 
 
-def demo_options(registry: Registry) -> tuple[MeasureOptions, str]:
-    """Choose how the bundled captures are measured, and say in a line who finds the fruit.
-
-    Parameters
-    ----------
-    registry : Registry
-        With a detector of its own, that one finds them; else their masks' boxes are given.
-
-    Returns
-    -------
-    options : MeasureOptions
-    line : str
-        For people.
-
-    Examples
-    --------
-    >>> from cucumbervision.perception.registry import load_registry
-    >>> options, line = demo_options(load_registry())
-    >>> line.endswith("masks by mobile-sam.")
-    True
-    """
-    detector, pose = registry.default("segment"), registry.default("pose")
-    drawer = registry.segmenter().name
-    if detector is None:
-        options = MeasureOptions(instances="dataset", segmenter=drawer)
-        return options, f"Fruit by the boxes of the captures' own masks, masks by {drawer}."
-    keypoints = f", keypoints by {pose.name}" if pose else ""
-    options = MeasureOptions(instances="models", segmenter=drawer)
-    return options, f"Fruit by {detector.name}{keypoints}, masks by {drawer}."
-
-
-def _box_finder(options: MeasureOptions, networks: _Staged) -> Find:
+def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
     choice, path = options.instances, Path(options.instances)
     if choice == "models":
-        return _network_finder(networks.detectors(pose=options.pose, keypoints=options.keypoints))
+        return _network_finder(options, networks, pose=options.pose)
     if choice not in ("auto", "dataset") and not path.exists():
         raise InstancesError(
             "no such file", source=path, remedy="give auto, models, dataset or a file"
         )
     if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
-        return _network_finder(networks.detectors(path, options.pose))
+        return _network_finder(options, networks, path, options.pose)
+    pose = None if options.pose is None else networks.pose(options.pose)
     if choice == "auto":
-        return _auto_finder(options, networks)
+        return _auto_finder(options, networks, pose)
     given = _dataset_or_error if choice == "dataset" else _file_finder(path)
-    return _with_pose(given, networks.pose(options.pose), options.confidence)
+    return _with_pose(given, pose, options.confidence)
 
 
-def _auto_finder(options: MeasureOptions, networks: _Staged) -> Find:
+def _auto_finder(
+    options: MeasureOptions, networks: NetworkLoader, pose: YoloDetector | None
+) -> Find:
     """Take a data set's masks where there are some, and load the networks where there are none."""
-    pose = networks.pose(options.pose)
     given = _with_pose(_dataset, pose, options.confidence)
     loaded: list[Find] = []
 
@@ -269,19 +207,30 @@ def _auto_finder(options: MeasureOptions, networks: _Staged) -> Find:
         if capture.masks:
             return given(capture)
         if not loaded:
-            loaded.append(
-                _network_finder(networks.detectors(pose=pose, keypoints=options.keypoints))
-            )
+            loaded.append(_network_finder(options, networks, pose=pose))
         return loaded[0](capture)
 
     return find
 
 
-def _network_finder(detectors: Detectors) -> Find:
-    return lambda capture: Found(
-        detectors.find(capture.color, capture.depth_m, capture.intrinsics.fx_px),
-        stages=(Stage.DETECTED,),
-    )
+def _network_finder(
+    options: MeasureOptions,
+    networks: NetworkLoader,
+    file: Path | None = None,
+    pose: YoloDetector | Path | None = None,
+) -> Find:
+    if options.segmenter != "none":  # it draws what is found, and loads meanwhile
+        networks.preload_segmenter(options.segmenter)
+    detectors = networks.detectors(file, pose, keypoints=options.keypoints)
+    labels, posed = detectors.labels, detectors.gives_keypoints
+
+    def find(capture: Capture) -> Found:
+        depth_m = capture.depth_m if capture.depth_m.any() else None  # a plain picture has none
+        focal_px = None if depth_m is None else capture.intrinsics.fx_px
+        found = detectors.find(capture.color, depth_m, focal_px)
+        return Found(found, stages=(Stage.DETECTED,), labels=labels, posed=posed)
+
+    return find
 
 
 def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
@@ -295,7 +244,7 @@ def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
             return found
         poses = pose.detect(capture.color)
         instances = with_keypoints(found.instances, poses, sure=sure)
-        return replace(found, instances=instances, stages=(*found.stages, Stage.POSED))
+        return replace(found, instances=instances, stages=(*found.stages, Stage.POSED), posed=True)
 
     return find_with_keypoints
 

@@ -341,8 +341,7 @@ class Measurer:
         for number in found.clipped:
             fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         refused = [Failure.of(error, capture.source, capture.name) for error in found.refused]
-        by_stage = {} if self._finder is None else self._finder.by_stage
-        models = tuple(model for stage in found.stages for model in by_stage.get(stage, []))
+        models = () if self._finder is None else self._finder.models_of(found.stages)
         return CaptureResult(capture, tuple(fruit), tuple(refused), None, found.stages, models)
 
     def measure_instance(self, capture: Capture, instance: Instance) -> FruitMeasurement:

@@ -32,13 +32,13 @@ class RayEngine:
     Parameters
     ----------
     address : str
-        Of the cluster, as `ray.init` takes it; empty for one that is started on this machine and
+        Of the cluster, as `ray.init` takes it; 'local' for one that is started on this machine and
         ends with the run.
     workers : int
         Measuring actors; 0 for one a CPU.
     """
 
-    address: str = ""
+    address: str = "local"
     workers: int = 0
 
     def __call__(
@@ -75,13 +75,14 @@ class RayEngine:
     def _connect(self, ray: Any) -> None:
         try:
             # A cluster of its own needs no page and writes no lines of its own.
-            own = {} if self.address else {"include_dashboard": False, "num_cpus": None}
-            ray.init(self.address or "local", log_to_driver=False, logging_level="error", **own)
+            local = self.address == "local"
+            own = {"include_dashboard": False, "num_cpus": None} if local else {}
+            ray.init(self.address, log_to_driver=False, logging_level="error", **own)
         except Exception as error:  # Ray's own have no family
             raise CucumberVisionError(
                 f"no Ray cluster can be reached ({error})",
-                source=self.address or "ray",
-                remedy="check --address, or leave it out for this machine alone",
+                source=self.address,
+                remedy="check --ray, or give local for this machine alone",
             ) from None
 
     def _dataset(self, ray: Any, listed: list[Item], worker: Worker[Any]) -> Any:

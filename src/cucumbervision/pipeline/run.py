@@ -14,19 +14,16 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from cucumbervision.capture.files import each_file_read_once, json_value, read_bytes
-from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.urls import as_path
 from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.perception.instance_files import read_instances
 from cucumbervision.pipeline.batch import (
-    Engine,
     Item,
+    LoopOptions,
     Outcome,
     ReadCapture,
     Worker,
-    in_process,
     measure_all,
-    never,
 )
 from cucumbervision.pipeline.inputs import Listed, distinct, each_once, list_captures
 from cucumbervision.pipeline.journal import JOURNAL, Journal, JournalRecord, place_of
@@ -54,7 +51,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.pipeline.fields import Cell
-    from cucumbervision.pipeline.inputs import Opener
     from cucumbervision.pipeline.options import MeasureOptions
 
 
@@ -84,28 +80,21 @@ Report: TypeAlias = Callable[[Step], None]
 
 
 @dataclass(frozen=True)
-class BatchOptions:
+class BatchOptions(LoopOptions):
     """How a run goes about it; none of it changes a row.
 
     Parameters
     ----------
+    opener, engine, stop
+        As in `LoopOptions`.
     fresh : bool
         Begin anew: what the folder holds is put aside in `earlier/`.
     parquet : bool
         Write `parquet/`, too: parts of 100,000 fruit.
-    stop : callable
-        Asked before each capture whether to end after those that are being measured.
-    opener : callable
-        Opens each input; `intake.recordings.open_guarded` for untrusted recordings.
-    engine : Engine
-        Where the work is done.
     """
 
     fresh: bool = False
     parquet: bool = False
-    stop: Callable[[], bool] = never
-    opener: Opener = open_source
-    engine: Engine = in_process
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,6 +345,7 @@ class _Run:
             self._note_instances(options.instances)
         self.notes += self.summary.doubts()
         about = provenance_of(options, self.summary.models, site, self.started)
+        about["notes"] = self.notes
         self.failures += write_reports(
             self.out,
             self._records,
@@ -423,9 +413,9 @@ class _Run:
                 remedy="name its pictures as the captures are called",
             )
         if missing:
-            self.notes.append(f"{path}: no fruit given for {_some(missing)}")
+            self.notes.append(f"{path}: no fruit given for {', '.join(missing)}")
         if unused and self.seen:
-            self.notes.append(f"{path}: no capture is called {_some(unused)}")
+            self.notes.append(f"{path}: no capture is called {', '.join(unused)}")
 
     def _records(self) -> Iterator[JournalRecord]:
         return self.journal.records(place.hex() for place in self.order)

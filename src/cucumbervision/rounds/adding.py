@@ -11,17 +11,14 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Stop
-from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import RoundError
 from cucumbervision.pipeline.batch import (
-    Engine,
     Item,
+    LoopOptions,
     Outcome,
     ReadCapture,
     ResultWorker,
-    in_process,
     measure_all,
-    never,
 )
 from cucumbervision.pipeline.inputs import Listed, read_captures
 from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
@@ -45,7 +42,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.pipeline.inputs import Opener
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.store.images import ImageStore
@@ -148,10 +144,7 @@ def add_captures(
     options: MeasureOptions,
     place: Place | None = None,
     report: Report | None = None,
-    *,
-    opener: Opener = open_source,
-    engine: Engine = in_process,
-    stop: Callable[[], bool] = never,
+    loop: LoopOptions | None = None,
 ) -> list[Added]:
     """Measure captures and save each as a stop of a round.
 
@@ -174,23 +167,23 @@ def add_captures(
         Where they were taken.
     report : callable, optional
         Called after each capture; for progress bars.
-    opener, engine, stop
-        As for `BatchOptions`.
+    loop : LoopOptions, optional
+        How to go about it.
 
     Returns
     -------
     list of Added
-        One a capture, in order; none for those that `stop` left.
+        One a capture, in order; none for those before which the loop was stopped.
 
     Raises
     ------
     CucumberVisionError
         If nothing can be measured at all: a network or the calibration cannot be loaded.
     """
-    measurer, done = Measurer(options), list[Added]()
+    measurer, done, loop = Measurer(options), list[Added](), loop or LoopOptions()
 
     def items() -> Iterator[Item]:
-        for number, read in enumerate(read_captures(inputs, options.reading, opener)):
+        for number, read in enumerate(read_captures(inputs, options.reading, loop.opener)):
             if isinstance(read, Failure):
                 yield read
                 continue
@@ -204,7 +197,7 @@ def add_captures(
                 yield _Adding(one.input, one.ref, one.name, key, placed, there, same)
             yield from failures
 
-    for item, outcome in measure_all(items(), _Changed(measurer), engine, stop):
+    for item, outcome in measure_all(items(), _Changed(measurer), loop.engine, loop.stop):
         failures = list(outcome.failures) if outcome.value is None else []
         added = Added(item.capture or item.input) if isinstance(item, Failure) else None
         if isinstance(item, _Adding):

@@ -16,11 +16,9 @@ from cucumbervision.perception.boxes import box_ious
 from cucumbervision.perception.instances import MaskSource
 from cucumbervision.perception.mask_codes import decode_rle
 from cucumbervision.pipeline.batch import (
-    Engine,
+    LoopOptions,
     ResultWorker,
-    in_process,
     measure_all,
-    never,
 )
 from cucumbervision.pipeline.fields import NumberedFruit
 from cucumbervision.pipeline.inputs import Listed
@@ -51,9 +49,7 @@ def measure_round_again(
     round_key: str,
     options: MeasureOptions,
     report: Callable[[int, int], None] | None = None,
-    *,
-    engine: Engine = in_process,
-    stop: Callable[[], bool] = never,
+    loop: LoopOptions | None = None,
 ) -> tuple[int, list[Failure]]:
     """Measure all stops of a round again from the captures that the store keeps.
 
@@ -67,8 +63,8 @@ def measure_round_again(
         How to measure.
     report : callable, optional
         Given how many stops are done, and of how many.
-    engine, stop
-        As `batch.measure_all` takes them.
+    loop : LoopOptions, optional
+        How to go about it.
 
     Returns
     -------
@@ -77,7 +73,8 @@ def measure_round_again(
     failures : list of Failure
         Why others were not; these are as they were.
     """
-    measurer, failures, done = Measurer(options), list[Failure](), 0
+    measurer, loop, done = Measurer(options), loop or LoopOptions(), 0
+    failures: list[Failure] = []
     stops = {view.key: f"stop {view.step or view.key[:8]}" for view in store.stops(round_key)}
 
     def items() -> Iterator[Listed | Failure]:
@@ -91,7 +88,7 @@ def measure_round_again(
                 ref = CaptureRef(one.name, one.frame or 0, partial(_as_read, store, one, stop))
                 yield Listed(key, ref, one.name)
 
-    measured = measure_all(items(), ResultWorker(measurer), engine, stop)
+    measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.stop)
     for number, (key, group) in enumerate(groupby(measured, lambda pair: pair[0].input), 1):
         outcomes = [outcome for _, outcome in group]
         results = [one.value for one in outcomes if one.value is not None]

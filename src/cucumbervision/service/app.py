@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Annotated, Any, BinaryIO
 
+import anyio.from_thread
 from fastapi import APIRouter, Depends, FastAPI, File, Request, Response, UploadFile
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
 from fastapi.security import HTTPBearer
 from prometheus_client import (
     CONTENT_TYPE_LATEST,
@@ -31,15 +30,25 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.service.gate import REFUSALS, Gate, problem
 from cucumbervision.service.server import ServiceSettings
-from cucumbervision.service.work import BusyError, DetectReply, Health, MeasureReply, Problem, Work
+from cucumbervision.service.work import (
+    BusyError,
+    DetectReply,
+    Health,
+    LeftError,
+    MeasureReply,
+    Problem,
+    Work,
+)
 
-_OPEN = frozenset({"/health"})
 _BODY_SLACK = 1_000_000  # part headers of a body with many files
 
 _REFUSED = {
     400: "The body cannot be parsed.",
     401: "No token, or a wrong one.",
+    403: "A page of another site sent it, or it names another host.",
+    408: "The body does not come on.",
     413: "The body is larger than the limit.",
     422: "The request has no usable files.",
     500: "A defect of the software, a full disk, or a network that cannot be loaded.",
@@ -79,6 +88,13 @@ class _Metrics:
             buckets=(0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300),
         )
 
+    def count(self, path: str, status: int, seconds: float) -> None:
+        """Count a request; one that was let in also with its time."""
+        known = path if path in _PATHS else "other"
+        self.requests.labels(known, str(status)).inc()
+        if status not in REFUSALS:
+            self.seconds.labels(known).observe(seconds)
+
 
 def create_app(
     measurer: Measurer | None = None, settings: ServiceSettings | None = None
@@ -116,23 +132,7 @@ def create_app(
     )
 
     # The middleware added last runs first: the token is checked before the body is read.
-    @app.middleware("http")
-    async def guard(request: Request, answer: Callable[[Request], Awaitable[Response]]) -> Response:
-        began_s = time.perf_counter()
-        path = request.url.path
-        scheme, _, token = request.headers.get("authorization", "").partition(" ")
-        admitted = path in _OPEN or settings.admits(token if scheme.lower() == "bearer" else "")
-        if admitted:
-            response = await answer(request)
-        else:
-            response = _problem(401, "AccessError", "the token is missing or wrong")
-            response.headers["WWW-Authenticate"] = "Bearer"
-        known = path if path in _PATHS else "other"
-        metrics.requests.labels(known, str(response.status_code)).inc()
-        if admitted:
-            metrics.seconds.labels(known).observe(time.perf_counter() - began_s)
-        return response
-
+    app.add_middleware(Gate, settings=settings, count=metrics.count)
     return app
 
 
@@ -148,18 +148,18 @@ def _routes(work: Work, metrics: _Metrics) -> APIRouter:
     }
 
     @routes.post("/measure", response_model=MeasureReply, **secured)
-    def measure(files: Files) -> MeasureReply:
+    def measure(request: Request, files: Files) -> MeasureReply:
         """Measure every fruit of every capture: zipped capture folders, pairs, .npz, recordings."""
-        reply = work.measure(_streams(files))
+        reply = work.measure(_streams(files), _has_left(request))
         metrics.found.labels("captures").inc(len(reply.captures))
         metrics.found.labels("fruit").inc(sum(len(one.fruit) for one in reply.captures))
         metrics.found.labels("failures").inc(len(reply.failures))
         return reply
 
     @routes.post("/detect", response_model=DetectReply, **secured)
-    def detect(files: Files) -> DetectReply:
+    def detect(request: Request, files: Files) -> DetectReply:
         """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
-        reply = work.detect(_streams(files))
+        reply = work.detect(_streams(files), _has_left(request))
         metrics.found.labels("pictures").inc(len(reply.pictures))
         metrics.found.labels("fruit").inc(sum(len(one.fruit) for one in reply.pictures))
         metrics.found.labels("failures").inc(len(reply.failures))
@@ -195,8 +195,9 @@ def _streams(files: list[UploadFile]) -> list[tuple[str, BinaryIO]]:
     return [(one.filename or "unnamed", one.file) for one in files]
 
 
-def _problem(status: int, error: str, message: str) -> JSONResponse:
-    return JSONResponse(Problem(error=error, message=message).model_dump(), status)
+def _has_left(request: Request) -> Callable[[], bool]:
+    """Return a function for the threads of routes: whether nobody waits for the answer any more."""
+    return lambda: anyio.from_thread.run(request.is_disconnected)
 
 
 def _answer_errors(app: FastAPI) -> None:
@@ -204,14 +205,14 @@ def _answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def refused(_: Request, error: HTTPException) -> Response:
-        response = _problem(error.status_code, "HTTPError", str(error.detail))
+        response = problem(error.status_code, "HTTPError", str(error.detail))
         response.headers.update(error.headers or {})
         return response
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> Response:
         faults = [f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()]
-        return _problem(422, "RequestError", "; ".join(faults)[:1000])
+        return problem(422, "RequestError", "; ".join(faults)[:1000])
 
     async def failed(_: Request, error: Exception) -> Response:
         named = named_error(error)
@@ -220,7 +221,9 @@ def _answer_errors(app: FastAPI) -> None:
             status = 500
         elif isinstance(named, BusyError | OutOfMemoryError):
             status = 503
-        response = _problem(status, named.code, str(named))
+        elif isinstance(named, LeftError):
+            status = 499
+        response = problem(status, named.code, str(named))
         if status == 503:
             response.headers["Retry-After"] = "1"
         return response

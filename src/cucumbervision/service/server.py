@@ -41,14 +41,15 @@ class ServiceSettings:
         Limits of one request; `total_bytes` applies to its whole body.
     waiting : int
         Requests that may wait for the current one; more are rejected with 503.
-    burst : int
-        Frames of a recording fused to one capture.
+    body_s, silence_s : float
+        Seconds in which a body must have come, and the longest silence in it.
     """
 
     token: str = field(default="", repr=False)
     limits: Limits = field(default_factory=request_limits)
     waiting: int = 8
-    burst: int = 5
+    body_s: float = 600.0
+    silence_s: float = 30.0
 
     def admits(self, given: str) -> bool:
         """Return whether a token is correct, in constant time.
@@ -153,9 +154,12 @@ def serve(
 
     from cucumbervision.pipeline.measurer import Measurer
     from cucumbervision.service.app import create_app
+    from cucumbervision.service.gate import HeadLimit
 
     measurer = Measurer(options)
     measurer.warm_up()
     app = create_app(measurer, settings)
     ready()
-    uvicorn.run(app, host=address, port=port, log_level="warning", server_header=False)
+    uvicorn.run(
+        app, host=address, port=port, http=HeadLimit, log_level="warning", server_header=False
+    )

@@ -12,24 +12,22 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-import numpy as np
 from pydantic import BaseModel, Field, create_model
 
-from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.pictures import read_photo
+from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError, UploadError
 from cucumbervision.intake.archives import clean_name
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.pipeline.batch import ResultWorker, measure_all
-from cucumbervision.pipeline.detect import coco_fields
+from cucumbervision.pipeline.batch import ResultWorker, measure_all, never
+from cucumbervision.pipeline.detect import DetectedPicture, PictureWorker, read_picture
 from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.inputs import list_source
-from cucumbervision.pipeline.measurer import Boundary, CaptureResult, Failure, Measurer
+from cucumbervision.pipeline.inputs import Listed, list_source
+from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
+    from cucumbervision.capture.frames import Capture
     from cucumbervision.service.server import ServiceSettings
 
 
@@ -126,6 +124,10 @@ class BusyError(CucumberVisionError):
     """Too many requests are waiting."""
 
 
+class LeftError(CucumberVisionError):
+    """The client has left; nobody would read the answer."""
+
+
 class Work:
     """The measurer of all requests, used by one at a time.
 
@@ -143,39 +145,45 @@ class Work:
         self._room = threading.BoundedSemaphore(settings.waiting + 1)
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
+    def turn(self, left: Callable[[], bool] = never) -> Iterator[None]:
         """Wait for the measurer.
 
         Raises
         ------
         BusyError
             If too many requests are waiting.
+        LeftError
+            If the client has left meanwhile.
         """
         if not self._room.acquire(blocking=False):
             raise BusyError("too many requests are waiting", remedy="send it again later")
         try:
             with self._lock:
+                if left():
+                    raise LeftError("the client has left")
                 yield
         finally:
             self._room.release()
 
-    def measure(self, files: Sequence[tuple[str, BinaryIO]]) -> MeasureReply:
-        """Measure every capture of uploaded files.
+    def measure(
+        self, files: Sequence[tuple[str, BinaryIO]], left: Callable[[], bool] = never
+    ) -> MeasureReply:
+        """Measure every capture of uploaded files, until the client has `left`.
 
         Raises
         ------
         CucumberVisionError
             If no file can be processed: too many files, a full disk, no networks.
         """
-        settings, results, failures = self.settings, list[CaptureResult](), list[Failure]()
-        with self.turn(), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+        limits, results, failures = self.settings.limits, list[CaptureResult](), list[Failure]()
+        with self.turn(left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()
-            given = accept_uploads(files, Path(folder), settings.limits)
-            reading = replace(self.measurer.options.reading, burst=settings.burst)
+            reading = self.measurer.options.reading
+            given = accept_uploads(files, Path(folder), limits)
             listed = chain.from_iterable(
                 list_source(one.title, partial(one.open, reading)) for one in given.sources
             )
-            for _, outcome in measure_all(listed, ResultWorker(self.measurer)):
+            for _, outcome in measure_all(listed, ResultWorker(self.measurer), stop=left):
                 failures += outcome.failures
                 if outcome.value is not None and outcome.value.error is None:
                     results.append(outcome.value)
@@ -190,15 +198,17 @@ class Work:
             config_sha256=self.measurer.options.sha256,
         )
 
-    def detect(self, files: Sequence[tuple[str, BinaryIO]]) -> DetectReply:
-        """Find the fruit in uploaded pictures, without lengths.
+    def detect(
+        self, files: Sequence[tuple[str, BinaryIO]], left: Callable[[], bool] = never
+    ) -> DetectReply:
+        """Find the fruit in uploaded pictures, without lengths, until the client has `left`.
 
         Raises
         ------
         CucumberVisionError
             As `measure`.
         """
-        pictures: list[SeenPicture] = []
+        pictures: list[DetectedPicture] = []
         failures: list[Failure] = []
         limits = self.settings.limits
         if len(files) > limits.files:
@@ -206,30 +216,36 @@ class Work:
                 f"{len(files)} files were sent, at most {limits.files} are taken at once",
                 remedy="send them in smaller parts",
             )
-        with self.turn(), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+        with self.turn(left), tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
             self.measurer.load()
-            for number, (name, stream) in enumerate(files):
-                shown = clean_name(name)
-                with Boundary(failures, shown):
-                    pictures.append(self._look(Path(folder) / f"{number:04d}", shown, stream))
-        return DetectReply(pictures=pictures, failures=[not_read(one) for one in failures])
+            listed = (
+                _picture(Path(folder) / f"{number:04d}", clean_name(name), stream)
+                for number, (name, stream) in enumerate(files)
+            )
+            for _, outcome in measure_all(listed, PictureWorker(self.measurer), stop=left):
+                failures += outcome.failures
+                if outcome.value is not None:
+                    pictures.append(outcome.value)
+        return DetectReply(
+            pictures=[
+                SeenPicture(name=one.name, width=one.width, height=one.height, fruit=one.entries)
+                for one in pictures
+            ],
+            failures=[not_read(one) for one in failures],
+        )
 
-    def _look(self, path: Path, shown: str, stream: BinaryIO) -> SeenPicture:
+
+def _picture(path: Path, shown: str, stream: BinaryIO) -> Listed:
+    """Return a sent picture, kept in a file of our own naming until it is read."""
+    return Listed(shown, CaptureRef(shown, 0, partial(_read, path, shown, stream)), shown)
+
+
+def _read(path: Path, shown: str, stream: BinaryIO) -> Capture:
+    try:
         with path.open("xb") as kept:
             shutil.copyfileobj(stream, kept)
-        try:
-            color = read_photo(path)
-        except CucumberVisionError as error:
-            raise error.at(shown) from None
-        finally:
-            path.unlink()
-        height, width = color.shape[:2]
-        # Empty depth and placeholder intrinsics: detection uses colour only.
-        nowhere = np.zeros((height, width), np.float32)
-        lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
-        found = self.measurer.detect(Capture(color, nowhere, lens, shown)).found
-        fruit = [
-            {**coco_fields(one, keypoints=one.keypoints is not None), "class": one.class_name}
-            for one in found.instances
-        ]
-        return SeenPicture(name=shown, width=width, height=height, fruit=fruit)
+        return replace(read_picture(path, shown), source=shown)
+    except CucumberVisionError as error:
+        raise error.at(shown) from None
+    finally:
+        path.unlink(missing_ok=True)

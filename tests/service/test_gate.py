@@ -1,0 +1,99 @@
+"""Who comes in, and how long the service waits for what is sent."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("fastapi")
+
+import uvicorn
+from starlette.testclient import TestClient
+
+from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.service.app import create_app
+from cucumbervision.service.gate import HeadLimit
+from cucumbervision.service.server import ServiceSettings
+
+MEASURER = Measurer(MeasureOptions(instances="dataset"))
+HEAD = (
+    b"POST /measure HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5000\r\n"
+    b"Content-Type: multipart/form-data; boundary=x\r\n\r\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200),
+        ({"Host": "localhost:9000"}, 200),
+        ({"Host": "[::1]:9000"}, 200),
+        ({"Host": "rebound.example"}, 403),
+        ({"Host": ""}, 403),
+        ({"Origin": "http://127.0.0.1:8600"}, 200),
+        ({"Origin": "http://stranger.example"}, 403),
+        ({"Origin": "null"}, 403),
+    ],
+)
+def test_without_a_token_pages_of_other_sites_are_refused(
+    headers: dict[str, str], status: int
+) -> None:
+    with TestClient(create_app(MEASURER), "http://127.0.0.1:8600") as client:
+        reply = client.get("/metrics", headers=headers)
+        assert reply.status_code == status
+        if status == 403:
+            assert reply.json()["error"] == "AccessError"
+
+
+def test_with_a_token_any_host_is_served_but_no_page_of_another_site() -> None:
+    token = "0123456789abcdef"
+    admitted = {"Authorization": f"Bearer {token}"}
+    with TestClient(create_app(MEASURER, ServiceSettings(token)), headers=admitted) as client:
+        assert client.get("/metrics", headers={"Host": "robot.house"}).status_code == 200
+        stranger = {"Origin": "http://stranger.example"}
+        assert client.get("/metrics", headers=stranger).status_code == 403
+
+
+class Quick(HeadLimit):
+    head_s = 0.5
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    """A server that waits for half a second at most."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        number: int = free.getsockname()[1]
+    app = create_app(MEASURER, ServiceSettings(silence_s=0.5))
+    server = uvicorn.Server(uvicorn.Config(app, port=number, http=Quick, log_level="critical"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    yield number
+    server.should_exit = True
+    thread.join()
+
+
+def answer(port: int, *sent: bytes) -> bytes:
+    """Send and wait until the server closes the connection."""
+    with socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
+        for part in sent:
+            connection.sendall(part)
+        return b"".join(iter(lambda: connection.recv(4096), b""))
+
+
+def test_who_sends_no_whole_head_or_body_is_not_waited_for(port: int) -> None:
+    assert answer(port) == b""
+    assert answer(port, HEAD[:40]) == b""
+    told = answer(port, HEAD, b"--x\r\n")
+    assert told.startswith(b"HTTP/1.1 408 ")
+    assert b"the body does not come on" in told
+    # The head of a second request on the same connection counts, too.
+    health = b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    assert answer(port, health, health[:30]).count(b"HTTP/1.1 200") == 1

@@ -10,7 +10,9 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.instances import Instance, MaskSource
-from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, defused, field, fruit_row
+from cucumbervision.pipeline.fields import FIELDS, Cell, NumberedFruit, defused, fruit_row
+
+field = {one.name: one for one in FIELDS}.__getitem__
 
 NAMED_BY_THE_ISSUE = (
     "capture, frame, fruit, score, method, reason, fallback, length_cm, length_kind, "
@@ -42,6 +44,7 @@ def test_columns_start_with_the_named_ones_and_are_unique() -> None:
     assert ", ".join(names[:20]) == NAMED_BY_THE_ISSUE
     assert len(set(names)) == len(names)
     assert all(c.unit == "cm" for c in FIELDS if c.name.endswith("_cm"))
+    assert {c.type for c in FIELDS} == {"text", "whole", "number", "yes/no"}
 
 
 def test_a_measured_fruit_fills_its_row(capture: Capture, instance: Instance) -> None:

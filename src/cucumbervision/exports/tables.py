@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.fields import FIELDS, Field
+from cucumbervision.pipeline.fields import FIELDS, Field, read_fields
 from cucumbervision.store.records import DetectionRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from cucumbervision.pipeline.fields import Cell, CellType
+    from cucumbervision.pipeline.fields import Cell
 
 
 @dataclass(frozen=True)
@@ -110,20 +109,14 @@ _METHODS = tuple(
 
 def _columns() -> dict[str, tuple[Field, ...]]:
     """Read `columns.csv`: a line without words is a field that the store keeps, '*' all others."""
-    text = Path(__file__).with_name("columns.csv").read_text(encoding="utf-8")
-    lines = list(csv.DictReader(text.splitlines()))
-    named = {line["name"] for line in lines if line["table"] == "fruit"}
+    found = read_fields(Path(__file__).with_name("columns.csv"))
+    named = {line["name"] for line, _ in found if line["table"] == "fruit"}
     rest = [*(one for name, one in _KEPT.items() if name not in named), *_METHODS]
     columns: dict[str, list[Field]] = {}
-    for line in lines:
-        table, name = columns.setdefault(line["table"], []), line["name"]
-        if line["says"]:
-            digits = int(line["digits"]) if line["digits"] else None
-            kind = cast("CellType", line["type"])
-            path = line["path"] or name
-            table.append(Field(name, line["unit"], kind, line["says"], path, digits))
-        else:
-            table += rest if name == "*" else [_KEPT[name]]
+    for line, one in found:
+        table = columns.setdefault(line["table"], [])
+        kept = rest if one.name == "*" else [_KEPT.get(one.name, one)]
+        table += [one] if one.says else kept
     return {name: tuple(table) for name, table in columns.items()}
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
-
-from cucumbervision.measurement.result import Method
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -180,128 +180,24 @@ class NumberedFruit:
         return None if self.fruit.mask is None else int(np.count_nonzero(self.fruit.mask))
 
 
-def _text(name: str, path: str, says: str) -> Field:
-    return Field(name, "", "text", says, path)
+def read_fields(path: Path) -> list[tuple[dict[str, str], Field]]:
+    """Return the fields that a table of them describes, each with its line.
 
-
-def _whole(name: str, path: str, says: str, unit: str = "") -> Field:
-    return Field(name, unit, "whole", says, path)
-
-
-def _number(name: str, unit: str, path: str, says: str, digits: int | None = None) -> Field:
-    return Field(name, unit, "number", says, path, digits)
-
-
-_LENGTHS = "fruit.traits.lengths"
-
-FIELDS = (
-    _text("capture", "capture.name", "capture's name"),
-    _whole("frame", "capture.frame", "source's own number of the frame"),
-    _whole("fruit", "number", "number of the fruit in the capture, from 1"),
-    _number("score", "", "fruit.instance.confidence", "confidence that it is a fruit, 0 to 1", 4),
-    _text("method", "fruit.method", "method that the selector took"),
-    _text("reason", "fruit.reason", "why that method, or why none"),
-    _text("fallback", "fallback", "methods tried before, and why each gave nothing"),
-    _number("length_cm", "cm", "fruit.length.value_m", "length"),
-    _text("length_kind", "fruit.length.kind", "what it is the length of"),
-    _number("interval_low_cm", "cm", "fruit.length.low_m", "lower end of the length's interval"),
-    _number("interval_high_cm", "cm", "fruit.length.high_m", "upper end of the length's interval"),
-    _number("centreline_cm", "cm", f"{_LENGTHS}.centreline_m", "central axis, stem to blossom end"),
-    _number("thread_cm", "cm", f"{_LENGTHS}.thread_m", "outer side of the bend, end to end"),
-    _number("chord_cm", "cm", f"{_LENGTHS}.chord_m", "straight from end to end"),
-    *(
-        _number(f"{m.lower()}_cm", "cm", f"fruit.measurements.{m}.length_m", f"length by {m}")
-        for m in Method
-    ),
-    _text("flags", "flags", "what else to know of the measurement"),
-    _text("interval_of", "fruit.length.interval_of", "which length the interval is about"),
-    _text("interval_basis", "fruit.length.basis", "what the interval rests on"),
-    _number(
-        "inner_arc_mm",
-        "mm",
-        "fruit.traits.inner_arc_m",
-        "largest distance from the chord to the inner edge",
-    ),
-    _number(
-        "inner_arc_mm_per_10cm",
-        "mm",
-        "fruit.traits.inner_arc_mm_per_10cm",
-        "the same for each 10 cm of chord (UNECE FFV-15)",
-        2,
-    ),
-    _number("diameter_max_mm", "mm", "fruit.traits.diameter_max_m", "largest diameter"),
-    _number(
-        "diameter_mean_mm", "mm", "fruit.traits.diameter_mean_m", "mean diameter along the axis"
-    ),
-    _number("volume_ml", "ml", "fruit.traits.volume_m3", "volume of the fitted tube"),
-    _number(
-        "tilt_deg", "deg", "fruit.traits.tilt_deg", "angle of the chord out of the picture plane", 2
-    ),
-    _number(
-        "hidden_share",
-        "",
-        "fruit.fit.hidden_share",
-        "share of the fitted tube that something nearer hides",
-        3,
-    ),
-    _number(
-        "whole_cm",
-        "cm",
-        "fruit.fit.whole.median_m",
-        "one end hidden: where the whole centreline's median is",
-    ),
-    _number("whole_low_cm", "cm", "fruit.fit.whole.low_m", "lower end of its 90 % interval"),
-    _number("whole_high_cm", "cm", "fruit.fit.whole.high_m", "upper end of its 90 % interval"),
-    _text("label", "fruit.instance.class_name", "detector's class"),
-    _text("mask_source", "fruit.mask_source", "who drew the mask that was measured"),
-    _whole("mask_px", "mask_px", "pixels of that mask", "px"),
-    _number("fill", "", "fruit.fill", "share of them with a valid depth reading", 4),
-    _number("distance_cm", "cm", "fruit.distance_m", "median depth of the fruit"),
-    _number("box_x1_px", "px", "box.x1", "left edge of the box", 2),
-    _number("box_y1_px", "px", "box.y1", "upper edge of the box", 2),
-    _number("box_x2_px", "px", "box.x2", "right edge of the box", 2),
-    _number("box_y2_px", "px", "box.y2", "lower edge of the box", 2),
-    _whole("burst_frame", "capture.burst_frame", "frame of the burst whose colour was kept"),
-    _whole("burst_size", "capture.burst_size", "frames fused"),
-    _text("row", "capture.stop.row", "row in the house"),
-    _text("side", "capture.stop.side", "side of the row"),
-    _number("position_m", "m", "capture.stop.position_m", "position along the row"),
-    _whole("step", "capture.stop.step", "number of the stop"),
-    _number("timestamp_s", "s", "capture.timestamp_s", "time of the capture, seconds since 1970"),
-    Field(
-        "simulated",
-        "",
-        "yes/no",
-        "whether the capture is simulated",
-        "capture.simulated",
-    ),
-    _text("source", "capture.source", "where the capture was read from"),
-    _number(
-        "raw_length_cm",
-        "cm",
-        "fruit.raw_length.value_m",
-        "length before the site's calibration, as it was read",
-    ),
-    _text("raw_length_kind", "fruit.raw_length.kind", "what that is the length of"),
-    _text(
-        "calibration",
-        "fruit.calibration",
-        "site's calibration that was applied: name and hash",
-    ),
-)
-
-_BY_NAME = {one.name: one for one in FIELDS}
-
-
-def field(name: str) -> Field:
-    """Return the field of that name.
-
-    Examples
-    --------
-    >>> field("length_cm").says
-    'length'
+    Parameters
+    ----------
+    path : Path
+        CSV with the columns name, unit, type, digits, says and path; without a path it is the name.
     """
-    return _BY_NAME[name]
+    found = []
+    for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+        digits = int(line["digits"]) if line["digits"] else None
+        about = line["name"], line["unit"], cast("CellType", line["type"]), line["says"]
+        found.append((line, Field(*about, line["path"] or line["name"], digits)))
+    return found
+
+
+FIELDS = tuple(one for _, one in read_fields(Path(__file__).with_name("fields.csv")))
+"""The columns of `measurements.csv`, in order."""
 
 
 def fruit_row(seen: NumberedFruit) -> dict[str, Cell]:

@@ -12,13 +12,13 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
-from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.readers.native import MANIFEST, write_native
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import (
     CameraError,
@@ -49,32 +49,14 @@ _OWN_NAMES = re.compile(r"(\d{6})(/(capture\.json|(color|depth)_\d{6}\.png))?|re
 _KEPT = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "LANG")
 
 
-@dataclass(frozen=True)
-class Played:
-    """Captures and errors of a recording.
-
-    Parameters
-    ----------
-    captures : tuple of Path
-        Native capture folders, in the recording's order.
-    errors : tuple of CucumberVisionError
-        What could not be read; the captures are complete all the same.
-    """
-
-    captures: tuple[Path, ...]
-    errors: tuple[CucumberVisionError, ...]
-
-
 def play_in_process(
     path: Path,
     folder: Path,
     limits: RecordingLimits | None = None,
     *,
     burst: int = 5,
-    name: str = "recording",
-    title: str = "",
     command: tuple[str, ...] = ("-m", "cucumbervision.intake.recordings"),
-) -> Played:
+) -> list[CucumberVisionError]:
     """Play a recording in a limited process and keep its captures as native folders.
 
     Parameters
@@ -88,29 +70,25 @@ def play_in_process(
         and the size of a file where the system has `setrlimit`.
     burst : int
         Frames fused to one capture.
-    name : str
-        What its captures are called, with the number of the frame.
-    title : str
-        What the recording is called, in errors; by default its path.
     command : tuple of str
         What Python is to run.
 
     Returns
     -------
-    Played
-        Never raises for what is in the file.
+    list of CucumberVisionError
+        What could not be read; the captures that are there are complete all the same.
 
     Raises
     ------
     OSError
         If the folder cannot be made or the process not be started.
     """
-    limits, title = limits or RecordingLimits(), title or str(path)
+    limits = limits or RecordingLimits()
     home = folder / "home"  # what libraries leave behind anywhere, they leave there
     home.mkdir(parents=True)
     order = json.dumps(
         {"path": str(path.resolve()), "folder": str(folder.resolve()), "burst": burst}
-        | {"name": name, "limits": asdict(limits)}
+        | {"limits": asdict(limits)}
     )
     process = subprocess.Popen(
         # -P: the folder that it runs in is the recording's, nothing is imported from there.
@@ -128,7 +106,7 @@ def play_in_process(
     finally:
         _kill(process)
         shutil.rmtree(home)
-    return _collect(folder, fault, title)
+    return _collect(folder, fault, path)
 
 
 def _watch(process: subprocess.Popen[bytes], folder: Path, limits: RecordingLimits) -> str:
@@ -178,26 +156,26 @@ def _size(folder: Path) -> int:
     return total
 
 
-def _collect(folder: Path, fault: str, title: str) -> Played:
+def _collect(folder: Path, fault: str, source: Path) -> list[CucumberVisionError]:
     errors: list[CucumberVisionError] = []
     if strange := [p for p in sorted(folder.rglob("*")) if not _is_own(p, folder)]:
         shutil.rmtree(folder)
         folder.mkdir()
         fault = f"broke the player, which wrote {strange[0].name[:40]!r}"
-    captures = tuple(sorted(path.parent for path in folder.glob("*/capture.json")))
     for line in _report_lines(folder):
         if line.get("missing") == "pyrealsense2":
             errors.append(MissingExtraError("pyrealsense2", "camera"))
         else:
             kind = _TOLD.get(str(line.get("code")), CaptureError)
             message, remedy = (str(line.get(key, ""))[:300] for key in ("message", "remedy"))
-            errors.append(kind(message, source=title, remedy=remedy))
+            errors.append(kind(message, source=source, remedy=remedy))
     if fault:
-        kept = f"; {len(captures)} captures before that are kept" if captures else ""
+        captures = len([*folder.glob(f"*/{MANIFEST}")])
+        kept = f"; {captures} captures before that are kept" if captures else ""
         errors.append(
-            CaptureError(f"{fault}{kept}", source=title, remedy="copy or record it again")
+            CaptureError(f"{fault}{kept}", source=source, remedy="copy or record it again")
         )
-    return Played(captures, tuple(errors))
+    return errors
 
 
 def _is_own(path: Path, folder: Path) -> bool:
@@ -249,23 +227,24 @@ def open_guarded(
     return CaptureSource(path, "recording", lambda: _refs(path, options, limits))
 
 
-def _from(ref: CaptureRef, path: Path) -> Capture:
-    return replace(ref.load(), source=str(path))
-
-
 def _refs(path: Path, options: ReadOptions, limits: RecordingLimits | None) -> Iterator[CaptureRef]:
     name = safe_name(path.stem)
     with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
         out = Path(folder) / "captures"
-        played = play_in_process(path, out, limits, burst=options.burst, name=name)
-        if played.captures:
+        errors = play_in_process(path, out, limits, burst=options.burst)
+        if any(out.glob(f"*/{MANIFEST}")):
             for ref in open_source(out, replace(options, depth_unit_m=None)):
                 # Its files are gone when the iteration ends: only loading tells its content.
-                place = f"{path} frame {ref.frame}"
-                yield CaptureRef(ref.name, ref.frame, partial(_from, ref, path), place)
-        for error in played.errors:
+                own = f"{name}_{ref.frame:06d}"
+                load = partial(_load, ref, own, str(path))
+                yield CaptureRef(own, ref.frame, load, f"{path} frame {ref.frame}")
+        for error in errors:
             # What came before a break is whole; the break itself is a capture that fails.
             yield CaptureRef(f"{name}_end", -1, partial(fail, error))
+
+
+def _load(ref: CaptureRef, name: str, source: str) -> Capture:
+    return replace(ref.load(), name=name, source=source)
 
 
 def limit_this_process(limits: dict[str, Any]) -> None:
@@ -303,7 +282,7 @@ def drop_network() -> bool:
     return bool(ctypes.CDLL(None).unshare(new_user | new_net) == 0)
 
 
-def _play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
+def _play(path: Path, folder: Path, burst: int, most: int) -> None:
     """Write a recording's captures as native folders 000000, 000001, …, and its errors as lines."""
     with (folder / _REPORT).open("a", encoding="utf-8") as report:
 
@@ -321,7 +300,7 @@ def _play(path: Path, folder: Path, burst: int, name: str, most: int) -> None:
                         remedy="send it in parts",
                     )
                 try:
-                    capture = replace(ref.load(), name=f"{name}_{ref.frame:06d}", source=name)
+                    capture = ref.load()
                 except CucumberVisionError as error:
                     tell(error)
                     continue
@@ -336,7 +315,7 @@ def _main() -> None:
     drop_network()
     limit_this_process(order["limits"])
     most = order["limits"]["captures"]
-    _play(Path(order["path"]), Path(order["folder"]), order["burst"], order["name"], most)
+    _play(Path(order["path"]), Path(order["folder"]), order["burst"], most)
 
 
 if __name__ == "__main__":

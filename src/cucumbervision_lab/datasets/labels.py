@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from cucumbervision.capture.files import read_bytes
-from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
-from cucumbervision.errors import DataSetError
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
+from cucumbervision.errors import CaptureError, DataSetError
 from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.mask_codes import Rle
 from cucumbervision.perception.masks import box_of_mask
@@ -292,19 +292,22 @@ def picture_size(path: Path) -> tuple[int, int]:
     Raises
     ------
     CaptureError
-        If the file is missing or no picture.
+        If the file is missing, no picture, or has more than `MOST_PIXELS`.
 
     Notes
     -----
     PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. An EXIF orientation is not applied.
     """
     data = read_bytes(path)
-    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
-        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     found = _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
+    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
+        found = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if found is None:
         height, width = read_color(path).shape[:2]
         return width, height
+    if found[0] * found[1] > MOST_PIXELS:  # masks are made of its size
+        fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
+        raise CaptureError(fault, source=path, remedy="give a smaller picture")
     return found
 
 

@@ -31,6 +31,15 @@ def test_size_of_a_progressive_jpeg_with_long_segments(tmp_path: Path) -> None:
     assert picture_size(file) == (91, 37)
 
 
+def test_a_head_that_promises_too_many_pixels_is_not_believed(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((4, 4, 3), np.uint8))
+    data = (tmp_path / "a.png").read_bytes()
+    large = (100_000).to_bytes(4, "big")
+    (tmp_path / "a.png").write_bytes(data[:16] + large + large + data[24:])
+    with pytest.raises(CaptureError, match=r"a\.png: has more than 64 million pixels"):
+        picture_size(tmp_path / "a.png")
+
+
 def test_what_is_no_picture(tmp_path: Path) -> None:
     for data in (b"", b"text", b"\xff\xd8\xff"):
         (tmp_path / "a.jpg").write_bytes(data)

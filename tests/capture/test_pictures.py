@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cucumbervision.capture import pictures
 from cucumbervision.capture.files import read_json
 from cucumbervision.capture.pictures import (
     read_arrays,
@@ -226,10 +227,17 @@ def test_exactly_sixteen_arrays_are_read(number: int, tmp_path: Path) -> None:
             read_arrays(tmp_path / "d.npz")
 
 
-def test_an_array_larger_than_any_picture_is_refused(tmp_path: Path) -> None:
-    with (tmp_path / "d.npy").open("wb") as file:
-        header = {"descr": "<f8", "fortran_order": False, "shape": (20_000, 10_001)}
-        np.lib.format.write_array_header_1_0(file, header)
-        file.truncate(file.tell() + 8 * 20_000 * 10_001)
-    with pytest.raises(DepthError, match="larger than pictures of 64 million pixels"):
-        read_arrays(tmp_path / "d.npy")
+@pytest.mark.parametrize("more", [0, 1])
+def test_arrays_that_fill_the_memory_together_are_refused(
+    more: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of two bytes an element, behind heads of 128 bytes.
+    monkeypatch.setattr(pictures, "_MOST_ARRAY_BYTES", 2 * (2 * DEPTH.size + 128))
+    np.savez_compressed(tmp_path / "d.npz", depth=DEPTH, more=np.zeros(DEPTH.size + more, "u2"))
+    np.save(tmp_path / "d.npy", np.zeros(2 * DEPTH.size + 64 + more, "u2"))
+    for name in ("d.npz", "d.npy"):
+        if not more:
+            assert len(read_arrays(tmp_path / name)) in (1, 2)
+        else:
+            with pytest.raises(DepthError, match="more than colour and depth of 64 million"):
+                read_arrays(tmp_path / name)

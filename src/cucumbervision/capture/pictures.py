@@ -29,7 +29,8 @@ MOST_PIXELS = 64_000_000
 """Of a picture; OpenCV refuses larger ones by their heads, as `cucumbervision` sets it up to."""
 MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
 """Of all frames of a burst together, and of all masks of a frame."""
-_MOST_ARRAYS = 16  # of an .npz
+_MOST_ARRAYS, _MOST_ARRAY_BYTES = 16, 16 * MOST_PIXELS  # of an .npz
+_TOO_LARGE = f"more than colour and depth of {MOST_PIXELS / 1e6:g} million pixels"
 
 _GREY = 114  # what stands for nothing in a network's input too
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -230,6 +231,8 @@ def _require_arrays(data: bytes) -> None:
         members = archive.infolist()
         if len(members) > _MOST_ARRAYS:
             raise _TooLargeError(f"more than {_MOST_ARRAYS} arrays")
+        if sum(member.file_size for member in members) > _MOST_ARRAY_BYTES:
+            raise _TooLargeError(_TOO_LARGE)
         for member in members:
             if not member.filename.endswith(".npy"):
                 raise _TooLargeError("something other than arrays")
@@ -245,11 +248,8 @@ def _require_whole_array(stream: IO[bytes], size: int) -> None:
     room = math.prod(shape) * dtype.itemsize
     if not dtype.hasobject and stream.tell() + room > size:
         raise ValueError("the array is longer than the file")
-    # Numbers of eight bytes, three a pixel.
-    if max(room, size) > 24 * MOST_PIXELS:
-        raise _TooLargeError(
-            f"an array larger than pictures of {MOST_PIXELS / 1e6:g} million pixels"
-        )
+    if max(room, size) > _MOST_ARRAY_BYTES:
+        raise _TooLargeError(_TOO_LARGE)
 
 
 def _decode(path: Path, flags: int) -> NDArray[Any]:

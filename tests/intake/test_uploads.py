@@ -24,7 +24,7 @@ def send(folder: Path, limits: Limits | None = None, **files: bytes) -> Accepted
 
 
 def faults(got: AcceptedUploads) -> dict[str, str]:
-    return {one.name: str(one.error) for one in got.refused}
+    return {one.source: str(one) for one in got.refused}
 
 
 def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -> bytes:
@@ -303,7 +303,7 @@ def test_size_and_count_limits(tmp_path: Path, depth_png: bytes) -> None:
 
 def test_names_are_shown_clean(tmp_path: Path) -> None:
     got = accept_uploads([("../a\x00b\u202e/..\\evil\n.png", io.BytesIO(b"MZ"))], tmp_path)
-    assert got.refused[0].name == "ab/evil.png"
+    assert got.refused[0].source == "ab/evil.png"
     assert list(tmp_path.iterdir()) == []
 
 

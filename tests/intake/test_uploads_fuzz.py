@@ -56,8 +56,8 @@ def receive(name: str, data: bytes, *others: tuple[str, bytes]) -> None:
         got = accept_uploads(files, folder, LIMITS)
         assert got.sources or got.refused or got.ignored
         for one in got.refused:
-            assert isinstance(one.error, CucumberVisionError)
-            assert len(str(one.error).splitlines()) == 1
+            assert isinstance(one, CucumberVisionError)
+            assert len(str(one).splitlines()) == 1
         for source in got.sources:
             assert source.path.is_relative_to(got.folder)
             assert tmp not in " ".join(read_all(source))

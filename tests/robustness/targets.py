@@ -277,7 +277,7 @@ def _uploads(folder: Path, name: str) -> None:
     out = folder / "in"
     try:
         got = accept_uploads([(p.name, p) for p in files], out)
-        faults = [one.error for one in got.refused]
+        faults = [*got.refused]
         for source in got.sources:
             for ref in source.open():
                 try:

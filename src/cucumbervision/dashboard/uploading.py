@@ -103,7 +103,7 @@ def measure_uploads(
     job.total, outcomes = len(files), list[UploadOutcome]()
     with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
         accepted = accept_uploads(files, Path(folder), report=lambda *_: job.step())
-        outcomes += [UploadOutcome(one.name, False, one.error.message) for one in accepted.refused]
+        outcomes += [UploadOutcome(one.source, False, one.message) for one in accepted.refused]
         for source in accepted.sources:
             for read in _captures(source, options.reading, camera):
                 if isinstance(read, UploadOutcome):

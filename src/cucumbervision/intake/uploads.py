@@ -41,14 +41,6 @@ _REMEDY = (
 
 
 @dataclass(frozen=True)
-class Refused:
-    """A file that was not accepted: its sender's name for it, and the named error."""
-
-    name: str
-    error: CucumberVisionError
-
-
-@dataclass(frozen=True)
 class AcceptedSource:
     """Captures of an upload.
 
@@ -120,15 +112,15 @@ class AcceptedUploads:
         Where all of it is; does not exist if nothing was accepted.
     sources : list of AcceptedSource
         What can be measured.
-    refused : list of Refused
-        What cannot, each with its error.
+    refused : list of CucumberVisionError
+        What cannot: the file by its sender's name, and why.
     ignored : list of str
         What is not needed.
     """
 
     folder: Path
     sources: list[AcceptedSource] = field(default_factory=list)
-    refused: list[Refused] = field(default_factory=list)
+    refused: list[CucumberVisionError] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
 
 
@@ -168,7 +160,7 @@ def accept_uploads(
     >>> import io, tempfile
     >>> with tempfile.TemporaryDirectory() as tmp:
     ...     got = accept_uploads([("../../x.exe", io.BytesIO(b"MZ"))], Path(tmp) / "in")
-    ...     print(got.refused[0].error)
+    ...     print(got.refused[0])
     x.exe: is of no kind that is accepted; send PNG, JPEG or TIFF pictures, ...
     """
     limits = limits or Limits()
@@ -226,7 +218,7 @@ class _Intake:
             with wrap_os_errors("cannot be kept", title, "rename it", UploadError):
                 arrived.rename(self._loose_path(name))
         except CucumberVisionError as error:
-            self.out.refused.append(Refused(title, error))
+            self.out.refused.append(error)
         finally:
             arrived.unlink(missing_ok=True)
 
@@ -248,7 +240,7 @@ class _Intake:
             elif suffix in _TEXTS | {".csv"} or (title != LOOSE and not _needs_partner(name, used)):
                 self.out.ignored.append(shown)
             else:
-                self.out.refused.append(Refused(shown, _left_alone(shown, suffix)))
+                self.out.refused.append(_left_alone(shown, suffix))
         if title != LOOSE and before == len(self.out.sources) + len(self.out.refused):
             fault = f"holds no captures that can be recognised, but {kinds}"
             raise UploadError(fault, source=title, remedy=_REMEDY)
@@ -308,7 +300,7 @@ class _Intake:
                         inner = file.rename(file.with_name(f"{file.name} "))
                         self._unpack(inner, file, shown, depth + 1)
                 except CucumberVisionError as error:
-                    self.out.refused.append(Refused(shown, error))
+                    self.out.refused.append(error)
                     file.unlink(missing_ok=True)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)

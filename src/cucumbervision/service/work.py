@@ -188,8 +188,7 @@ class Work:
                 if outcome.value is not None and outcome.value.error is None:
                     results.append(outcome.value)
         refused = [
-            NotRead(name=one.name, error=one.error.code, message=str(one.error))
-            for one in given.refused
+            NotRead(name=one.source, error=one.code, message=str(one)) for one in given.refused
         ]
         return MeasureReply(
             captures=[measured_capture(one) for one in results],

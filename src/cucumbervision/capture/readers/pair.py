@@ -95,11 +95,12 @@ def match_pairs(folder: Folder) -> list[Pair]:
         color, depth = colors.get(key), depths.get(key)
         if depth not in whole and (color or not _is_8_bit_png(folder.path / str(depth))):
             named.append((color, depth))
+    near = {at: camera_file_near(folder, at) for at in folder.files}
     found = []
     for color, depth in named:
         at, _, _ = str(color or depth).rpartition("/")
         pictures = [None if name is None else folder.path / name for name in (color, depth)]
-        found.append(Pair(pictures[0], pictures[1], camera_file_near(folder, at)))
+        found.append(Pair(pictures[0], pictures[1], near[at]))
     return found
 
 

@@ -69,7 +69,7 @@ def test_back_leads_to_the_one_before_and_shipped_to_the_package(
     assert in_use() == second.name
     use_shipped()
     assert in_use() == "cucumber-seg"
-    assert json.loads((folder / IN_USE).read_text()) == {"in_use": {}, "models": []}
+    assert json.loads((folder / IN_USE).read_text()) == {"models": []}
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_broken_list_and_a_missing_file_are_named(folder: Path, tmp_path: Path
     shutil.rmtree(folder / model.name)
     with pytest.raises(ModelError, match="models use --shipped"):
         load_registry().resolve(model.name)
-    for text in ("{", "[]", '{"models": [], "in_use": {"segment": ["gone"]}}'):
+    for text in ("{", "[]", '{"models": [{"name": "mine"}]}'):
         (folder / IN_USE).write_text(text)
         with pytest.raises(ModelError, match=IN_USE):
             load_registry()

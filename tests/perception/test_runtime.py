@@ -76,7 +76,7 @@ def run(network: Network) -> list[float]:
 @pytest.mark.parametrize("half", [False, True])
 def test_runs_full_and_half_stored_weights(runtime: str, half: bool) -> None:
     need(runtime)
-    network = open_network(scaled_sum(half), runtime, full_precision=True, threads=1)
+    network = open_network(scaled_sum(half), runtime, full_precision=True)
     assert run(network) == [12.5, 25.0, 37.5]
     assert (
         network.runtime
@@ -132,18 +132,11 @@ def test_truncated_file_is_named(runtime: str, tmp_path: Path) -> None:
         open_network(path, runtime)
 
 
-@pytest.mark.parametrize(
-    ("content", "fault"),
-    [
-        (b"PK\x03\x04", "PyTorch checkpoint"),
-        (b"", "not an ONNX file"),
-        (b"<xml/>", "not an ONNX file"),
-    ],
-)
-def test_other_files_are_refused(content: bytes, fault: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", [b"PK\x03\x04", b"", b"<xml/>"])
+def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "other.onnx"
     path.write_bytes(content)
-    with pytest.raises(ModelError, match=fault):
+    with pytest.raises(ModelError, match=r"cannot load it .*; give a complete ONNX file"):
         open_network(path)
 
 

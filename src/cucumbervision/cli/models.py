@@ -32,7 +32,7 @@ def list_models() -> None:
     for model in registry.models:
         size = f"{registry.size_bytes(model.name) / 1e6:.0f} MB"
         state = registry.state(model.name)
-        if any(model.name == names[-1] for names in registry.in_use.values()):
+        if model in registry.own and model == registry.default(model.task):
             state = "in use"
         table.add_row(model.name, model.task, model.licence, size, model.origin, state)
     Console().print(table)
@@ -50,7 +50,8 @@ def verify(
     from cucumbervision.perception.registry import load_registry
 
     registry, console = load_registry(), Console(highlight=False)
-    checks = registry.verify(name) if name else registry.verify_all()
+    here = [one.name for one in registry.models if registry.state(one.name) != "not pulled"]
+    checks = [check for one in ([name] if name else here) for check in registry.verify(one)]
     for check in checks:
         console.print(f"{check.state:8} {check.model}: {check.path}", soft_wrap=True)
     registry.require(checks)
@@ -100,14 +101,11 @@ def use(
 def export(
     name: Name,
     out: Annotated[Path, typer.Option("--out", help="Folder to write into.", metavar="DIR")],
-    form: Annotated[
-        str, typer.Option("--format", help="onnx or openvino.", metavar="FORMAT")
-    ] = "onnx",
 ) -> None:
-    """Copy a network's verified files, or convert them to OpenVINO's own form."""
+    """Copy a network's verified ONNX files."""
     from rich.console import Console
 
     from cucumbervision.perception.registry import load_registry
 
-    for path in load_registry().export(name, out, form):
+    for path in load_registry().export(name, out):
         Console(highlight=False).print(str(path), soft_wrap=True)

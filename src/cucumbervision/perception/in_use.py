@@ -1,7 +1,7 @@
 """Replace the package's networks by a user's own, and undo it.
 
-`in-use.json` in the folder of fetched models lists the user's networks by task, the newest last.
-Each is in a folder of its own beside it, as fetched networks are.
+`in-use.json` in the folder of fetched models lists the user's networks, the newest last. Each is in
+a folder of its own beside it, as fetched networks are.
 """
 
 from __future__ import annotations
@@ -74,9 +74,8 @@ def use_network(given: Path, *, anyway: bool = False, registry: Registry | None 
         origin="trained by its user",
         files=(ModelFile("network", path.name, sha256, path.stat().st_size),),
     )
-    models = (*(one for one in registry.models if one.name != name), model)
-    earlier = tuple(one for one in registry.in_use.get(task, ()) if one != name)
-    changed = replace(registry, models=models, in_use={**registry.in_use, task: (*earlier, name)})
+    earlier = tuple(one for one in registry.own if one.name != name)
+    changed = replace(registry, own=(*earlier, model))
     with tempfile.TemporaryDirectory() as folder:
         changed.install(name, (Path(shutil.copyfile(path, Path(folder) / path.name)),))
     _write(changed)
@@ -92,35 +91,32 @@ def undo_use(task: str = "segment", registry: Registry | None = None) -> Model |
         If none is in use.
     """
     registry = registry or load_registry()
-    known = registry.in_use.get(task, ())
-    if not known:
+    newest = registry.default(task)
+    if newest not in registry.own:
         raise ModelError(
             f"the package's own network is in use for {task}",
             remedy="there is nothing to take back",
         )
-    return _with_own(registry, task, known[:-1])
+    return _keep(registry, task, tuple(one for one in registry.own if one != newest))
 
 
 def use_shipped(task: str = "segment", registry: Registry | None = None) -> Model | None:
     """Remove all of the user's networks for a task, and return the package's own."""
-    return _with_own(registry or load_registry(), task, ())
+    registry = registry or load_registry()
+    return _keep(registry, task, tuple(one for one in registry.own if one.task != task))
 
 
-def _with_own(registry: Registry, task: str, names: tuple[str, ...]) -> Model | None:
-    changed = replace(registry, in_use={**registry.in_use, task: names})
+def _keep(registry: Registry, task: str, own: tuple[Model, ...]) -> Model | None:
+    changed = replace(registry, own=own)
     _write(changed)
     return changed.default(task)
 
 
 def _write(registry: Registry) -> None:
-    names = [name for own in registry.in_use.values() for name in own]
-    values = {
-        "in_use": {task: list(own) for task, own in registry.in_use.items() if own},
-        "models": [asdict(registry.get(name)) for name in names],
-    }
+    text = json.dumps({"models": [asdict(one) for one in registry.own]}, indent=2)
     registry.user.mkdir(parents=True, exist_ok=True)
     part = registry.user / f"{IN_USE}.part"
-    part.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+    part.write_text(text + "\n", encoding="utf-8")
     part.replace(registry.user / IN_USE)
 
 

@@ -11,13 +11,15 @@ import json
 import os
 import shutil
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 @dataclass(frozen=True)
@@ -130,14 +132,11 @@ class FileCheck:
     state: str
 
 
-_FORMATS = ("onnx", "openvino")
-"""What `Registry.export` writes."""
-
 _HERE = Path(__file__).parent
 _MANIFEST = "manifest.json"
 
 IN_USE = "in-use.json"
-"""In the folder of fetched models: the user's own networks, see `in_use`."""
+"""In the folder of fetched models: the user's own networks, as `perception.in_use` writes them."""
 
 
 @dataclass(frozen=True)
@@ -146,20 +145,25 @@ class Registry:
 
     Parameters
     ----------
-    models : tuple of Model
-        In the order of the file.
+    shipped : tuple of Model
+        The package's own, in the order of the file.
     embedded : Path
         Folder of the embedded files.
     user : Path
         Folder of the fetched ones, with a subfolder per model; it need not exist.
-    in_use : mapping of str to tuple of str
-        The user's own networks by task, the newest last.
+    own : tuple of Model
+        The user's own networks, the newest last.
     """
 
-    models: tuple[Model, ...]
+    shipped: tuple[Model, ...]
     embedded: Path
     user: Path
-    in_use: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    own: tuple[Model, ...] = ()
+
+    @property
+    def models(self) -> tuple[Model, ...]:
+        """All of them, the package's own first."""
+        return self.shipped + self.own
 
     def get(self, name: str) -> Model:
         """Return a model by its name.
@@ -188,10 +192,8 @@ class Registry:
         >>> load_registry().default("prompted-mask").name
         'mobile-sam'
         """
-        if names := self.in_use.get(task):
-            return self.get(names[-1])
-        own = (model for model in self.models if model.task == task and model.embedded)
-        return next(own, None)
+        embedded = (model for model in self.shipped if model.embedded)
+        return next((one for one in (*self.own[::-1], *embedded) if one.task == task), None)
 
     def segmenter(self, name: str | None = None) -> Model:
         """Return a network that draws masks: the named one, or the default without a name.
@@ -267,17 +269,6 @@ class Registry:
             for file, sha256 in wanted.items()
         )
 
-    def verify_all(self) -> tuple[FileCheck, ...]:
-        """Hash every file of every model that is on this machine.
-
-        Raises
-        ------
-        ModelError, ModelHashError
-            As `hashes`.
-        """
-        here = [model.name for model in self.models if self.state(model.name) != "not pulled"]
-        return tuple(check for name in here for check in self.verify(name))
-
     def resolve(self, name: str) -> dict[str, Path]:
         """Return the paths of a model's files by role, each verified.
 
@@ -294,7 +285,7 @@ class Registry:
         folder = self.folder(name)
         return {f.role: folder / f.file for f in self.get(name).files}
 
-    def require(self, checks: tuple[FileCheck, ...]) -> None:
+    def require(self, checks: Iterable[FileCheck]) -> None:
         """Raise for the first file that is damaged or missing.
 
         Raises
@@ -339,46 +330,17 @@ class Registry:
         (folder / _MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
         return self.resolve(name)
 
-    def export(self, name: str, out: Path, form: str = "onnx") -> tuple[Path, ...]:
-        """Copy a model's verified files, or convert them to OpenVINO's format.
-
-        Parameters
-        ----------
-        name : str
-            A model on this machine.
-        out : Path
-            Folder, made if need be.
-        form : str
-            'onnx', or 'openvino' (.xml and .bin, weights in half precision; needs the extra
-            `openvino`).
-
-        Returns
-        -------
-        tuple of Path
-            What was written.
+    def export(self, name: str, out: Path) -> tuple[Path, ...]:
+        """Copy a model's verified files into a folder, made if need be.
 
         Raises
         ------
-        ModelError
-            If the form is unknown.
-        UnknownModelError, ModelHashError, MissingExtraError
-            If a file is unknown or damaged, or OpenVINO is not installed.
+        UnknownModelError, ModelError, ModelHashError
+            As `resolve`.
         """
-        if form not in _FORMATS:
-            raise ModelError(f"no format {form!r}", remedy=f"choose one of {', '.join(_FORMATS)}")
         files = self.resolve(name).values()
         out.mkdir(parents=True, exist_ok=True)
-        if form == "onnx":
-            return tuple(Path(shutil.copyfile(path, out / path.name)) for path in files)
-        from cucumbervision.perception.runtime import import_openvino
-
-        openvino = import_openvino()
-        written: list[Path] = []
-        for path in files:
-            target = out / f"{path.stem}.xml"
-            openvino.save_model(openvino.Core().read_model(str(path)), str(target))
-            written += [target, target.with_suffix(".bin")]
-        return tuple(written)
+        return tuple(Path(shutil.copyfile(path, out / path.name)) for path in files)
 
 
 def load_registry(path: Path | None = None, user: Path | None = None) -> Registry:
@@ -406,8 +368,7 @@ def load_registry(path: Path | None = None, user: Path | None = None) -> Registr
         entries = tomllib.loads(path.read_text(encoding="utf-8"))["models"]
         models = tuple(_model(entry, path, "install again") for entry in entries)
     user = user or models_folder()
-    own, in_use = _read_in_use(user / IN_USE)
-    return Registry((*models, *own), path.parent / "weights", user, in_use)
+    return Registry(models, path.parent / "weights", user, _read_own(user / IN_USE))
 
 
 def models_folder() -> Path:
@@ -446,17 +407,12 @@ def _again(model: Model) -> str:
 _USE_AGAIN = "delete the file to use the package's own, and give yours again"
 
 
-def _read_in_use(path: Path) -> tuple[tuple[Model, ...], dict[str, tuple[str, ...]]]:
-    """Return the user's own networks, and which are in use."""
+def _read_own(path: Path) -> tuple[Model, ...]:
     if not path.is_file():
-        return (), {}
+        return ()
     with wrap_reader_errors(path, ModelError, _USE_AGAIN):
         values = read_json(path, ModelError, _USE_AGAIN)
-        models = tuple(_model(entry, path, _USE_AGAIN) for entry in values["models"])
-        in_use = {str(task): tuple(names) for task, names in values["in_use"].items()}
-        if not {name for names in in_use.values() for name in names} <= {m.name for m in models}:
-            raise ValueError("it names a network that it does not describe")
-    return models, in_use
+        return tuple(_model(entry, path, _USE_AGAIN) for entry in values["models"])
 
 
 def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:

@@ -10,16 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import gcd
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from numpy.typing import ArrayLike, NDArray
-    from scipy.sparse import csr_array
 
 _SIDE = 1024
 """Side of the square that SAM sees, in pixels."""
@@ -225,28 +221,27 @@ def fit(
 def _mask_weights(
     box: Letterbox, rows: int, columns: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the matrices that interpolate the prototypes' rows and columns to the picture's.
-
-    If the padding is not a whole number of prototype pixels, the prototypes are first enlarged two
-    or four times, so that it can be cropped exactly.
-    """
-    gain = min(4 * rows / box.height, 4 * columns / box.width)
-    spare_rows = 4 * rows - max(round(box.height * gain), 1)
-    spare_columns = 4 * columns - max(round(box.width * gain), 1)
-    spare = spare_rows | spare_columns
-    enlarge = 4 // gcd(4, spare | spare // 2)
-    gain = min(enlarge * rows / box.height, enlarge * columns / box.width)
+    """Return the matrices that interpolate the prototypes' rows and columns to the picture's."""
     return (
-        _side_weights(rows, enlarge, box.height, gain),
-        _side_weights(columns, enlarge, box.width, gain),
+        _linear_weights(rows, box.input_height, box.top, box.inner_height, box.height),
+        _linear_weights(columns, box.input_width, box.left, box.inner_width, box.width),
     )
 
 
-def _side_weights(size: int, enlarge: int, target: int, gain: float) -> NDArray[np.float32]:
-    content = max(round(target * gain), 1)
-    start = round((enlarge * size - content) / 2 - 0.1)
-    enlarged = _bilinear(size, enlarge * size)[start : start + content]
-    return (_bilinear(content, target) @ enlarged).astype(np.float32)
+def _linear_weights(
+    cells: int, input_px: int, start_px: int, inner_px: int, size: int
+) -> NDArray[np.float32]:
+    """Return what each of `cells` along a side adds to each of `size` pixels, (size, cells).
+
+    The picture's side lies at `start_px`, `inner_px` long, in an input of `input_px`. Cells in the
+    padding add nothing.
+    """
+    at = (start_px + (np.arange(size) + 0.5) * inner_px / size) * cells / input_px - 0.5
+    first = np.ceil(start_px * cells / input_px)
+    last = np.floor((start_px + inner_px) * cells / input_px) - 1
+    at = np.clip(at, first, max(first, last))
+    weights = np.maximum(1 - np.abs(at[:, None] - np.arange(cells)), 0)
+    return np.asarray(weights, np.float32)
 
 
 def scaled_size(height: int, width: int) -> tuple[int, int]:
@@ -293,12 +288,14 @@ def prepare_picture(color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     >>> picture.shape, round(float(picture[0, 0, 575, 0]), 3), float(picture[0, 0, 576, 0])
     ((1, 3, 1024, 1024), 2.249, 0.0)
     """
+    import cv2
+
     height, width = scaled_size(*color_rgb.shape[:2])
+    shrinks = max(color_rgb.shape[:2]) > _SIDE
+    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    scaled = cv2.resize(np.ascontiguousarray(color_rgb), (width, height), interpolation=kind)
     square = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
-    for channel, plane in enumerate(_scaled_planes(color_rgb, height, width)):
-        inside = square[0, channel, :height, :width]
-        np.subtract(plane, _MEAN[channel], out=inside)
-        inside /= _STD[channel]
+    square[0, :, :height, :width] = ((scaled - _MEAN) / _STD).transpose(2, 0, 1)
     return square
 
 
@@ -334,8 +331,7 @@ def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> ND
 def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.bool_]:
     """Enlarge one low-resolution mask to the picture and threshold it at zero.
 
-    The same as SAM's own two bilinear steps (to 1024, without the padding to the picture), which
-    are linear and act on rows and columns apart; done only where a positive logit can reach.
+    In SAM's own two bilinear steps: to 1024, and without the padding to the picture's size.
 
     Parameters
     ----------
@@ -355,25 +351,14 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
     >>> mask_from_logits(logits, 1024, 1024).sum(axis=1).tolist()[:2]
     [256, 256]
     """
-    mask = np.zeros((height, width), bool)
-    if len(logits) < _LOW:
-        # The picture's lowest rows interpolate with the first padding row.
-        logits = np.pad(logits, ((0, _LOW - len(logits)), (0, 0)), mode="edge")
-    positive = logits > 0
-    if not positive.any():
-        return mask
-    scaled_height, scaled_width = scaled_size(height, width)
-    down = _enlarging(scaled_height, height)
-    across = _enlarging(scaled_width, width)
-    rows = _span(down @ positive.any(axis=1) > 0)
-    columns = _span(across @ positive.any(axis=0) > 0)
-    if rows.stop == 0 or columns.stop == 0:
-        return mask
-    down, across = down[rows], across[columns]
-    low_rows, low_columns = _span(down.any(axis=0)), _span(across.any(axis=0))
-    fine = down[:, low_rows] @ logits[low_rows, low_columns] @ across[:, low_columns].T
-    mask[rows, columns] = fine > 0
-    return mask
+    import cv2
+
+    # The picture's lowest rows interpolate with the first padding row.
+    square = np.pad(logits, ((0, _LOW - len(logits)), (0, 0)), mode="edge")
+    rows, columns = scaled_size(height, width)
+    fine = cv2.resize(square, (_SIDE, _SIDE), interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+    enlarged = cv2.resize(fine, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(enlarged > 0)
 
 
 def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -413,63 +398,3 @@ def _span(flags: ArrayLike) -> slice:
     """Return the slice from the first to the last set flag; slice(0, 0) if there is none."""
     found = np.flatnonzero(flags)
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
-
-
-@lru_cache(maxsize=8)
-def _enlarging(scaled: int, size: int) -> NDArray[np.float32]:
-    """Return the weights, shape (size, 256), of both bilinear steps along one axis."""
-    weights = _bilinear(scaled, size) @ _bilinear(_LOW, _SIDE)[:scaled]
-    return weights.astype(np.float32)
-
-
-def _bilinear(size_in: int, size_out: int) -> NDArray[np.float64]:
-    """Return the weights of a bilinear step (torch's, align_corners false), (size_out, size_in)."""
-    place = np.maximum((np.arange(size_out) + 0.5) * size_in / size_out - 0.5, 0)
-    first = np.minimum(place.astype(int), size_in - 1)
-    share = place - first
-    weights = np.zeros((size_out, size_in))
-    rows = np.arange(size_out)
-    weights[rows, first] += 1 - share
-    weights[rows, np.minimum(first + 1, size_in - 1)] += share
-    return weights
-
-
-def _scaled_planes(
-    color_rgb: NDArray[np.uint8], height: int, width: int
-) -> list[NDArray[np.float32]]:
-    """Return the colours' planes (height, width), in whole levels.
-
-    Resized as Pillow does, which SAM was trained with: bilinear, and smoothing when it shrinks.
-    """
-    import cv2
-
-    before_height, before_width = color_rgb.shape[:2]
-    picture = np.ascontiguousarray(color_rgb)
-    if max(before_height, before_width) <= _SIDE:
-        enlarged = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
-        return [np.asarray(plane, np.float32) for plane in cv2.split(enlarged)]
-    # As Pillow: along the rows first, whole levels in between.
-    across, down = _shrinking(before_width, width), _shrinking(before_height, height)
-    columns = [np.asarray(cv2.transpose(plane), np.float32) for plane in cv2.split(picture)]
-    narrow = [cv2.transpose(np.rint(across @ plane)) for plane in columns]
-    return [np.rint(down @ plane) for plane in narrow]
-
-
-@lru_cache(maxsize=8)
-def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
-    """Return the weights (size_out, size_in): each row a triangle as wide as two output pixels."""
-    from scipy.sparse import csr_array
-
-    scale = size_in / size_out
-    centre = (np.arange(size_out) + 0.5) * scale
-    starts = np.maximum((centre - scale + 0.5).astype(int), 0)
-    ends = np.minimum((centre + scale + 0.5).astype(int), size_in)
-    columns = starts[:, None] + np.arange(int((ends - starts).max()))
-    weights = np.maximum(1 - np.abs(columns + 0.5 - centre[:, None]) / scale, 0)
-    weights[columns >= ends[:, None]] = 0
-    weights /= weights.sum(axis=1, keepdims=True)
-    rows = np.broadcast_to(np.arange(size_out)[:, None], columns.shape)
-    kept = weights > 0
-    return csr_array(
-        (weights[kept].astype(np.float32), (rows[kept], columns[kept])), (size_out, size_in)
-    )

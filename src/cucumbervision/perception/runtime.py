@@ -141,7 +141,6 @@ def open_network(
     runtime: str = "auto",
     *,
     full_precision: bool = False,
-    threads: int | None = None,
     name: str = "",
     verified: bool = False,
 ) -> Network:
@@ -157,9 +156,6 @@ def open_network(
     full_precision : bool
         Compute in float32 for reproducible results; otherwise OpenVINO uses bfloat16 where the CPU
         supports it, and CUDA uses TF32.
-    threads : int, optional
-        Largest number of threads; by default the one set by `limit_threads`, or the runtime's
-        choice.
     name : str
         Name in errors of a network given as bytes.
     verified : bool
@@ -178,7 +174,6 @@ def open_network(
         If 'openvino' is asked for and not installed.
     """
     source = (name or "network in memory") if isinstance(path, bytes) else str(path)
-    threads = threads or _most_threads
     if runtime not in RUNTIMES:
         raise ModelError(
             f"no runtime is called {runtime!r}", remedy=f"choose one of {', '.join(RUNTIMES)}"
@@ -187,22 +182,21 @@ def open_network(
         path = Path(path)
         if not path.is_file():
             raise ModelError("there is no such file", source=source, remedy="check the path")
-    _check_kind(path, source)
     for_openvino = runtime in ("auto", "openvino") and importlib.util.find_spec("openvino")
     if for_openvino and not verified:
         _check_graph(path, source)
     if runtime == "openvino":
-        return _open_openvino(path, source, full_precision, threads)
+        return _open_openvino(path, source, full_precision)
     if runtime != "auto":
-        return _open_onnxruntime(path, source, runtime, full_precision, threads)
+        return _open_onnxruntime(path, source, runtime, full_precision)
     if not for_openvino:
-        return _open_onnxruntime(path, source, "onnxruntime", full_precision, threads)
+        return _open_onnxruntime(path, source, "onnxruntime", full_precision)
     try:
-        return _open_openvino(path, source, full_precision, threads)
+        return _open_openvino(path, source, full_precision)
     except ModelError as error:
         fault = error.message
     why = "; OpenVINO cannot load it"
-    network = _open_onnxruntime(path, source, "onnxruntime", full_precision, threads, why)
+    network = _open_onnxruntime(path, source, "onnxruntime", full_precision, why)
     _log.info("%s: %s, so ONNX Runtime runs it", source, fault)
     return network
 
@@ -248,22 +242,6 @@ def import_openvino() -> Any:
     return openvino
 
 
-def _check_kind(path: Path | bytes, source: str) -> None:
-    """Raise if a file is clearly not ONNX; OpenVINO would try all its other readers on it."""
-    if isinstance(path, bytes):
-        head = path[:2]
-    else:
-        with path.open("rb") as file:
-            head = file.read(2)
-    if head == b"PK":
-        raise ModelError(
-            "this is a PyTorch checkpoint", source=source, remedy="export it to ONNX first"
-        )
-    # Protobuf writes fields in order: ONNX's first is ir_version, field 1, a varint.
-    if head[:1] != b"\x08":
-        raise ModelError("not an ONNX file", source=source, remedy="give an ONNX file")
-
-
 def _check_graph(path: Path | bytes, source: str) -> None:
     """Raise if ONNX Runtime rejects the graph; nothing is optimised or run."""
     ort = import_onnxruntime()
@@ -294,7 +272,7 @@ def _unreadable(source: str, runtime: str, error: Exception) -> ModelError:
     return ModelError(
         f"{runtime} cannot load it ({_first_line(error)})",
         source=source,
-        remedy="give a complete ONNX file"
+        remedy="give a complete ONNX file, exported from a checkpoint"
         + (", or choose the runtime auto" if runtime == "OpenVINO" else ""),
     )
 
@@ -304,7 +282,6 @@ def _open_onnxruntime(
     source: str,
     runtime: str,
     full_precision: bool,
-    threads: int | None,
     why: str = "",
 ) -> Network:
     ort = import_onnxruntime()
@@ -315,8 +292,8 @@ def _open_onnxruntime(
     options.log_severity_level = 4
     # Otherwise its threads spin for 30 ms after each run and slow the rest down.
     options.add_session_config_entry("session.force_spinning_stop", "1")
-    if threads is not None:
-        options.intra_op_num_threads = threads
+    if _most_threads is not None:
+        options.intra_op_num_threads = _most_threads
     settings = {"CUDAExecutionProvider": {"use_tf32": "0"}} if full_precision else {}
     providers = [(p, settings.get(p, {})) for p in wanted if p in ort.get_available_providers()]
     try:
@@ -355,14 +332,12 @@ def _openvino_core() -> Any:
     return import_openvino().Core()
 
 
-def _open_openvino(
-    path: Path | bytes, source: str, full_precision: bool, threads: int | None
-) -> Network:
+def _open_openvino(path: Path | bytes, source: str, full_precision: bool) -> Network:
     settings: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
     if full_precision:
         settings["INFERENCE_PRECISION_HINT"] = "f32"
-    if threads is not None:
-        settings["INFERENCE_NUM_THREADS"] = threads
+    if _most_threads is not None:
+        settings["INFERENCE_NUM_THREADS"] = _most_threads
     # One at a time, against a deadlock between Python's lock (held while reading a network's
     # inputs) and OpenVINO's (held while compiling).
     with _STARTING_OPENVINO:

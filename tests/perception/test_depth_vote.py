@@ -107,11 +107,10 @@ def test_depth_lifts_a_weak_detection_and_lowers_a_wall() -> None:
     assert fruit.confidence > 0.2
     assert strip.confidence < 0.05
     assert unseen is None
-    picture = np.full((*mask.shape, 3), 90, np.uint8)
-    both = each_fruit_once(found, None, picture, depth_m, focal_px=FOCAL_PX)
+    both = each_fruit_once(found, None, depth_m, focal_px=FOCAL_PX)
     # Without depth the detector's own confidence counts.
     assert [one.confidence for one in both] == sorted([0.3, fruit.confidence], reverse=True)
-    assert [one.confidence for one in each_fruit_once(found, None, picture, depth_m)] == [0.3]
+    assert [one.confidence for one in each_fruit_once(found, None, depth_m)] == [0.3]
 
 
 @pytest.mark.parametrize("text", ["{", json.dumps({"weights": [1.0], "detections": 3}), "[]"])

@@ -133,7 +133,7 @@ def test_a_segmenter_that_could_not_be_begun_says_so_when_it_is_asked_for() -> N
 def test_the_pose_network_has_a_say_in_what_is_a_fruit() -> None:
     detected = [fruit_at(0, 0.4), fruit_at(20, 0.4), fruit_at(40, 0.2), fruit_at(60, 0.9)]
     posed = [fruit_at(0, 0.6), fruit_at(40, 0.8), fruit_at(80, 0.9)]
-    found = each_fruit_once(detected, posed, PICTURE, confidence=0.3, looks=2)
+    found = each_fruit_once(detected, posed, confidence=0.3, looks=2)
     # (2 x 0.9 + 0) / 3, (2 x 0.4 + 0.6) / 3 and (2 x 0.2 + 0.8) / 3; the second has 0.27 only, and
     # what the pose network alone sees is none.
     assert [(one.box[0], round(one.confidence, 3)) for one in found] == [
@@ -141,13 +141,13 @@ def test_the_pose_network_has_a_say_in_what_is_a_fruit() -> None:
         (0, 0.467),
         (40, 0.4),
     ]
-    without = each_fruit_once(detected, None, PICTURE, confidence=0.3)
+    without = each_fruit_once(detected, None, confidence=0.3)
     assert [one.confidence for one in without] == [0.9, 0.4, 0.4]
     # A pose network that sees nothing says so.
-    assert [one.confidence for one in each_fruit_once(detected, [], PICTURE)] == [0.45]
+    assert [one.confidence for one in each_fruit_once(detected, [])] == [0.45]
 
 
 def test_a_pose_votes_for_one_detection_only() -> None:
     twice = [fruit_at(0, 0.8), fruit_at(1, 0.6, width=9)]
-    found = each_fruit_once(twice, [fruit_at(0, 1.0)], PICTURE, confidence=0.31)
+    found = each_fruit_once(twice, [fruit_at(0, 1.0)], confidence=0.31)
     assert [one.confidence for one in found] == [0.9]

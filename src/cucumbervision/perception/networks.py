@@ -16,7 +16,7 @@ from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_dept
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
 from cucumbervision.perception.instances import apart, each_once, merge_instances
-from cucumbervision.perception.pieces import join_across
+from cucumbervision.perception.pieces import join_pieces_by_depth
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.yolo import YoloDetector
 
@@ -97,7 +97,6 @@ class Detectors:
         return each_fruit_once(
             found,
             posed,
-            color_rgb,
             depth_m,
             confidence=self._confidence,
             looks=detector.looks,
@@ -108,7 +107,6 @@ class Detectors:
 def each_fruit_once(
     detected: Sequence[Instance],
     posed: Sequence[Instance] | None,
-    color_rgb: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None = None,
     *,
     confidence: float = DEFAULT_CONFIDENCE,
@@ -123,13 +121,10 @@ def each_fruit_once(
         The detector's detections.
     posed : sequence of Instance, optional
         The pose network's detections; None without a pose network.
-    color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
     depth_m : ndarray of float32, shape (H, W), optional
-        Metres, aligned to colour.
+        Metres, aligned to colour: joins the parts of a fruit.
     confidence : float
-        Threshold for a fruit after the pose network's vote; poses above it join the parts of a
-        fruit.
+        Threshold for a fruit after the vote; poses above it join the parts of a fruit too.
     looks : int
         As for `with_pose_votes`.
     focal_px : float, optional
@@ -147,8 +142,10 @@ def each_fruit_once(
     rest = [one for one, voted in zip(detected, by_depth, strict=True) if voted is None]
     rest = rest if posed is None else list(with_pose_votes(rest, posed, looks))
     voted = sorted([*filter(None, by_depth), *rest], key=lambda one: -one.confidence)
-    sure = [one for one in voted if one.confidence > confidence]
-    found = join_across(merge_instances(sure), color_rgb, depth_m)
+    found = merge_instances([one for one in voted if one.confidence > confidence])
+    if depth_m is not None:
+        weak = [one for one in voted if one.confidence <= confidence]
+        found = join_pieces_by_depth(found, weak, depth_m)
     return apart(each_once(found, posed, confidence) if posed and found else found, depth_m)
 
 

@@ -15,7 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from numpy.typing import ArrayLike, NDArray
+    from scipy.sparse import csr_array
 
 _SIDE = 1024
 """Side of the square that SAM sees, in pixels."""
@@ -288,14 +291,12 @@ def prepare_picture(color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     >>> picture.shape, round(float(picture[0, 0, 575, 0]), 3), float(picture[0, 0, 576, 0])
     ((1, 3, 1024, 1024), 2.249, 0.0)
     """
-    import cv2
-
     height, width = scaled_size(*color_rgb.shape[:2])
-    shrinks = max(color_rgb.shape[:2]) > _SIDE
-    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    scaled = cv2.resize(np.ascontiguousarray(color_rgb), (width, height), interpolation=kind)
     square = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
-    square[0, :, :height, :width] = ((scaled - _MEAN) / _STD).transpose(2, 0, 1)
+    for channel, plane in enumerate(_scaled_planes(color_rgb, height, width)):
+        inside = square[0, channel, :height, :width]
+        np.subtract(plane, _MEAN[channel], out=inside)
+        inside /= _STD[channel]
     return square
 
 
@@ -398,3 +399,44 @@ def _span(flags: ArrayLike) -> slice:
     """Return the slice from the first to the last set flag; slice(0, 0) if there is none."""
     found = np.flatnonzero(flags)
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
+
+
+def _scaled_planes(
+    color_rgb: NDArray[np.uint8], height: int, width: int
+) -> list[NDArray[np.float32]]:
+    """Return the colours' planes (height, width), in whole levels.
+
+    Resized as Pillow does, which SAM was trained with: bilinear, and smoothing when it shrinks.
+    """
+    import cv2
+
+    before_height, before_width = color_rgb.shape[:2]
+    picture = np.ascontiguousarray(color_rgb)
+    if max(before_height, before_width) <= _SIDE:
+        enlarged = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        return [np.asarray(plane, np.float32) for plane in cv2.split(enlarged)]
+    # As Pillow: along the rows first, whole levels in between.
+    across, down = _shrinking(before_width, width), _shrinking(before_height, height)
+    columns = [np.asarray(cv2.transpose(plane), np.float32) for plane in cv2.split(picture)]
+    narrow = [cv2.transpose(np.rint(across @ plane)) for plane in columns]
+    return [np.rint(down @ plane) for plane in narrow]
+
+
+@lru_cache(maxsize=8)
+def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
+    """Return the weights (size_out, size_in): each row a triangle as wide as two output pixels."""
+    from scipy.sparse import csr_array
+
+    scale = size_in / size_out
+    centre = (np.arange(size_out) + 0.5) * scale
+    starts = np.maximum((centre - scale + 0.5).astype(int), 0)
+    ends = np.minimum((centre + scale + 0.5).astype(int), size_in)
+    columns = starts[:, None] + np.arange(int((ends - starts).max()))
+    weights = np.maximum(1 - np.abs(columns + 0.5 - centre[:, None]) / scale, 0)
+    weights[columns >= ends[:, None]] = 0
+    weights /= weights.sum(axis=1, keepdims=True)
+    rows = np.broadcast_to(np.arange(size_out)[:, None], columns.shape)
+    kept = weights > 0
+    return csr_array(
+        (weights[kept].astype(np.float32), (rows[kept], columns[kept])), (size_out, size_in)
+    )

@@ -157,7 +157,6 @@ def detect_picture(
         segmented if networks.segment else None,
         posed if networks.pose else None,
         networks.confidence,
-        color,
         depth_m,
         looks=networks.segment.looks if networks.segment else 1,
         focal_px=focal_px,
@@ -192,7 +191,6 @@ def shipped(
     segmented: Sequence[Instance] | None,
     posed: Sequence[Instance] | None,
     confidence: float,
-    color_rgb: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None = None,
     *,
     looks: int = 1,
@@ -208,8 +206,6 @@ def shipped(
         Of the pose network; None without one.
     confidence : float
         A score must exceed it.
-    color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
     looks : int
@@ -219,7 +215,7 @@ def shipped(
     """
     if segmented is None or posed is None:
         found = posed if segmented is None else segmented
-        return each_fruit_once(found or (), None, color_rgb, depth_m, confidence=confidence)
+        return each_fruit_once(found or (), None, depth_m, confidence=confidence)
     least = detector_floor(confidence, votes=True)
     if focal_px is not None:
         least = min(least, CANDIDATE_CONFIDENCE)
@@ -228,7 +224,6 @@ def shipped(
     return each_fruit_once(
         detected,
         poses,
-        color_rgb,
         depth_m,
         confidence=confidence,
         looks=looks,

@@ -179,7 +179,7 @@ def _network(folder: Path, _name: str) -> None:
 
     from cucumbervision.perception.runtime import open_network
 
-    network = open_network(folder / "net.onnx", "onnxruntime", threads=1)
+    network = open_network(folder / "net.onnx", "onnxruntime")
     network.run({"images": np.ones((1, 3, 8, 8), np.float32)})
 
 

@@ -40,10 +40,10 @@ from cucumbervision.measurement.result import Method
 from cucumbervision.perception import runtime as runtimes
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.pipeline.batch import Engine, Processes, in_process
+from cucumbervision.pipeline.folder import OutputFolder
 from cucumbervision.pipeline.inputs import Listed, list_captures
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.output import OutputFolder
 from cucumbervision.pipeline.run import BatchOptions, FolderWorker, Task, measure_inputs
 from cucumbervision.streaming.stream import FruitStream
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation

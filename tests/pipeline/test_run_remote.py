@@ -71,10 +71,6 @@ def test_s3_in_and_out_give_the_rows_of_folders_and_go_on(bucket: str, tmp_path:
     assert (out / "parquet" / "part-00000.parquet").exists()
     again = measure_inputs(places, f"{bucket}/out", OPTIONS)
     assert (again.before, (out / "measurements.csv").read_bytes()) == (2, table)
-    fresh = measure_inputs(places, f"{bucket}/out", OPTIONS, batch=BatchOptions(fresh=True))
-    assert (fresh.before, fresh.captures) == (0, 2)
-    [aside] = (out / "earlier").iterdir()
-    assert (aside / "measurements.csv").read_bytes() == table
 
 
 def test_a_bucket_that_is_not_there_is_said_at_once(bucket: str, tmp_path: Path) -> None:

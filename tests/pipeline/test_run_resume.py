@@ -181,16 +181,6 @@ def test_a_capture_that_failed_is_tried_again(run: Watched) -> None:
     assert run.measured == [NAMES[0]]
 
 
-def test_fresh_begins_anew_and_keeps_the_old(run: Watched) -> None:
-    run()
-    table = (run.out / "measurements.csv").read_bytes()
-    run(OPTIONS, BatchOptions(fresh=True))
-    assert tuple(run.measured) == NAMES
-    [aside] = (run.out / "earlier").iterdir()
-    assert (aside / "measurements.csv").read_bytes() == table
-    assert len(list((aside / "overlays").iterdir())) == len(list((aside / "journal").iterdir())) + 2
-
-
 def test_the_same_path_twice_is_measured_once_and_said(run: Watched) -> None:
     inner = run.house / NAMES[1]
     result = run(OPTIONS, None, run.house, run.house / ".", inner)
@@ -275,7 +265,7 @@ def test_rows_of_an_older_table_of_fields_are_measured_again(
     run: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As by an update of the software that knows one column more.
-    for module in ("pipeline.fields", "pipeline.journal", "pipeline.stages", "pipeline.tables"):
+    for module in ("pipeline.fields", "pipeline.folder", "pipeline.stages", "pipeline.tables"):
         with suppress(AttributeError):
             monkeypatch.setattr(f"cucumbervision.{module}.FIELDS", FIELDS[:-1])
     run()

@@ -223,7 +223,7 @@ def _kill_measure(folder: Path) -> Outcome:
     source, out = captures(folder / "in", 6), folder / "out"
     command("measure", source, "--out", folder / "whole", *MASKS)
     once = (
-        "import os, signal\nfrom cucumbervision.pipeline.journal import Journal\n"
+        "import os, signal\nfrom cucumbervision.pipeline.folder import Journal\n"
         "append, count = Journal.append, [0]\n"
         "def killing(self, record):\n    append(self, record)\n    count[0] += 1\n"
         "    if count[0] == 2:\n        os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -35,9 +35,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.journal import Journal
+from cucumbervision.pipeline.folder import Journal, OutputFolder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.output import OutputFolder
 from cucumbervision.pipeline.run import Step, measure_inputs
 
 OPTIONS = MeasureOptions(instances="dataset", methods=(Method.M1,))

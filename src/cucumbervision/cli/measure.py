@@ -40,13 +40,6 @@ Out = Annotated[
 def measure(
     inputs: Inputs,
     out: Out,
-    fresh: Annotated[
-        bool,
-        typer.Option(
-            "--fresh",
-            help="Measure everything anew; what the output folder holds is put aside in earlier/.",
-        ),
-    ] = False,
     parquet: Annotated[
         bool, typer.Option("--parquet", help="Write the rows as Parquet, too, in parts (parquet/).")
     ] = False,
@@ -66,7 +59,7 @@ def measure(
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.pipeline.run import BatchOptions
 
-    batch = BatchOptions(**vars(loop), fresh=fresh, parquet=parquet)
+    batch = BatchOptions(**vars(loop), parquet=parquet)
     code = measure_and_show(
         inputs,
         out,

@@ -25,8 +25,8 @@ from cucumbervision.pipeline.batch import (
     Worker,
     measure_all,
 )
+from cucumbervision.pipeline.folder import Journal, JournalRecord, OutputFolder, place_of
 from cucumbervision.pipeline.inputs import Listed, distinct, each_once, list_captures
-from cucumbervision.pipeline.journal import JOURNAL, Journal, JournalRecord, place_of
 from cucumbervision.pipeline.measurer import (
     Boundary,
     CaptureResult,
@@ -35,10 +35,8 @@ from cucumbervision.pipeline.measurer import (
     exit_code,
 )
 from cucumbervision.pipeline.options import INSTANCE_SOURCES
-from cucumbervision.pipeline.output import OutputFolder
 from cucumbervision.pipeline.summary import Summary
 from cucumbervision.pipeline.tables import (
-    TABLES,
     capture_json,
     import_arrow,
     provenance_of,
@@ -87,13 +85,10 @@ class BatchOptions(LoopOptions):
     ----------
     opener, engine, stop
         As in `LoopOptions`.
-    fresh : bool
-        Begin anew: what the folder holds is put aside in `earlier/`.
     parquet : bool
         Write `parquet/`, too: parts of 100,000 fruit.
     """
 
-    fresh: bool = False
     parquet: bool = False
 
 
@@ -189,12 +184,9 @@ def measure_inputs(
     if batch.parquet:
         import_arrow()
     folder = OutputFolder(as_path(out))
-    with folder.alone(".lock"):
-        if batch.fresh:
-            folder.put_aside([JOURNAL, *TABLES, "overlays"])
-        with Journal(folder) as journal:
-            run = _Run(journal, folder, Measurer(options), batch)
-            return run.measure([as_path(path) for path in inputs], report)
+    with folder.alone(".lock"), Journal(folder) as journal:
+        run = _Run(journal, folder, Measurer(options), batch)
+        return run.measure([as_path(path) for path in inputs], report)
 
 
 @dataclass(frozen=True)

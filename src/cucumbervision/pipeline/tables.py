@@ -29,10 +29,9 @@ if TYPE_CHECKING:
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.measurement.result import Measurement
     from cucumbervision.pipeline.fields import Cell, Column
-    from cucumbervision.pipeline.journal import JournalRecord
+    from cucumbervision.pipeline.folder import JournalRecord, OutputFolder
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.output import OutputFolder
     from cucumbervision.pipeline.summary import Summary
 
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
@@ -41,8 +40,6 @@ MOST_EXCEL_ROWS = 1_048_575
 """Rows that a sheet of Excel takes below its head."""
 
 PARQUET = "parquet"
-TABLES = ("measurements.csv", "measurements.json", "measurements.xlsx", "failures.csv", PARQUET)
-"""What `write_reports` makes in an output folder."""
 _PART_ROWS = 100_000
 _FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "0.0", "h": "0.0"}
 _A4 = 9

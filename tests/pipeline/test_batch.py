@@ -19,9 +19,21 @@ from cucumbervision.capture.source import (
     ReadOptions,
     example_captures,
 )
-from cucumbervision.errors import CaptureError
+from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.measurement.result import Method
-from cucumbervision.pipeline.batch import Processes, in_process
+from cucumbervision.pipeline.batch import (
+    Engine,
+    Item,
+    Outcome,
+    Processes,
+    ResultWorker,
+    Worker,
+    in_process,
+    in_turn,
+    measure_all,
+)
+from cucumbervision.pipeline.inputs import Listed, list_captures
+from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import BatchOptions, measure_inputs
 
@@ -98,3 +110,60 @@ class Killing:
 
     def __call__(self) -> Capture:
         return killing(self._path, self._once)
+
+
+class Names(Worker[str]):
+    """Makes of each result its capture's name."""
+
+    def make(self, result: CaptureResult, content: str) -> Outcome[str]:
+        assert content == ""
+        return Outcome(result.capture.name)
+
+
+@pytest.mark.parametrize("engine", [in_turn, in_process, Processes(2)])
+def test_outcomes_come_in_order_with_failures_as_values(engine: Engine) -> None:
+    first, second, third = list_captures([example_captures()], OPTIONS.reading)
+    nowhere = Failure("nowhere", "", "CaptureError", "nowhere: does not exist")
+    broken = Listed("house", CaptureRef("broken", 0, _raise), "broken")
+    items = [first, nowhere, second, broken, third]
+    done = list(measure_all(items, Names(Measurer(OPTIONS)), engine))
+    assert [item for item, _ in done] == items
+    names = ["simulated-bench", None, "simulated-row-a", None, "simulated-row-b"]
+    assert [outcome.value for _, outcome in done] == names
+    told = [[one.message for one in outcome.failures] for _, outcome in done]
+    assert told == [[], ["nowhere: does not exist"], [], ["recording: stopped in the middle"], []]
+
+
+def test_in_turn_asks_for_no_item_before_the_last_was_dealt_with() -> None:
+    log: list[str] = []
+
+    def items() -> Iterator[Item]:
+        for one in list_captures([example_captures()], OPTIONS.reading):
+            assert isinstance(one, Listed)
+            log.append(f"asked {one.name[-1]}")
+            yield one
+
+    for item, outcome in measure_all(items(), ResultWorker(Measurer(OPTIONS)), in_turn):
+        assert isinstance(item, Listed)
+        assert outcome.value is not None
+        log.append(f"done {outcome.value.capture.name[-1]}")
+    assert log == ["asked h", "done h", "asked a", "done a", "asked b", "done b"]
+
+
+@pytest.mark.parametrize("engine", [in_turn, in_process])
+def test_a_stopped_loop_begins_nothing_and_still_names_what_failed(engine: Engine) -> None:
+    first, second, _ = list_captures([example_captures()], OPTIONS.reading)
+    nowhere = Failure("nowhere", "", "CaptureError", "nowhere: does not exist")
+    seen: list[str | None] = []
+    for _, outcome in measure_all(
+        [first, second, nowhere], Names(Measurer(OPTIONS)), engine, lambda: bool(seen)
+    ):
+        seen.append(outcome.value or "".join(one.message for one in outcome.failures))
+    assert seen == ["simulated-bench", "", "nowhere: does not exist"]
+
+
+def test_what_nothing_can_be_measured_without_ends_the_loop(tmp_path: Path) -> None:
+    lost = replace(OPTIONS, calibration=tmp_path / "gone.json")
+    listed = list_captures([example_captures()], lost.reading)
+    with pytest.raises(CucumberVisionError, match=r"gone\.json"):
+        list(measure_all(listed, ResultWorker(Measurer(lost))))

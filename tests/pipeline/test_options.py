@@ -7,18 +7,14 @@ import pytest
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.measurement.result import LengthDefinition, Method, Selector
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions, parse_methods
+from cucumbervision.pipeline.options import MeasureOptions
 
 
-def test_methods_keep_their_own_order() -> None:
-    assert parse_methods("M5, m1") == (Method.M1, Method.M5)
-    assert parse_methods("ALL")[:2] == (Method.M1, Method.M2)
-
-
-@pytest.mark.parametrize("text", ["m9", "", " , ", "m1;m2"])
-def test_a_wrong_method_is_named_with_the_remedy(text: str) -> None:
-    with pytest.raises(CucumberVisionError, match=r"--methods: no method is called .*; give all"):
-        parse_methods(text)
+def test_methods_are_read_from_text_and_keep_their_own_order() -> None:
+    given: dict[str, Any] = {"methods": "M5, m1"}
+    assert MeasureOptions(**given).methods == (Method.M1, Method.M5)
+    given = {"methods": "ALL"}
+    assert MeasureOptions(**given) == MeasureOptions()
 
 
 def test_the_hash_tells_configurations_apart() -> None:
@@ -47,6 +43,8 @@ def test_names_are_taken_for_what_they_name() -> None:
     [
         ({"length": "chrod"}, "length: 'chrod' is no length; give thread or centreline or chord"),
         ({"selector": "bset"}, "selector: 'bset' is no selector; give best or paper"),
+        ({"methods": ""}, "methods: '' is no methods; give M1 or M2"),
+        ({"methods": "m1;m2"}, "methods: 'M1;M2' is no methods"),
         ({"methods": ("m9",)}, "methods: 'M9' is no methods; give M1 or M2"),
         ({"confidence": 25}, "confidence: 25 is no confidence; give a number from 0 to 1"),
         ({"confidence": float("nan")}, "nan is no confidence"),

@@ -105,13 +105,13 @@ def measure_options(
     from cucumbervision.agronomy.profiles import load_profile
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.perception.input_sizes import parse_input_sizes
-    from cucumbervision.pipeline.options import MeasureOptions, parse_methods
+    from cucumbervision.pipeline.options import MeasureOptions
 
     return MeasureOptions(
         instances=instances,
         pose=pose,
         segmenter=segmenter,
-        methods=parse_methods(methods or "all"),
+        methods=methods or "all",  # type: ignore[arg-type]  # it reads names
         selector=selector,
         length=length,
         confidence=confidence,

@@ -132,12 +132,15 @@ def add(
         progress_bar(Console(stderr=True, highlight=False)) as bar,
         stopping_gently() as stop,
     ):
-        task = bar.add_task("measuring", total=count_captures(captures, options.reading))
+        task = bar.add_task(
+            "measuring", total=count_captures(captures, options.reading, loop.opener)
+        )
         options, loop = with_limits(options, one), replace(loop, stop=stop)
         step = partial(bar.advance, task)
         done = add_captures(opened, one.key, captures, options, place, lambda _: step(), loop)
     if unused := sorted(given.keys() - {one.name for one in done}):
-        screen().print(f"{poses}: no capture is called {', '.join(unused)}", soft_wrap=True)
+        line = f"{poses}: no capture is called {', '.join(unused)}"
+        screen().print(line, soft_wrap=True, markup=False)
     raise typer.Exit(_show_added(done, interrupted=stop()))
 
 

@@ -46,7 +46,7 @@ class MeasureOptions:
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
     methods : tuple of Method
-        Which methods run.
+        Which methods run; also as their names, 'all', or 'm1,m5'.
     selector : Selector
         How one is chosen.
     length : LengthDefinition
@@ -96,10 +96,12 @@ class MeasureOptions:
         """
         for name, kind in (("length", LengthDefinition), ("selector", Selector)):
             object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
-        given: Any = self.methods  # people write names, and a single one without brackets
-        names = (str(one).upper() for one in ((given,) if isinstance(given, str) else given))
-        methods = tuple(_choice("methods", one, Method) for one in names)
-        object.__setattr__(self, "methods", methods)
+        given: Any = self.methods  # people write names, or 'all', or one text such as 'm1,m5'
+        given = given.split(",") if isinstance(given, str) else given
+        names = {str(one).strip().upper() for one in given}
+        methods = (_choice("methods", one, Method) for one in sorted(names))
+        chosen = AVAILABLE if names == {"ALL"} else tuple(methods)
+        object.__setattr__(self, "methods", chosen)
         for name, allowed in (("prompt", PROMPTS), ("runtime", RUNTIMES)):
             if getattr(self, name) not in allowed:
                 raise _no_choice(name, getattr(self, name), allowed)
@@ -135,29 +137,3 @@ def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> CucumberVisio
     return CucumberVisionError(
         f"{value!r} is no {name}", source=name, remedy=f"give {' or '.join(allowed)}"
     )
-
-
-def parse_methods(text: str) -> tuple[Method, ...]:
-    """Read 'all' or a list such as 'm1,m5'.
-
-    Raises
-    ------
-    CucumberVisionError
-        For a name that is no method.
-
-    Examples
-    --------
-    >>> [str(m) for m in parse_methods("m5,M1")]
-    ['M1', 'M5']
-    """
-    if text.strip().lower() == "all":
-        return AVAILABLE
-    names = {part.strip().upper() for part in text.split(",") if part.strip()}
-    unknown = names - {str(m) for m in AVAILABLE}
-    if unknown or not names:
-        raise CucumberVisionError(
-            f"no method is called {', '.join(sorted(unknown)) or repr(text)}",
-            source="--methods",
-            remedy=f"give all, or some of {', '.join(m.lower() for m in AVAILABLE)}",
-        )
-    return tuple(m for m in AVAILABLE if str(m) in names)

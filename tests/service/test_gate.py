@@ -6,6 +6,8 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -14,15 +16,17 @@ pytest.importorskip("fastapi")
 import uvicorn
 from starlette.testclient import TestClient
 
+from cucumbervision.pipeline.finders import Finder
 from cucumbervision.pipeline.measurer import Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.service.app import create_app
 from cucumbervision.service.gate import HeadLimit
 from cucumbervision.service.server import ServiceSettings
+from cucumbervision.service.work import Work
 
 MEASURER = Measurer(MeasureOptions(instances="dataset"))
 HEAD = (
-    b"POST /measure HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5000\r\n"
+    b"POST /measure HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: %d\r\n"
     b"Content-Type: multipart/form-data; boundary=x\r\n\r\n"
 )
 
@@ -63,21 +67,23 @@ class Quick(HeadLimit):
     head_s = 0.5
 
 
-@pytest.fixture
-def port() -> Iterator[int]:
-    """A server that waits for half a second at most."""
+@contextmanager
+def listening(measurer: Measurer) -> Iterator[int]:
+    """Serve on a port; what does not come on is waited for half a second at most."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         number: int = free.getsockname()[1]
-    app = create_app(MEASURER, ServiceSettings(silence_s=0.5))
+    app = create_app(measurer, ServiceSettings(silence_s=0.5))
     server = uvicorn.Server(uvicorn.Config(app, port=number, http=Quick, log_level="critical"))
     thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:
         time.sleep(0.01)
-    yield number
-    server.should_exit = True
-    thread.join()
+    try:
+        yield number
+    finally:
+        server.should_exit = True
+        thread.join()
 
 
 def answer(port: int, *sent: bytes) -> bytes:
@@ -88,12 +94,43 @@ def answer(port: int, *sent: bytes) -> bytes:
         return b"".join(iter(lambda: connection.recv(4096), b""))
 
 
-def test_who_sends_no_whole_head_or_body_is_not_waited_for(port: int) -> None:
-    assert answer(port) == b""
-    assert answer(port, HEAD[:40]) == b""
-    told = answer(port, HEAD, b"--x\r\n")
-    assert told.startswith(b"HTTP/1.1 408 ")
-    assert b"the body does not come on" in told
-    # The head of a second request on the same connection counts, too.
-    health = b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n"
-    assert answer(port, health, health[:30]).count(b"HTTP/1.1 200") == 1
+def test_who_sends_no_whole_head_or_body_is_not_waited_for() -> None:
+    with listening(MEASURER) as port:
+        assert answer(port) == b""
+        assert answer(port, HEAD % 5000, b"--x\r\n").startswith(b"HTTP/1.1 408 ")
+        assert answer(port, HEAD[:40]) == b""
+        # The head of a second request on the same connection counts, too.
+        health = b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n"
+        assert answer(port, health, health[:30]).count(b"HTTP/1.1 200") == 1
+
+
+def test_a_client_that_leaves_the_queue_is_not_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on, queued, turn = threading.Event(), threading.Semaphore(0), Work.turn
+
+    def noted_turn(*given: Any) -> Any:
+        queued.release()
+        return turn(*given)
+
+    class Slow(Measurer):
+        def load(self) -> Finder:
+            go_on.wait(60)
+            return super().load()
+
+    monkeypatch.setattr(Work, "turn", noted_turn)
+    part = b'--x\r\nContent-Disposition: form-data; name="files"; filename="a"\r\n\r\na\r\n--x--'
+    with listening(Slow(MEASURER.options)) as port:
+        first, second = (socket.create_connection(("127.0.0.1", port)) for _ in range(2))
+        for connection in (first, second):
+            connection.sendall(HEAD % len(part) + part)
+            assert queued.acquire(timeout=60)
+        second.close()
+        go_on.set()
+        with first:
+            assert first.recv(4096).startswith(b"HTTP/1.1 200 ")
+        left = b'cucumbervision_requests_total{path="/measure",status="499"} 1.0'
+        ask = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+        for _ in range(600):
+            if left in answer(port, ask):
+                return
+            time.sleep(0.05)
+    raise AssertionError("it was served, or never counted")

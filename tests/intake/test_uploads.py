@@ -225,6 +225,11 @@ def test_zips_that_lead_elsewhere_are_refused_whole(
     assert files_in(tmp_path) == ["in"]
 
 
+def test_members_in_very_many_folders_are_refused(tmp_path: Path, depth_png: bytes) -> None:
+    got = send(tmp_path, a__zip=zip_of(("a/" * 900 + "depth_1.png", depth_png)))
+    assert "more than 32 folders" in faults(got)["a.zip"]
+
+
 def test_members_of_one_name_are_refused(tmp_path: Path, depth_png: bytes) -> None:
     got = send(tmp_path, a__zip=zip_of(("depth_1.png", depth_png), ("./depth_1.png", depth_png)))
     assert "two members of one name" in faults(got)["a.zip"]

@@ -6,7 +6,6 @@ import hashlib
 import math
 import time
 from collections import Counter
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.exports.fruit_pictures import fruit_pictures
 from cucumbervision.exports.tables import RoundTables, Table
-from cucumbervision.measurement.result import Method, flag_remarks
+from cucumbervision.measurement.result import flag_remarks
 from cucumbervision.pipeline.fields import utc
 from cucumbervision.rounds.from_store import read_round
 from cucumbervision.rounds.fruit_table import fruit_table, hanging_lengths_m, round_figures
@@ -94,17 +93,20 @@ def round_tables(
     measured_with = store.artifacts(round_key)
     called = profile_name or (profile.title if profile else view.record.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
-    beside = _Beside(
-        {key: name for key, (name, _) in kept.items()},
-        {key: _hashes(used) for key, used in measured_with.items()},
-    )
+    hashes = {key: _hashes(used) for key, used in measured_with.items()}
     today_s = day_0_s(view, now_s)
     lines: dict[str, Iterable[Any]] = {
         "summary": [_summary(view, content, table, row_reports(content), forecast, called)],
         "rows": row_reports(content),
-        "fruit": _fruit_lines(table, store.measurements(round_key), profile, forecast, beside),
+        "fruit": (
+            {**line, "picture": kept.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
+            for key, stop_key, line in _fruit_lines(
+                table, store.measurements(round_key), profile, forecast
+            )
+        ),
         "stops": (
-            {"number": n, "stop": one, **beside.of(one.key, one.key)}
+            {"number": n, "stop": one, "picture": kept.get(one.key, ("",))[0]}
+            | {"hashes": hashes.get(one.key)}
             for n, one in enumerate(content.stops, 1)
         ),
         "forecast": [] if forecast is None else _forecast_lines(forecast, today_s),
@@ -158,20 +160,6 @@ def _pictures(
     return found
 
 
-@dataclass(frozen=True)
-class _Beside:
-    """Names of small pictures by what they show, and hashes of what stops were measured with."""
-
-    pictures: Mapping[str, str]
-    hashes: Mapping[str, Mapping[str, str]]
-
-    def of(self, stop_key: str, shows: str) -> Line:
-        return {
-            "picture": self.pictures.get(shows),
-            "hashes": self.hashes.get(stop_key),
-        }
-
-
 def _hashes(used: Sequence[ArtifactRecord]) -> dict[str, str]:
     """Return hashes by kind, several joined by blanks."""
     return {
@@ -218,27 +206,16 @@ def _summary(
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
-    found = round_figures(content, table)
     return {
-        "round": view.record.name,
-        "round_key": view.key,
-        "house": view.record.house,
-        "started_utc": view.record.started_s,
+        "view": view,
+        "figures": round_figures(content, table),
         "profile": profile,
         "rows": len({stop.row for stop in content.stops if stop.row is not None}),
         "stops": len(content.stops),
         "captures": sum(stop.captures for stop in content.stops),
-        "detections": found.detections,
-        "fruit": found.fruit,
-        "measured": found.measured,
-        "picked": found.picked,
         "expected_fruit": sum(row.count.expected for row in reports),
         "expected_fruit_sd": math.hypot(*(row.count.sd for row in reports)),
         "failures": sum(stop.failures for stop in content.stops),
-        "mean_length_cm": found.mean_m,
-        "sd_length_cm": found.sd_m,
-        "shortest_cm": found.shortest_m,
-        "longest_cm": found.longest_m,
         "ready_today": None if forecast is None else work_of(pick_list(forecast)).fruit,
         "simulated": any(line.view.simulated for line in table),
     }
@@ -249,23 +226,22 @@ def _fruit_lines(
     methods: Mapping[str, Sequence[MethodRecord]],
     profile: CropProfile | None,
     forecast: Forecast | None,
-    beside: _Beside,
-) -> Iterator[Line]:
+) -> Iterator[tuple[str, str, Line]]:
+    """Return key, stop and line of each fruit."""
     ready: dict[str, float] = {}
     if forecast is not None:
         ids = (one.fruit_id for one in forecast.fruit)
         ready = dict(zip(ids, forecast.ready.tolist(), strict=True))
     for one in table:
         view = one.view
-        by_method = {method.method.upper(): method.length_m for method in methods.get(view.key, ())}
-        yield {
+        line = {
             **vars(one),
             **_grade_cells(one, profile),
             "ready": ready.get(view.key),
             "remarks": _remarks(one),
-            "methods": {str(method): by_method.get(str(method)) for method in Method},
-            **beside.of(view.stop_key, view.key),
+            "methods": {each.method.upper(): each.length_m for each in methods.get(view.key, ())},
         }
+        yield view.key, view.stop_key, line
 
 
 def _grade_cells(one: RoundFruit, profile: CropProfile | None) -> Line:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.intake.limits import Limits
 
-_LONGEST = 120
+_LONGEST, _DEEPEST = 120, 32
 _CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 
 
@@ -51,7 +51,7 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
     Raises
     ------
     UploadError
-        If it leads out of the zip, or is no name.
+        If it leads out of the zip, is no name, or is nested too deeply.
 
     Examples
     --------
@@ -71,6 +71,12 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
             f"a member's name leads out of the zip ({clean_name(name)!r})",
             source=archive,
             remedy="pack the captures' folder anew",
+        )
+    if len(parts) > _DEEPEST:
+        raise UploadError(
+            f"has a file in more than {_DEEPEST} folders, one in the other",
+            source=archive,
+            remedy="pack the captures' folder alone",
         )
     return PurePosixPath(*(clean_name(part) for part in parts if part not in ("", ".")))
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from demo_captures import CAMERA, SCENES, build_scene
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from PIL import Image
@@ -32,9 +33,8 @@ from cucumbervision.measurement.methods import Region, run_methods
 from cucumbervision.measurement.result import Measurement, Method
 from cucumbervision.measurement.traits import TubeTraits
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.benchmark.plots import STYLES
+from cucumbervision_lab.benchmark.page import STYLES
 from cucumbervision_lab.synthesis.bodies import Tube
-from cucumbervision_lab.synthesis.demo import CAMERA, SCENES, build_scene
 from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import pytest
+from demo_captures import SCENES, place
 
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.capture.frames import Stop
@@ -27,7 +28,6 @@ from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store
 from cucumbervision.store.views import Verdict
-from cucumbervision_lab.synthesis.demo import SCENES, place
 
 if TYPE_CHECKING:
     from pathlib import Path

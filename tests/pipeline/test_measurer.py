@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from demo_captures import CAMERA
 
 from cucumbervision.calibration.calibration_file import (
     CalibratedCamera,
@@ -46,7 +47,6 @@ from cucumbervision.pipeline.measurer import (
 )
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision_lab.synthesis.demo import CAMERA
 
 
 def entry(

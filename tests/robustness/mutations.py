@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import sqlite3
 import struct
+import warnings
+import zipfile
 import zlib
 from contextlib import closing
 from copy import deepcopy
@@ -27,7 +30,14 @@ _RAW = {
     "@deep object": '{"a":' * 5000 + "1" + "}" * 5000,
     "@huge": "1e400",
     "@half a letter": '"\\ud800"',
+    "@hundreds of digits": "9" * 400,
+    "@minus hundreds of digits": "-" + "9" * 400,
 }
+_NUMBERS = (
+    *("@huge", "@digits", "@hundreds of digits", "@minus hundreds of digits", 0, -1, 2**31, 2**63),
+    *(5e-324, 1e-300, 1e-30, 1e30, 1e300, 1.7e308, -1e-300, -1e300, float("nan"), float("-inf")),
+)
+"""Numbers at the ends of what a float, an integer and JSON hold."""
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 2, 0.5, -0.5, 1e-300, 1e308, -1e308, 2**31, 2**63, 2**64),
     *(
@@ -48,8 +58,10 @@ _VALUES: tuple[Any, ...] = (
     *([0] * 3, [1e308] * 6, ["a", 1], *_RAW),
 )
 _CELLS = (None, 0, -1, 1e308, 2**62, "", "x" * 400, b"\xff\0", "2999-99-99", "nan")
+_NO_TEXTS = ("ff", "c3", "eda080", "00", "efbfbf")  # hexadecimal; no UTF-8, or none to be written
 _WORDS = (
     *("", "0", "-1", "1e400", "nan", "inf", "9" * 6000, "1,5", "1.234,5", "'", '"', '"""', "=1"),
+    *("9" * 400, "-" + "9" * 400, "1e-300", "1e300", "-1e300", "5e-324"),
     *("x" * 400, "true", "[]", "{}", "#", ";", "\t", "\0", "é", "²", "१", "0x10", "1_000", "None"),
 )
 
@@ -80,7 +92,7 @@ def damaged(data: bytes, ending: str, random: Random) -> bytes:
 def _kinds(ending: str, data: bytes) -> tuple[Callable[[bytes, Random], bytes], ...]:
     raw = (_flip, _cut, _boundary, _copy_piece, _zeros)
     if ending == "json":
-        return (*[_json] * 8, _word, _encoding, _flip, _cut)
+        return (*[_json] * 8, *[_number] * 4, _word, _encoding, _flip, _cut)
     if ending == "jsonl":
         return (*[_json_line] * 6, _word, _lines, _encoding, _flip, _cut)
     if ending == "yaml" and b"&a" not in data:
@@ -88,9 +100,15 @@ def _kinds(ending: str, data: bytes) -> tuple[Callable[[bytes, Random], bytes], 
     if ending in _TEXTS:
         return (*[_word] * 5, _lines, _cells, _cells, _encoding, _flip, _cut, _copy_piece)
     if ending == "db":
-        return (*[_row] * 6, *raw)
+        return (*[_row] * 6, *[_no_text] * 2, *raw)
     if data.startswith(_PNG):
         return (*[_png] * 4, *raw)
+    if data.startswith(b"\xff\xd8"):
+        return (*[_jpeg_head] * 2, *raw)
+    if data.startswith((b"II*\0", b"MM\0*")):
+        return (*[_tiff_head] * 3, *raw)
+    if ending == "npz":
+        return (*[_numpy_head] * 3, *[_members] * 3, *raw, _word)
     if data.startswith((b"\x93NUMPY", b"PK")):
         return (*[_numpy_head] * 3, *raw, _word, _member)
     return raw
@@ -157,6 +175,68 @@ def _png(data: bytes, random: Random) -> bytes:
         for name, body in chunks
     )
     return _PNG + b"".join(written)
+
+
+def _jpeg_head(data: bytes, random: Random) -> bytes:
+    """Change the height or the width that a JPEG's head says."""
+    head = re.search(rb"\xff[\xc0-\xc2]..\x08", data, re.DOTALL)
+    if head is None:
+        return _flip(data, random)
+    at = head.end() + random.choice((0, 2))
+    side = random.choice((0, 1, 2, 1000, 20_000, 65_535))
+    return data[:at] + side.to_bytes(2, "big") + data[at + 2 :]
+
+
+def _tiff_head(data: bytes, random: Random) -> bytes:
+    """Change, double or remove one tag of a TIFF's first directory."""
+    order: Any = "little" if data.startswith(b"II") else "big"
+    start = int.from_bytes(data[4:8], order)
+    count = int.from_bytes(data[start : start + 2], order)
+    if not 0 < count < 200:
+        return _flip(data, random)
+    at = start + 2 + 12 * random.randrange(count)
+    tag = bytearray(data[at : at + 12])
+    what = random.randrange(4)
+    if what == 0:  # its value: a size, a place or a kind
+        value = random.choice((0, 1, 65_535, 2**20, 2**31 - 1, 2**32 - 1))
+        tag[8:12] = value.to_bytes(4, order)
+    elif what == 1:  # how many values it has
+        tag[4:8] = random.choice((0, 2, 2**31, 2**32 - 1)).to_bytes(4, order)
+    elif what == 2:  # its type
+        tag[2:4] = random.choice((0, 1, 2, 3, 4, 5, 11, 12, 13, 999)).to_bytes(2, order)
+    else:  # said twice
+        tag = bytearray(data[start + 2 : start + 14])
+    return data[:at] + bytes(tag) + data[at + 12 :]
+
+
+def _members(data: bytes, random: Random) -> bytes:
+    """Rename, double or drop a member of an archive of arrays, or put one in that is none."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = [(one.filename, archive.read(one)) for one in archive.infolist()]
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError, NotImplementedError, zlib.error):
+        return _flip(data, random)
+    if not members:
+        return _flip(data, random)
+    k = random.randrange(len(members))
+    name, body = members[k]
+    names = (name.removesuffix(".npy"), f"{name}.txt", "a/", "../x.npy", "depth.NPY", "²" * 80)
+    what = random.randrange(5)
+    if what == 0:
+        members[k] = random.choice(names), body
+    elif what == 1:
+        members.append((name, body))
+    elif what == 2:
+        members.append((random.choice(names), random.choice((b"", b"no array", body[:40]))))
+    elif what == 3:
+        del members[k]
+    else:
+        members[k] = name, _numpy_head(body, random)
+    out = io.BytesIO()
+    with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(out, "w") as archive:
+        for one, content in members:
+            archive.writestr(one, content)
+    return out.getvalue()
 
 
 def _numpy_head(data: bytes, random: Random) -> bytes:
@@ -275,6 +355,49 @@ def _row(data: bytes, random: Random) -> bytes:
             return bytes(connection.serialize())
     except (sqlite3.Error, IndexError, OverflowError, MemoryError):  # as SQLite calls damage too
         return _flip(data, random)
+
+
+def _no_text(data: bytes, random: Random) -> bytes:
+    """Put bytes that are no text into a text column of an SQLite file."""
+    head = bytearray(data)
+    if len(head) > 20:
+        head[18:20] = b"\1\1"  # in memory there is no write-ahead log
+    try:
+        with closing(sqlite3.connect(":memory:")) as connection:
+            connection.deserialize(bytes(head))
+            connection.execute("PRAGMA ignore_check_constraints = ON")
+            tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+            table = random.choice([name for (name,) in tables.fetchall()])
+            columns = connection.execute(f'PRAGMA table_info("{table}")').fetchall()
+            texts = [name for _, name, kind, *_ in columns if "CHAR" in kind or "TEXT" in kind]
+            column, put = random.choice(texts), random.choice(_NO_TEXTS)
+            connection.execute(f'UPDATE "{table}" SET "{column}" = CAST(x\'{put}\' AS TEXT)')
+            connection.commit()
+            return bytes(connection.serialize())
+    except (sqlite3.Error, IndexError, OverflowError, MemoryError):
+        return _flip(data, random)
+
+
+def _number(data: bytes, random: Random) -> bytes:
+    """Change one number, in a list of numbers or alone, to one at the ends of its kind."""
+    try:
+        tree = [json.loads(data)]
+    except (ValueError, RecursionError):
+        return _flip(data, random)
+    places: list[tuple[Any, Any]] = []
+    waiting: list[Any] = [tree]
+    while waiting:
+        node = waiting.pop()
+        for key, value in list(node.items() if isinstance(node, dict) else enumerate(node))[:400]:
+            if isinstance(value, dict | list):
+                waiting.append(value)
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                places.append((node, key))
+    if not places:
+        return _flip(data, random)
+    node, key = random.choice(places)
+    node[key] = random.choice(_NUMBERS)
+    return _written(tree[0]).encode("utf-8", errors="replace")
 
 
 def _json(data: bytes, random: Random) -> bytes:

@@ -445,7 +445,7 @@ def _data_set(folder: Path) -> Any:
 
 def coco_set(folder: Path) -> None:
     """Write a data set in the hub form, and its pictures' fragments."""
-    from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment
+    from cucumbervision_lab.datasets.coco import write_coco, write_fragment
 
     data = write_coco(_data_set(folder), folder)
     for k, picture in enumerate(data.pictures):
@@ -454,10 +454,10 @@ def coco_set(folder: Path) -> None:
 
 def yolo_set(folder: Path) -> None:
     """Write a data set as Ultralytics reads it."""
-    from cucumbervision_lab.datasets.yolo_writer import write_yolo
+    from cucumbervision_lab.datasets.yolo import write_yolo
 
     spare = folder / "spare"
-    write_yolo(_data_set(spare), folder, "pose", link=False, paint_ignored=())
+    write_yolo(_data_set(spare), folder, "pose", link=False)
     shutil.rmtree(spare)
 
 

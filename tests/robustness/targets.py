@@ -232,7 +232,6 @@ def _published(folder: Path, name: str) -> None:
 
 
 def _data_set(folder: Path, _name: str) -> None:
-    from cucumbervision_lab.datasets.card import dataset_card
     from cucumbervision_lab.datasets.checks import check_folder
     from cucumbervision_lab.datasets.coco import collect_fragments
 
@@ -242,7 +241,6 @@ def _data_set(folder: Path, _name: str) -> None:
     for picture in data.pictures:
         for label in picture.labels:
             _ = label.mask, label.amodal
-    dataset_card(data)
 
 
 def _records(folder: Path, _name: str) -> None:
@@ -311,7 +309,7 @@ TARGETS: tuple[Target, ...] = (
     Target("poses", seeds.poses, _poses, 450),
     Target("runs", seeds.run, _run, 200),
     Target("calibration", seeds.calibration, _calibration, 450),
-    Target("store files", seeds.store, _store, 5),
+    Target("store files", seeds.store, _store, 25),
     Target("ONNX", seeds.network, _network, 300),
     Target("own networks", seeds.own_networks, _registry, 100),
     Target("judged networks", seeds.judgement, _judgement, 100, whole=False),

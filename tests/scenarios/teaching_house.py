@@ -39,8 +39,7 @@ from cucumbervision.rounds.stop_records import stored_capture
 from cucumbervision.store.records import RoundRecord, key_of
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import DetectionFilter, DetectionView, Verdict
-from cucumbervision_lab.datasets.coco import picture_of
-from cucumbervision_lab.datasets.coco_writer import write_fragment
+from cucumbervision_lab.datasets.coco import picture_of, write_fragment
 from cucumbervision_lab.datasets.from_store import dataset_from_store
 from cucumbervision_lab.datasets.labels import Label
 from cucumbervision_lab.synthesis.appearance import Assets, Style

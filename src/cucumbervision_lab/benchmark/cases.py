@@ -14,8 +14,7 @@ from cucumbervision_lab.synthesis.appearance import Assets, random_style
 from cucumbervision_lab.synthesis.bodies import Tube, random_fruit, rotation, variety_of
 from cucumbervision_lab.synthesis.color_camera import Exposure, expose
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.leaves import Leaf
-from cucumbervision_lab.synthesis.raycast import Plane
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane
 from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, View, render, truth_of
 from cucumbervision_lab.synthesis.shading import shade
 

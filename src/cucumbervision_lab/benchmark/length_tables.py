@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from cucumbervision.accuracy.statistics import Estimate, Metrics, estimate, score
+from cucumbervision.accuracy.statistics import Estimate, estimate, score
 from cucumbervision.accuracy.table import Cell, Table
 from cucumbervision.measurement.result import LengthDefinition
 
@@ -27,7 +27,6 @@ DESCRIPTIONS = {
     "M6 chord": "swept tube, chord",
     "skan": "longest skeleton path",
     "PlantCV": "longest skeleton segment",
-    "rectangle": "smallest rectangle",
     "selector best": "what this program reports",
     "selector paper": "what the paper's selector reports",
 }
@@ -100,14 +99,6 @@ def shown_methods(scored: pd.DataFrame, truth: LengthDefinition) -> list[str]:
     methods = list(scored["method"].cat.categories)
     doubled = "M6" if f"M6 {truth}" in methods else None
     return [m for m in methods if m != doubled and not m.startswith("selector")]
-
-
-def method_metrics(scored: pd.DataFrame) -> dict[str, Metrics]:
-    """Compute each method's metrics on the captures that it was run on, in the tables' order."""
-    return {
-        str(method): score(part["length_m"], part["true_m"])
-        for method, part in scored.groupby("method", observed=True)
-    }
 
 
 _ACCURACY = {

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import MissingExtraError
+from cucumbervision_lab.benchmark.length_tables import against, shown_methods
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import pandas as pd
     from jinja2 import Template
+    from matplotlib.figure import Figure
+
+    from cucumbervision.measurement.result import LengthDefinition
 
 HTML_NAME = "report.html"
 JSON_NAME = "benchmark.json"
@@ -156,3 +164,132 @@ def _template() -> Template:
     environment.filters["anchor"] = _anchor
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return environment.get_template("report.html")
+
+
+_DPI = 110
+_WIDTH_IN = 10.0
+_FEW_CAPTURES = 200  # drawn as larger dots
+# Okabe and Ito's colours, suitable for colour-blind readers; each method also has its marker.
+STYLES: dict[str, tuple[str, str, str]] = {
+    "M1": ("#E69F00", "v", "-"),
+    "M2": ("#56B4E9", "s", "-"),
+    "M3": ("#009E73", "D", "-"),
+    "M4": ("#CC79A7", "^", "-"),
+    "M5": ("#0072B2", "o", "-"),
+    "M6": ("#D55E00", "*", "-"),
+    "skan": ("#777777", "x", ":"),
+    "PlantCV": ("#777777", "+", "--"),
+}
+
+
+_SMALLEST_CM = 0.001  # what a logarithmic axis starts at
+
+
+def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
+    """Plot each method's lengths against the truth, one small picture a method, with y = x.
+
+    Parameters
+    ----------
+    readings : DataFrame
+        Of one suite and one kind of masks, as `readings_frame` gives them.
+    truth : LengthDefinition
+        The true length to compare with.
+
+    Returns
+    -------
+    bytes
+        A PNG. What a method did not measure stands on the bottom line.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    scored = against(readings, truth)
+    methods = shown_methods(scored, truth)
+    columns = min(4, len(methods))
+    lines = -(-len(methods) // columns)
+    figure = new_figure(2.6 * lines + 0.5)
+    axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    drawn = scored[scored["method"].isin(methods)]
+    top = 100 * float(drawn[["true_m", "length_m"]].max().max())
+    for ax, method in zip(axes.flat, methods, strict=False):
+        read, (colour, marker, _) = drawn[drawn["method"] == method], method_style(method)
+        refused = int(read["length_m"].isna().sum())
+        ax.plot([0, top], [0, top], color="black", linewidth=0.8)
+        lengths_cm = 100 * read["length_m"].fillna(0)
+        ax.scatter(100 * read["true_m"], lengths_cm, s=16, c=colour, marker=marker, alpha=0.7)
+        ax.set_title(f"{method}: {refused} not measured" if refused else method, fontsize=10)
+        ax.set_xlim(0, 1.03 * top)
+        ax.set_ylim(-0.03 * top, 1.03 * top)
+        ax.grid(alpha=0.3)
+    for ax in axes.flat[len(methods) :]:
+        ax.set_visible(False)
+    figure.supxlabel(f"true {truth} (cm)")
+    figure.supylabel("measured (cm)")
+    return as_png(figure)
+
+
+def error_spread(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
+    """Plot each method's absolute errors as a box and every capture as a dot.
+
+    Parameters
+    ----------
+    readings, truth
+        As for `predicted_against_truth`. What was not measured has its whole length as error.
+    """
+    scored = against(readings, truth)
+    methods = shown_methods(scored, truth)
+    figure = new_figure(0.5 * len(methods) + 1.4)
+    ax = figure.subplots()
+    rng = np.random.default_rng(0)
+    for k, method in enumerate(reversed(methods)):
+        errors = scored.loc[scored["method"] == method, "error_cm"].clip(lower=_SMALLEST_CM)
+        colour, _, _ = method_style(method)
+        jitter = k + rng.uniform(-0.25, 0.25, len(errors))
+        size = 24 if len(errors) <= _FEW_CAPTURES else 9
+        ax.scatter(errors, jitter, s=size, c=colour, alpha=0.6, linewidths=0, zorder=3)
+        ax.boxplot(
+            [errors],
+            positions=[k],
+            orientation="horizontal",
+            widths=0.6,
+            showfliers=False,
+            whis=(5, 95),
+            manage_ticks=False,
+            medianprops={"color": "black", "linewidth": 2, "zorder": 4},
+        )
+    ax.set_yticks(range(len(methods)), reversed(methods))
+    ax.set_xscale("log")
+    ticks = [0.001, 0.01, 0.1, 1.0, 10.0]
+    ax.set_xticks(ticks, ["0.01 mm", "0.1 mm", "1 mm", "1 cm", "10 cm"])
+    ax.set_xlabel(f"absolute error against the true {truth} (each mark is ten times the last)")
+    ax.grid(alpha=0.3, axis="x")
+    return as_png(figure)
+
+
+def method_style(method: str) -> tuple[str, str, str]:
+    """Return a method's colour, marker and line."""
+    return STYLES.get(method) or STYLES.get(method.split()[0]) or ("#777777", ".", "-")
+
+
+def new_figure(height_in: float) -> Figure:
+    """Return an empty figure of the report's width.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        raise MissingExtraError("matplotlib", "benchmark") from None
+    return Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, layout="constrained")
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return a figure drawn as PNG, the same bytes for the same figure."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()

@@ -35,8 +35,11 @@ def benchmark(
     and a stress set of independent fruit: tilted, bent, half hidden, far, wet, in the sun.
     """
     from cucumbervision_lab.benchmark import run
-    from cucumbervision_lab.benchmark.paper import paper_table
-    from cucumbervision_lab.benchmark.report import glance_table, write_benchmark_report
+    from cucumbervision_lab.benchmark.report import (
+        glance_table,
+        paper_table,
+        write_benchmark_report,
+    )
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
 
     if learn_intervals is not None:

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cucumbervision.cli.choices import PromptChoice, RuntimeChoice
-
 if TYPE_CHECKING:
     from cucumbervision_lab.datasets.labels import DataSet
 
@@ -38,9 +36,6 @@ _WIDE = 500  # one line a finding, for files and pipes
 def check(
     folder: Folder,
     names: Names = "",
-    no_duplicates: Annotated[
-        bool, typer.Option("--no-duplicates", help="Do not look for copies across splits.")
-    ] = False,
 ) -> None:
     """List everything that is wrong with a set; exit code 1 if anything is."""
     from rich.table import Table
@@ -51,9 +46,7 @@ def check(
     from cucumbervision_lab.datasets.checks import check_folder
 
     with ticking("looking") as tick:
-        dataset, findings = check_folder(
-            folder, _list(names), duplicates=not no_duplicates, progress=tick
-        )
+        dataset, findings = check_folder(folder, _list(names), progress=tick)
     console = screen(_WIDE)
     if findings:
         table = Table("kind", "where", "fault", "remedy")
@@ -93,16 +86,8 @@ def convert(
     splits: Annotated[
         str, typer.Option(help="YOLO: which splits to write, by commas.", metavar="A,B")
     ] = "train,val,test",
-    no_paint: Annotated[
-        bool,
-        typer.Option("--no-paint", help="YOLO: leave regions to ignore visible in train too."),
-    ] = False,
 ) -> None:
-    """Write a set in another form.
-
-    YOLO has no 'ignore': such regions are painted over in the written train
-    pictures, and only there.
-    """
+    """Write a set in another form."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.datasets.derive import convert_dataset, parse_keep
 
@@ -117,7 +102,6 @@ def convert(
             licence=licence,
             link=not copy,
             splits=_list(splits),
-            paint_ignored=() if no_paint else ("train",),
             progress=tick,
         )
     show(line)
@@ -144,7 +128,7 @@ def split(
 
     from cucumbervision.cli.console import screen
     from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.coco_writer import write_coco
+    from cucumbervision_lab.datasets.coco import write_coco
     from cucumbervision_lab.datasets.labels import SPLITS
     from cucumbervision_lab.datasets.splits import (
         find_scenes,
@@ -175,21 +159,16 @@ def pseudo(
     folder: Folder,
     out: OutOrSame = None,
     names: Names = "",
-    model: Annotated[str, typer.Option(help="mobile-sam or sam-vit-b.")] = "mobile-sam",
-    prompt: Annotated[
-        PromptChoice, typer.Option(help="What SAM is shown of a fruit.")
-    ] = "box+point",
-    runtime: Annotated[RuntimeChoice, typer.Option(help="What runs it.")] = "auto",
     copy: Copy = False,
 ) -> None:
     """Draw masks by SAM where there are only boxes, marked as pseudo-labels; never in test."""
     from cucumbervision.perception.networks import open_segmenter
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.coco_writer import write_coco
+    from cucumbervision_lab.datasets.coco import write_coco
     from cucumbervision_lab.datasets.derive import add_pseudo_masks
 
     dataset = _open(folder, names)
-    segmenter = open_segmenter(model, runtime=runtime, prompt=prompt)
+    segmenter = open_segmenter()
     with ticking("drawing", len(dataset.pictures)) as tick:
         drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
     written = write_coco(drawn.dataset, out or dataset.folder, link=not copy)
@@ -209,8 +188,6 @@ def windows(
         int, typer.Option(min=32, help="Side of a window, pixels; larger where a fruit is.")
     ] = 480,
     names: Names = "",
-    splits: Annotated[str, typer.Option(help="Whose pictures to cut, by commas.")] = "train",
-    seed: Annotated[int, typer.Option(min=0, help="The same seed cuts the same windows.")] = 0,
 ) -> None:
     """Cut windows around fruit: small pictures to train on, as large as they are in large ones."""
     from cucumbervision_lab.cli.screen import show, ticking
@@ -218,7 +195,7 @@ def windows(
 
     dataset = _open(folder, names)
     with ticking("cutting", len(dataset.pictures)) as tick:
-        cut = write_windows(dataset, out, side, splits=_list(splits), seed=seed, progress=tick)
+        cut = write_windows(dataset, out, side, progress=tick)
     fruit = sum(not label.ignore for picture in cut.pictures for label in picture.labels)
     show(f"{len(cut.pictures)} windows with {fruit} fruit are in {out}")
     _finish(dataset)
@@ -248,7 +225,6 @@ def from_store(
     images: Annotated[
         Path | None, typer.Option(help="Folder of the store's pictures, where it is another.")
     ] = None,
-    shares: Annotated[str, typer.Option(help="Of places in train, val and test.")] = "60:20:20",
     licence: Annotated[str, typer.Option(help="Of the pictures; it is noted in the set.")] = "",
     copy: Copy = False,
 ) -> None:
@@ -263,11 +239,9 @@ def from_store(
     from cucumbervision.store.repository import open_store
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.datasets.from_store import dataset_from_store
-    from cucumbervision_lab.datasets.splits import parse_shares
 
-    parts = parse_shares(shares)
     with open_store(store, images=images, create=False) as opened:
-        made = dataset_from_store(opened, out, shares=parts, licence=licence, link=not copy)
+        made = dataset_from_store(opened, out, licence=licence, link=not copy)
     columns = ("accepted", "corrected", "added", "rejected", "unjudged")
     table = Table("split", "pictures", *columns, title=f"{out}: what was judged")
     for split, said in made.judged.items():

@@ -17,6 +17,6 @@ def pull(
 ) -> None:
     """Fetch a network from its publisher, check its hash and export it to ONNX."""
     from cucumbervision_lab.cli.screen import DownloadBar, show
-    from cucumbervision_lab.training.pull import pull_model
+    from cucumbervision_lab.training.export_sam import pull_model
 
     show(*pull_model(name, given=given, progress=DownloadBar(name)).values())

@@ -37,11 +37,9 @@ _SHOWN = (
 
 
 @contextmanager
-def ticking(
-    what: str, total: int | None = None, *, quiet: bool = False
-) -> Iterator[Callable[[int], None]]:
+def ticking(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Show a progress bar; the function that it gives is called with the number of steps done."""
-    with progress_bar(Console(stderr=True, quiet=quiet, highlight=False)) as bar:
+    with progress_bar(Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task(what, total=total)
         yield lambda count: bar.advance(task, count)
 

@@ -35,9 +35,6 @@ def synth(
     depth: Annotated[
         bool, typer.Option("--depth/--no-depth", help="Draw what a D435 reads, and exact depth.")
     ] = True,
-    scale_sd: Annotated[
-        float, typer.Option(min=0, max=0.1, help="Depth-scale error of the cameras, as a share.")
-    ] = 0.0,
     hard: Annotated[
         bool, typer.Option("--hard", help="Smaller, larger, more and more hidden fruit, to learn.")
     ] = False,
@@ -48,7 +45,6 @@ def synth(
         str, typer.Option(help="Put all frames into train, val or test instead of 70:15:15.")
     ] = "",
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
     """Draw cucumbers on plants, benches and in crates: colour, depth, masks, keypoints, lengths."""
     from cucumbervision_lab.cli.screen import show, ticking
@@ -62,15 +58,13 @@ def synth(
         paste=paste,
         onto=onto,
         depth=depth,
-        scale_sd=scale_sd,
         hard=hard,
         shares=shares,
         split=split,
     )
-    with ticking("drawing", options.frames, quiet=quiet) as tick:
+    with ticking("drawing", options.frames) as tick:
         data = generate(options, out, workers, tick)
-    if not quiet:
-        show(_contents(data, out))
+    show(_contents(data, out))
 
 
 def _contents(data: DataSet, out: Path) -> str:

@@ -34,25 +34,13 @@ Batch = Annotated[
 ]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu, or a CUDA card's number.")]
 Precision = Annotated[str, typer.Option("--precision", help="auto, f32 or bf16 (on the CPU).")]
-Freeze = Annotated[
-    int, typer.Option("--freeze", min=-1, help="Layers left as they are; -1: 6, on a card none.")
-]
 Seed = Annotated[int, typer.Option("--seed", help="Of the random numbers.")]
-Cache = Annotated[
-    str, typer.Option("--cache", help="Decoded pictures: ram, disk (beside them) or none.")
-]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="0: as many as cores.")]
 Workers = Annotated[int, typer.Option("--workers", min=0, help="Processes that load.")]
 Minutes = Annotated[
     float | None, typer.Option("--minutes", min=0, help="End after the epoch that passes this.")
 ]
-Check = Annotated[
-    bool, typer.Option("--check/--no-check", help="Refuse a data set with faults or leaks.")
-]
 Rate = Annotated[float, typer.Option("--learning-rate", min=0, help="At the beginning.")]
-OneToMany = Annotated[
-    float, typer.Option("--one-to-many", min=0.1, max=1, help="That head's share, at first.")
-]
 
 
 @app.command("pose", help="Train boxes and the five keypoints.")
@@ -68,44 +56,38 @@ def network(
     batch: Batch = 0,
     device: Device = "auto",
     precision: Precision = "auto",
-    freeze: Freeze = 0,
     seed: Seed = 0,
-    cache: Cache = "none",
     threads: Threads = 0,
     workers: Workers = 0,
     minutes: Minutes = None,
     learning_rate: Rate = 0.001,
-    one_to_many: OneToMany = 0.8,
-    check: Check = True,
 ) -> None:
     """Train a network for the task that the command is called by."""
-    _train(**locals())
-
-
-def _train(
-    context: typer.Context,
-    out: Path,
-    data: Path | None,
-    init: str | None,
-    plan: str | None,
-    per_epoch: int,
-    resume: bool,
-    **options: object,
-) -> None:
     from cucumbervision_lab.cli.screen import TrainConsole
     from cucumbervision_lab.training.settings import TrainOptions
     from cucumbervision_lab.training.train import train
 
+    options = TrainOptions(
+        batch=batch,
+        device=device,
+        precision=precision,
+        seed=seed,
+        threads=threads,
+        workers=workers,
+        minutes=minutes,
+        learning_rate=learning_rate,
+    )
+    task = str(context.info_name)
     with TrainConsole() as console:
         trained = train(
-            str(context.info_name),
+            task,
             data,
             out,
             init=init,
             plan=plan,
             per_epoch=per_epoch,
             resume=resume,
-            options=TrainOptions(**options),  # type: ignore[arg-type]
+            options=options,
             watcher=console,
         )
     console.close(trained)
@@ -180,16 +162,11 @@ def house(
         Path, typer.Option("--init", help="The weights to begin with: the shipped ones.")
     ] = Path("checkpoints/cucumber-seg.pt"),
     plan: Annotated[str, typer.Option("--plan", help="Sizes and pictures.")] = "640x6000",
+    learning_rate: Rate = 0.0003,
     per_epoch: PerEpoch = 200,
     share: Annotated[
         float, typer.Option("--share", min=0.05, max=0.95, help="Of pictures: the house's.")
     ] = 0.5,
-    drawn: Annotated[
-        int, typer.Option("--drawn", min=1, help="Frames drawn a source of the mixture, at most.")
-    ] = 200,
-    tested: Annotated[
-        int, typer.Option("--tested", min=1, help="Drawn frames, photos judged on, at most.")
-    ] = 256,
     batch: Batch = 0,
     device: Device = "auto",
     precision: Precision = "auto",
@@ -211,7 +188,7 @@ def house(
             out,
             photos=photos,
             init=init,
-            plan=HousePlan(plan, share, drawn, tested=tested, per_epoch=per_epoch),
+            plan=HousePlan(plan, share, per_epoch=per_epoch, learning_rate=learning_rate),
             options=TrainOptions(
                 batch=batch,
                 device=device,

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.files import read_json
 from cucumbervision.errors import CucumberVisionError, DataSetError
-from cucumbervision_lab.datasets.coco import ANNOTATIONS, ROBOFLOW, coco_files, read_coco
+from cucumbervision_lab.datasets.coco import ANNOTATIONS, ROBOFLOW, read_coco
 from cucumbervision_lab.datasets.labels import SPLITS, picture_size
-from cucumbervision_lab.datasets.polygons import crosses_itself
 from cucumbervision_lab.datasets.splits import (
     Fingerprint,
     copies,
     take_fingerprints,
     views_of_one_scene,
 )
-from cucumbervision_lab.datasets.yolo import find_yolo, label_file, read_label_line, read_yolo
+from cucumbervision_lab.datasets.yolo import read_yolo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -131,9 +129,7 @@ def check_folder(
         If it is no data set at all.
     """
     dataset = open_dataset(path, names)
-    crossing = _coco_crossings(path) if _is_coco(path) else _yolo_crossings(path, names)
-    rest = check_dataset(dataset, duplicates=duplicates, progress=progress)
-    return dataset, [*rest, *crossing]
+    return dataset, check_dataset(dataset, duplicates=duplicates, progress=progress)
 
 
 def check_dataset(
@@ -307,41 +303,3 @@ def _views_across(
         wanted=lambda i, j: pictures[loose[i]].split != pictures[loose[j]].split,
     )
     return [(loose[i], loose[j]) for i, j in pairs]
-
-
-def _yolo_crossings(path: Path, names: Sequence[str]) -> Iterator[Finding]:
-    found = find_yolo(path, names)
-    for file, _ in found.pictures:
-        labels = label_file(file)
-        if not labels.is_file():
-            continue
-        try:
-            width, height = picture_size(file)
-            lines = labels.read_text(encoding="utf-8").splitlines()
-        except (CucumberVisionError, ValueError, OSError):
-            continue  # the reader has refused it
-        for i, line in enumerate(lines, 1):
-            try:
-                _, polygon = read_label_line(line, found, width, height)
-            except ValueError:
-                continue
-            if polygon is not None and crosses_itself(polygon):
-                yield _crossing(f"{labels.relative_to(found.folder)}, line {i}")
-
-
-def _coco_crossings(path: Path) -> Iterator[Finding]:
-    for file in coco_files(path):
-        data: Any = read_json(file)
-        for i, item in enumerate(data.get("annotations", [])):
-            shape = item.get("segmentation") if isinstance(item, dict) else None
-            for part in shape if isinstance(shape, list) else []:
-                try:
-                    points = np.array(part, np.float64).reshape(-1, 2)
-                except (TypeError, ValueError, OverflowError):
-                    continue  # the reader has refused it
-                if len(points) > 2 and np.isfinite(points).all() and crosses_itself(points):
-                    yield _crossing(f"{file.name}, annotation {item.get('id', i)}")
-
-
-def _crossing(where: str) -> Finding:
-    return Finding("polygon", where, "its outline crosses itself", "draw it again")

@@ -11,9 +11,9 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.mask_codes import Rle
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import SPLITS, keep_classes, ticked
-from cucumbervision_lab.datasets.yolo_writer import write_yolo
+from cucumbervision_lab.datasets.yolo import write_yolo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -204,7 +204,6 @@ def convert_dataset(
     licence: str = "",
     link: bool = True,
     splits: Sequence[str] = SPLITS,
-    paint_ignored: Sequence[str] = ("train",),
     progress: Callable[[int], None] | None = None,
 ) -> str:
     """Write a set in another form.
@@ -220,7 +219,7 @@ def convert_dataset(
         As in `keep_classes`; all classes without it.
     source, licence : str
         Of pictures that state none.
-    link, splits, paint_ignored, progress
+    link, splits, progress
         As in `write_yolo`.
 
     Returns
@@ -250,17 +249,6 @@ def convert_dataset(
         written = write_coco(dataset, out, link=link, progress=progress)
         labels = sum(len(p.labels) for p in written.pictures)
         return f"{len(written.pictures)} pictures, {labels} labels in {out}"
-    done = write_yolo(
-        dataset,
-        out,
-        _TASKS[form],
-        splits=splits,
-        link=link,
-        paint_ignored=paint_ignored,
-        progress=progress,
-    )
+    done = write_yolo(dataset, out, _TASKS[form], splits=splits, link=link, progress=progress)
     parts = ", ".join(f"{count} {split}" for split, count in done.pictures.items())
-    return (
-        f"{parts}, {done.labels} labels, {done.painted} pictures painted over in part, "
-        f"{done.filled_holes} holes filled; give Ultralytics {done.data_yaml}"
-    )
+    return f"{parts}, {done.labels} labels; give Ultralytics {done.data_yaml}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,14 +21,12 @@ from cucumbervision.perception.mask_codes import Rle
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.store.images import DEPTH_UNIT_M
 from cucumbervision.store.views import Verdict
-from cucumbervision_lab.datasets.card import dataset_card
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import (
     SPLITS,
     DataSet,
     Label,
     LabelledPicture,
-    write_text,
 )
 
 if TYPE_CHECKING:
@@ -90,7 +88,6 @@ def dataset_from_store(
     store: Store,
     out: Path,
     *,
-    shares: Sequence[float] = _HOUSE_SHARES,
     licence: str = "",
     link: bool = True,
 ) -> StoreSet:
@@ -103,8 +100,6 @@ def dataset_from_store(
     out : Path
         Gets `images/`, `depth/`, `annotations.json` and the card, `README.md`. Pictures of an
         earlier set there that are in it no more stay on the disk.
-    shares : sequence of float, length 3
-        Of the places in train, val and test.
     licence : str
         Of the pictures.
     link : bool
@@ -121,7 +116,7 @@ def dataset_from_store(
     counts: dict[str, Counter[str]] = {}
     lost = 0
     for one in store.rounds():
-        for picture, said in _judged_captures(store, one, shares, licence):
+        for picture, said in _judged_captures(store, one, licence):
             if picture is None:
                 lost += 1
                 continue
@@ -135,7 +130,6 @@ def dataset_from_store(
         )
     dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out, link=link)
     judged = {split: JudgedFruit(**counts[split]) for split in SPLITS if split in counts}
-    write_text(out / "README.md", _card(dataset, judged))
     return StoreSet(dataset, judged, lost)
 
 
@@ -161,7 +155,7 @@ def _place_of(house: str, stop: StopRecord) -> str:
 
 
 def _judged_captures(
-    store: Store, one: RoundView, shares: Sequence[float], licence: str
+    store: Store, one: RoundView, licence: str
 ) -> Iterator[tuple[LabelledPicture | None, Counter[str]]]:
     """Yield a round's captures that a person has judged, None for one without its picture."""
     corrected = store.corrected(one.key)
@@ -194,7 +188,7 @@ def _judged_captures(
                 capture.height_px,
                 labels,
                 scene=place,
-                split=split_of_place(place, shares),
+                split=split_of_place(place),
                 source="synth" if capture.simulated else one.record.house or "own house",
                 licence=licence,
                 depth_file=None if capture.depth is None else _file(store, capture.depth),
@@ -235,25 +229,4 @@ def _label(record: DetectionRecord, capture: CaptureRecord, view: DetectionView)
         mask_code=code,
         cut_off="cut-by-frame" in record.flags.split(),
         ignore=not _is_judged(view),
-    )
-
-
-def _card(dataset: DataSet, judged: dict[str, JudgedFruit]) -> str:
-    columns = [one.name for one in fields(JudgedFruit)]
-    lines = [f"| split | {' | '.join(columns)} |", "|---" + "|--:" * len(columns) + "|"]
-    for split, said in judged.items():
-        lines.append(f"| {split} | {' | '.join(str(getattr(said, one)) for one in columns)} |")
-    return "\n".join(
-        [
-            dataset_card(dataset, "What a house's own people judged"),
-            "## What was said of the finds",
-            "",
-            *lines,
-            "",
-            "Masks are SAM's, reviewed when the fruit was accepted, or drawn anew at their tap "
-            "or box. A rejected find is background; one that nobody judged is to be ignored. "
-            "What was neither found nor added counts as background: review whole pictures. A "
-            f"scene is {_STRETCH_M:g} m of a row, and its split follows from its name alone.",
-            "",
-        ]
     )

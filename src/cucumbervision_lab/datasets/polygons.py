@@ -138,46 +138,6 @@ def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> Array | N
     return _straightened(join_parts(large))
 
 
-def crosses_itself(points: Array, slack: float = 2e-3) -> bool:
-    """Return whether two edges of a closed polygon cross, each going through the other.
-
-    Edges that only touch or lie on each other, as bridges between parts do, cross nothing.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, 2)
-        In pixels.
-    slack : float
-        How far an edge must reach through, in pixels; six digits of a picture of 1280 are off by
-        a thousandth, and edges that lie on each other reach on beyond their ends.
-
-    Examples
-    --------
-    >>> bow = np.array([[0.0, 0], [10, 10], [10, 0], [0, 10]])
-    >>> crosses_itself(bow), crosses_itself(bow[[0, 2, 1, 3]])
-    (True, False)
-    """
-    starts, ends = points, np.roll(points, -1, axis=0)
-    lengths = np.hypot(*(ends - starts).T)
-    starts, ends = starts[lengths > slack], ends[lengths > slack]
-    if len(starts) < 4:
-        return False
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=2)
-    first, second = np.nonzero(np.triu(meet, 1))
-    a1, a2, b1, b2 = starts[first], ends[first], starts[second], ends[second]
-    through = _apart(a1, a2, b1, b2, slack) & _apart(b1, b2, a1, a2, slack)
-    return bool(through.any())
-
-
-def _apart(a1: Array, a2: Array, b1: Array, b2: Array, slack: float) -> NDArray[np.bool_]:
-    """Return whether b1 and b2 lie on different sides of the line through a1 and a2."""
-    along = (a2 - a1) / np.hypot(*(a2 - a1).T)[:, None]
-    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    s1, s2 = ((b1 - a1) * left).sum(axis=1), ((b2 - a1) * left).sum(axis=1)
-    return np.asarray((np.minimum(s1, s2) < -slack) & (np.maximum(s1, s2) > slack))
-
-
 DIRECTIONS = {
     "right": (1.0, 0.0),
     "left": (-1.0, 0.0),

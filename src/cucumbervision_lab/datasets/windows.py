@@ -20,7 +20,7 @@ from cucumbervision.errors import DataSetError
 from cucumbervision.perception.boxes import share_inside
 from cucumbervision.perception.mask_codes import Rle
 from cucumbervision.perception.masks import box_of_mask
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
 
 if TYPE_CHECKING:

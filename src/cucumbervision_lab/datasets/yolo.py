@@ -1,8 +1,9 @@
-"""Read data sets for Ultralytics: pictures, label files by split and `data.yaml`."""
+"""Read and write data sets for Ultralytics: pictures, label files by split and `data.yaml`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,17 +20,24 @@ from cucumbervision.perception.instance_files import parse_yolo_line
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
+    SPLITS,
     DataSet,
     Label,
     LabelledPicture,
+    flat_names,
     list_pictures,
     picture_size,
+    place_file,
+    ticked,
+    write_text,
 )
+from cucumbervision_lab.datasets.polygons import one_polygon
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
+
 
 PICTURES = "pictures.json"
 """Beside `data.yaml`: scene, source and licence of each picture, which the format has not."""
@@ -39,7 +47,7 @@ _FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
 
 @dataclass(frozen=True)
-class YoloFolder:
+class _YoloFolder:
     """What a YOLO folder says before its pictures are read.
 
     Parameters
@@ -92,7 +100,7 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     ...     read_yolo(Path(tmp), ["cucumber"]).pictures[0].labels[0].box.tolist()
     [19.5, 14.5, 59.5, 44.5]
     """
-    found = find_yolo(path, names)
+    found = _find(path, names)
     origins = _origins(found.folder)
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
@@ -110,7 +118,7 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     return DataSet(found.folder, tuple(pictures), found.names, refused=tuple(refused))
 
 
-def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
+def _find(path: Path, names: Sequence[str] = ()) -> _YoloFolder:
     """Find a YOLO set's pictures, splits and classes; labels are not read.
 
     Raises
@@ -127,7 +135,7 @@ def find_yolo(path: Path, names: Sequence[str] = ()) -> YoloFolder:
 
 def _found(
     path: Path, folder: Path, yaml: Path, data: dict[str, Any], named: list[str]
-) -> YoloFolder:
+) -> _YoloFolder:
     if not named:
         raise DataSetError(
             "the classes have no names", source=path, remedy="add data.yaml or give --names"
@@ -144,7 +152,7 @@ def _found(
             source=yaml,
             remedy="label five keypoints, blossom end to stem end",
         )
-    return YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape) if shape else None)
+    return _YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape) if shape else None)
 
 
 def load_data_yaml(path: Path) -> dict[str, Any]:
@@ -252,7 +260,7 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _read_labels(
-    file: Path, found: YoloFolder, width: int, height: int
+    file: Path, found: _YoloFolder, width: int, height: int
 ) -> tuple[list[Label], list[CucumberVisionError]]:
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -269,37 +277,14 @@ def _read_labels(
         if not line.strip():
             continue
         try:
-            labels.append(read_label_line(line, found, width, height)[0])
+            labels.append(_label(line, found, width, height))
         except ValueError as error:
             refused.append(DataSetError(f"line {i}: {error}", source=file, remedy="correct it"))
     return labels, refused
 
 
-def read_label_line(
-    line: str, found: YoloFolder, width: int, height: int
-) -> tuple[Label, NDArray[np.float64] | None]:
-    """Read one line of a label file.
-
-    Parameters
-    ----------
-    line : str
-        'class cx cy w h', a polygon, or a box with keypoints.
-    found : YoloFolder
-        Whose classes and keypoints the line must fit.
-    width, height : int
-        The picture's size.
-
-    Returns
-    -------
-    label : Label
-    polygon : ndarray, shape (K, 2), optional
-        In pixels from the picture's corner, where the line is one.
-
-    Raises
-    ------
-    ValueError
-        What is wrong with the line.
-    """
+def _label(line: str, found: _YoloFolder, width: int, height: int) -> Label:
+    """Read a line of a label file: 'class cx cy w h', a polygon, or a box with keypoints."""
     numbers = line.split()
     if found.keypoints is not None:
         points, each = found.keypoints
@@ -318,7 +303,7 @@ def read_label_line(
     if record.polygons:
         polygon = record.polygons[0] * size
         mask = mask_of_segmentation([polygon.ravel()], height, width)
-        return Label(box_of_mask(mask), category, Rle.of(mask)), polygon
+        return Label(box_of_mask(mask), category, Rle.of(mask))
     edges = record.box
     if edges is None or (edges[2:] <= edges[:2]).any():
         raise ValueError("its box has no area")
@@ -329,4 +314,191 @@ def read_label_line(
         seen = keypoints[:, 2:] > 0
         keypoints[:, :2] = np.where(seen, keypoints[:, :2] * size - 0.5, 0.0)
     box = np.clip(edges, 0, 1) * np.tile(size, 2) - 0.5
-    return Label(box, category, keypoints=keypoints), None
+    return Label(box, category, keypoints=keypoints)
+
+
+TASKS = ("segment", "pose", "detect")
+
+
+@dataclass(frozen=True)
+class WrittenYolo:
+    """What `write_yolo` wrote.
+
+    Parameters
+    ----------
+    data_yaml : Path
+        The file that Ultralytics is given.
+    pictures : mapping of str to int
+        Their number in each split.
+    labels : int
+        Lines in all label files.
+    """
+
+    data_yaml: Path
+    pictures: dict[str, int]
+    labels: int
+
+
+def write_yolo(
+    dataset: DataSet,
+    out: Path,
+    task: str = "segment",
+    *,
+    splits: Sequence[str] = SPLITS,
+    link: bool = True,
+    progress: Callable[[int], None] | None = None,
+) -> WrittenYolo:
+    """Write a set as Ultralytics reads it: `images/SPLIT`, `labels/SPLIT`, `data.yaml`.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Every picture in a split.
+    out : Path
+        Made if it does not exist.
+    task : str
+        'segment' (one polygon a fruit, parts joined, holes filled), 'pose' (five keypoints with
+        visibility; a fruit without any has five of visibility 0) or 'detect'.
+    splits : sequence of str
+        Which splits to write: a test set of boxes alone has no place among masks.
+    link : bool
+        Pictures become second names of the same files where the disk can; else copies.
+    progress : callable, optional
+        Called with 1 after each picture.
+
+    Returns
+    -------
+    WrittenYolo
+
+    Raises
+    ------
+    DataSetError
+        If a picture is in no split, a label lacks what the task needs, a picture is missing, or
+        the folder cannot be written.
+
+    Notes
+    -----
+    Format: Ultralytics, "Instance Segmentation / Pose Estimation Datasets Overview". It has no
+    regions to ignore: their outlines are written to `ignored/SPLIT`, which `train` leaves out of
+    its loss.
+    `pictures.json` beside `data.yaml` keeps scene, source and licence, which the format has not.
+    """
+    dataset = _chosen(dataset, splits)
+    _require(dataset, task)
+    names = flat_names(p.file for p in dataset.pictures)
+    counts = dict.fromkeys(SPLITS, 0)
+    lines = 0
+    origins = {}
+    for picture in ticked(dataset.pictures, progress):
+        name = names[picture.file]
+        place_file(dataset.path(picture), out / "images" / picture.split / name, link=link)
+        rows = [_row(x, picture, task) for x in picture.labels if not x.ignore]
+        label_file = out / "labels" / picture.split / f"{Path(name).stem}.txt"
+        write_text(label_file, "".join(f"{row}\n" for row in rows))
+        regions = [_outline(x, picture) for x in picture.labels if x.ignore]
+        if regions:
+            ignored_file = out / "ignored" / picture.split / label_file.name
+            write_text(ignored_file, "".join(f"{row}\n" for row in regions))
+        lines += len(rows)
+        counts[picture.split] += 1
+        origins[f"images/{picture.split}/{name}"] = {
+            "scene": picture.scene,
+            "source": picture.source,
+            "licence": picture.licence,
+        }
+    # Ultralytics trusts its cache by the files' sizes, which may be equal by chance.
+    for cache in (out / "labels").glob("*.cache"):
+        cache.unlink()
+    write_text(out / PICTURES, json.dumps(origins, ensure_ascii=False, indent=0) + "\n")
+    write_text(out / "data.yaml", _data_yaml(dataset, task, counts))
+    return WrittenYolo(out / "data.yaml", counts, lines)
+
+
+def _chosen(dataset: DataSet, splits: Sequence[str]) -> DataSet:
+    unknown = [split for split in splits if split not in SPLITS]
+    if unknown:
+        raise DataSetError(
+            f"no split is called {unknown[0]!r}", remedy=f"choose of {', '.join(SPLITS)}"
+        )
+    # Pictures without a split stay, to be refused.
+    chosen = {*splits, *({p.split for p in dataset.pictures} - set(SPLITS))}
+    return replace(dataset, pictures=tuple(p for p in dataset.pictures if p.split in chosen))
+
+
+def _require(dataset: DataSet, task: str) -> None:
+    if task not in TASKS:
+        raise DataSetError(
+            f"no task is called {task!r}", remedy=f"choose one of {', '.join(TASKS)}"
+        )
+    without = [p.file for p in dataset.pictures if p.split not in SPLITS]
+    if without:
+        raise DataSetError(
+            f"{len(without)} pictures are in no split, first {without[0]}",
+            source=dataset.folder,
+            remedy="split the set first: cucumbervision data split",
+        )
+    bare = [
+        p.file
+        for p in dataset.pictures
+        for label in p.labels
+        if task == "segment" and label.mask_code is None and not label.ignore
+    ]
+    if bare:
+        raise DataSetError(
+            f"{len(bare)} labels have a box but no mask, first in {bare[0]}",
+            source=dataset.folder,
+            remedy="draw masks first (cucumbervision data pseudo) or leave that split out",
+        )
+
+
+def _outline(label: Label, picture: LabelledPicture) -> str:
+    """Return the outline of a region: its mask's, or its box."""
+    size = np.array([picture.width, picture.height], np.float64)
+    mask = label.mask
+    polygon = None if mask is None else one_polygon(mask)
+    if polygon is None:
+        (x1, y1, x2, y2) = label.box + 0.5
+        polygon = np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])
+    return _numbers(np.clip(polygon / size, 0, 1))
+
+
+def _row(label: Label, picture: LabelledPicture, task: str) -> str:
+    """Return a label's line."""
+    size = np.array([picture.width, picture.height], np.float64)
+    mask = label.mask if task == "segment" else None
+    if mask is not None:
+        polygon = one_polygon(mask)
+        if polygon is None:
+            raise DataSetError(
+                "a label's mask is empty", source=picture.file, remedy="remove the label"
+            )
+        return f"{label.category} {_numbers(polygon / size)}"
+    corners = np.clip((label.box.reshape(2, 2) + 0.5) / size, 0, 1)
+    box = np.concatenate([corners.mean(axis=0), corners[1] - corners[0]])
+    row = f"{label.category} {_numbers(box)}"
+    if task == "pose":
+        points = np.zeros((5, 3)) if label.keypoints is None else label.keypoints
+        row += "".join(_keypoint(point, size) for point in points)
+    return row
+
+
+def _keypoint(point: NDArray[np.float64], size: NDArray[np.float64]) -> str:
+    share = (point[:2] + 0.5) / size
+    if point[2] == 0 or (share < 0).any() or (share > 1).any():
+        # Ultralytics refuses a whole picture for one point beyond its border.
+        return " 0 0 0"
+    return f" {_numbers(share)} {int(point[2])}"
+
+
+def _numbers(values: NDArray[np.float64]) -> str:
+    return " ".join(f"{v:.6f}" for v in np.ravel(values))
+
+
+def _data_yaml(dataset: DataSet, task: str, counts: dict[str, int]) -> str:
+    data: dict[str, Any] = {split: f"images/{split}" for split in SPLITS if counts[split]}
+    data["names"] = dict(enumerate(dataset.categories))
+    if task == "pose":
+        data["kpt_shape"] = [len(dataset.keypoint_names), 3]
+        data["flip_idx"] = list(dataset.flip_index)
+        data["kpt_names"] = {k: list(dataset.keypoint_names) for k in data["names"]}
+    return yaml.safe_dump(data, default_flow_style=None, sort_keys=False, allow_unicode=True)

@@ -14,9 +14,9 @@ from cucumbervision_lab.benchmark.measure_case import CaseOptions
 from cucumbervision_lab.benchmark.records import Masks, append_record, read_records, readings_frame
 from cucumbervision_lab.benchmark.run import fit_interval_models, run_cases
 from cucumbervision_lab.datasets.labels import ticked
-from cucumbervision_lab.detection.lengths import length_records
 from cucumbervision_lab.detection.outcomes import match_frame
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
+from cucumbervision_lab.detection.run import length_records
 from cucumbervision_lab.processes import each_done
 
 if TYPE_CHECKING:

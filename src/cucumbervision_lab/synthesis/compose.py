@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision_lab.synthesis.bodies import Variety, random_fruit, rotation
-from cucumbervision_lab.synthesis.leaves import Leaf
 from cucumbervision_lab.synthesis.placing import (
     NEAREST_M,
     Ground,
@@ -23,7 +22,7 @@ from cucumbervision_lab.synthesis.placing import (
     place_lying,
     trellis,
 )
-from cucumbervision_lab.synthesis.raycast import Stem
+from cucumbervision_lab.synthesis.raycast import Leaf, Stem
 from cucumbervision_lab.synthesis.scene import Scene
 
 if TYPE_CHECKING:

@@ -12,8 +12,12 @@ import numpy as np
 
 from cucumbervision.capture.pictures import read_color, write_jpeg, write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco import collect_fragments, read_coco
-from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment
+from cucumbervision_lab.datasets.coco import (
+    collect_fragments,
+    read_coco,
+    write_coco,
+    write_fragment,
+)
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
 from cucumbervision_lab.datasets.splits import parse_shares
 from cucumbervision_lab.processes import each_done
@@ -43,14 +47,13 @@ def parse_options(
     paste: Path | None = None,
     onto: Path | None = None,
     depth: bool = True,
-    scale_sd: float = 0.0,
     hard: bool = False,
 ) -> SynthOptions:
     """Parse the command line's words into options.
 
     Parameters
     ----------
-    frames, seed, depth, scale_sd, hard : int, int, bool, float, bool
+    frames, seed, depth, hard : int, int, bool, bool
         As `SynthOptions` and `FrameOptions`.
     size : str
         '1280x720': width x height in pixels.
@@ -101,7 +104,7 @@ def parse_options(
     return SynthOptions(
         frames=frames,
         seed=seed,
-        frame=FrameOptions(width, height, parse_shares(shares, ","), depth, scale_sd, hard),
+        frame=FrameOptions(width, height, parse_shares(shares, ","), depth, hard=hard),
         assets=str(assets.resolve()) if assets else "",
         split=split,
         paste=str(paste.resolve()) if paste else "",

@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision_lab.synthesis.bodies import rotation
-from cucumbervision_lab.synthesis.leaves import Leaf, cast_leaf
-from cucumbervision_lab.synthesis.raycast import Plane, Stem, cast_tube, scaled_camera
+from cucumbervision_lab.synthesis.raycast import (
+    Leaf,
+    Plane,
+    Stem,
+    cast_leaf,
+    cast_tube,
+    scaled_camera,
+)
 from cucumbervision_lab.synthesis.scene import Scene
 
 if TYPE_CHECKING:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.geometry.curve import points_along
-from cucumbervision_lab.synthesis.leaves import Leaf, cast_leaf
 from cucumbervision_lab.synthesis.raycast import (
+    Leaf,
     Plane,
     Stem,
+    cast_leaf,
     cast_plane,
     cast_stem,
     cast_tube,

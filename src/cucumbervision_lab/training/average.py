@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.checkpoint import load_checkpoint
-from cucumbervision_lab.training.extras import import_ultralytics
+from cucumbervision_lab.training.checkpoint import import_ultralytics, load_checkpoint
 
 
 def average_networks(first: Path, second: Path, out: Path, share: float = 0.5) -> Path:

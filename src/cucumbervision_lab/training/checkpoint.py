@@ -1,11 +1,19 @@
-"""Checkpoints: loaded, stripped of the optimiser, and the place in a plan that they hold."""
+"""Ultralytics imported quietly, its checkpoints, and the small tables beside them."""
 
 from __future__ import annotations
 
+import csv
+import importlib
+import os
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cucumbervision.errors import TrainingError
+import numpy as np
+
+from cucumbervision.errors import MissingExtraError, TrainingError
+from cucumbervision.perception.runtime import import_onnxruntime
 
 
 def load_checkpoint(path: Path) -> Any:
@@ -84,3 +92,80 @@ def _named(values: dict[str, Any]) -> dict[str, Any]:
         key: Path(value).name if isinstance(value, str) and "/" in value else value
         for key, value in values.items()
     }
+
+
+# Torch drops an operator's definition together with the library object that made it.
+_libraries: list[Any] = []
+
+
+def _import_torchvision() -> None:
+    """Import torchvision, as Ultralytics does when it validates.
+
+    A torchvision whose operators were built for another torch cannot be imported; with its two
+    operators declared it can. Nothing here calls them: the exported head suppresses nothing.
+    """
+    import torch
+
+    try:
+        importlib.import_module("torchvision")
+    except RuntimeError as error:
+        if "torchvision::nms" not in str(error):
+            raise
+        _libraries.append(torch.library.Library("torchvision", "DEF"))
+        for name in ("nms", "qnms"):
+            _libraries[-1].define(f"{name}(Tensor dets, Tensor scores, float iou) -> Tensor")
+        # The failed import left parts behind that would be taken for whole ones.
+        for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
+            del sys.modules[name]
+        importlib.import_module("torchvision")
+
+
+def import_ultralytics() -> Any:
+    """Import Ultralytics with its telemetry, downloads and installs off.
+
+    Returns
+    -------
+    module
+        `ultralytics`.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    os.environ["YOLO_OFFLINE"] = "1"
+    os.environ["YOLO_AUTOINSTALL"] = "False"
+    os.environ.setdefault("YOLO_VERBOSE", "False")
+    # Ultralytics imports it too, and would leave its telemetry on.
+    import_onnxruntime()
+    try:
+        # It sets how NumPy prints arrays, for everybody.
+        with np.printoptions():
+            _import_torchvision()
+            import ultralytics
+            from ultralytics.utils import SETTINGS, events
+    except ImportError as error:
+        raise MissingExtraError(error.name or "ultralytics", "train") from error
+    # In this process only: the user's own settings file stays as it is.
+    dict.__setitem__(SETTINGS, "sync", False)
+    events.events.enabled = False
+    return ultralytics
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a table; none where there is no file."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write a table whose columns are those of all rows; a kill leaves the old or the new one."""
+    head = dict.fromkeys(key for row in rows for key in row)
+    part = path.with_suffix(".part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(head), restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+    part.replace(path)

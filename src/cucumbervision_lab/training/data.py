@@ -8,13 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.checks import check_folder, require_clean
-from cucumbervision_lab.datasets.yolo import load_data_yaml
-from cucumbervision_lab.datasets.yolo_writer import write_yolo
+from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+from cucumbervision_lab.datasets.yolo import load_data_yaml, write_yolo
 
 TASKS = {"seg": "segment", "pose": "pose"}
 """Our tasks, and what Ultralytics calls them."""
@@ -61,10 +61,46 @@ def prepare_data(data: Path, task: str, run: Path, *, check: bool = True) -> Pat
         dataset, findings = check_folder(data, duplicates=check)
         require_clean(findings, data)
         run.mkdir(parents=True, exist_ok=True)
-        (run / DATA_CARD).write_text(dataset_card(dataset, "Trained on"), encoding="utf-8")
+        (run / DATA_CARD).write_text(data_card(dataset, "Trained on"), encoding="utf-8")
         if not (data.is_dir() and file.is_file()) and data.suffix not in (".yaml", ".yml"):
-            file = write_yolo(dataset, run / "data", TASKS[task], paint_ignored=()).data_yaml
+            file = write_yolo(dataset, run / "data", TASKS[task]).data_yaml
     return write_data_file(file, task, run)
+
+
+def data_card(dataset: DataSet, title: str) -> str:
+    """Return in Markdown whose pictures a set holds, how many and under which licence.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        What to describe.
+    title : str
+        Heading.
+
+    Examples
+    --------
+    >>> from cucumbervision_lab.datasets.labels import LabelledPicture
+    >>> one = LabelledPicture("a.png", 64, 48, source="own house", licence="CC0-1.0")
+    >>> print(data_card(DataSet(Path(), (one, one)), "Set"))
+    ## Set
+    <BLANKLINE>
+    | source | licence | pictures | with fruit | fruit |
+    |---|---|--:|--:|--:|
+    | own house | CC0-1.0 | 2 | 0 | 0 |
+    """
+    groups: dict[tuple[str, str], list[LabelledPicture]] = {}
+    for picture in dataset.pictures:
+        key = (picture.source or "not stated", picture.licence or "not stated")
+        groups.setdefault(key, []).append(picture)
+    lines = [f"## {title}", "", "| source | licence | pictures | with fruit | fruit |"]
+    lines.append("|---|---|--:|--:|--:|")
+    for (source, licence), own in sorted(groups.items()):
+        fruit = [sum(not label.ignore for label in picture.labels) for picture in own]
+        counts = len(own), np.count_nonzero(fruit), sum(fruit)
+        # A bar in a licence's text would end the cell.
+        cells = (source.replace("|", "\\|"), licence.replace("|", "\\|"), *map(str, counts))
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def write_data_file(path: Path, task: str, run: Path) -> Path:

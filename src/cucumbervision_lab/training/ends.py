@@ -235,7 +235,7 @@ def train_ends(
     MissingExtraError
         If the extra `train` is not installed.
     """
-    from cucumbervision_lab.training.extras import import_ultralytics
+    from cucumbervision_lab.training.checkpoint import import_ultralytics
 
     import_ultralytics()  # its absence is named there, and torch comes with it
     import torch

@@ -25,8 +25,8 @@ from cucumbervision.capture.files import read_json
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
+from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
-from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.plan import RunState
 from cucumbervision_lab.training.publish import MAKERS, ModelCard, write_card
 from cucumbervision_lab.training.train import NETWORK

@@ -1,24 +1,24 @@
-"""The plan of a training, counted in pictures seen, and the file that remembers the place in it.
-
-Everything that changes on the way (size, learning rate, share of the one-to-many head, tolerance
-of the points, mosaic) is a function of the share of the plan that is through, so that a training
-ends alike whether it ran in one piece or in thirty.
-"""
+"""The plan of a training, counted in pictures seen, and which of them is seen when."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import TrainingError
 
 _STATE_FILE = "state.json"
 _STRIDE_PX = 32
+_TOO_MANY = 10**12  # pictures
 _FORM = re.compile(r"(\d+)\s*[x×]\s*(\d+)")
 
 
@@ -252,7 +252,126 @@ class RunState:
             If a value is missing or of another type, or a part of the plan has no pictures.
         """
         state = parse_model(cls, values, source=source, error=TrainingError, remedy=remedy)
-        if state.plan.per_epoch < 1 or not all(part.pictures > 0 for part in state.plan.parts):
-            fault = "its plan has a part without pictures"
+        counts = (state.plan.per_epoch, *(part.pictures for part in state.plan.parts))
+        if not all(0 < count < _TOO_MANY for count in counts):
+            fault = "its plan has a part without pictures, or with more than there are"
             raise TrainingError(fault, source=source, remedy=remedy)
         return state
+
+
+def sources_of(files: Sequence[str], folders: Sequence[str]) -> list[NDArray[np.int64]]:
+    """Return which pictures lie in which source's folder.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Paths of all pictures.
+    folders : sequence of str
+        Of the sources; none lies in another.
+
+    Returns
+    -------
+    list of ndarray of int64
+        Indices into `files`, for each folder.
+
+    Examples
+    --------
+    >>> [found.tolist() for found in sources_of(["a/1.jpg", "b/2.jpg", "a/3.jpg"], ["a", "b"])]
+    [[0, 2], [1]]
+    """
+    parents = [Path(file).parents for file in files]
+    return [
+        np.array([k for k, above in enumerate(parents) if Path(folder) in above], np.int64)
+        for folder in folders
+    ]
+
+
+def pictures_of_epoch(
+    sources: Sequence[NDArray[np.int64]],
+    weights: Sequence[float],
+    count: int,
+    epoch: int,
+    seed: int = 0,
+) -> NDArray[np.int64]:
+    """Choose the pictures of one epoch.
+
+    Parameters
+    ----------
+    sources : sequence of ndarray of int64
+        The pictures of each source.
+    weights : sequence of float
+        Of the sources; a source without pictures has none.
+    count : int
+        How many pictures.
+    epoch : int
+        Number of the epoch, from 0.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    ndarray of int64, shape (count,)
+        Shuffled. Every picture of a source has its epoch before one comes again.
+
+    Examples
+    --------
+    >>> a, b = np.arange(4), np.arange(4, 6)
+    >>> first = pictures_of_epoch([a, b], [0.5, 0.5], 4, 0)
+    >>> second = pictures_of_epoch([a, b], [0.5, 0.5], 4, 1)
+    >>> sorted([*first.tolist(), *second.tolist()])
+    [0, 1, 2, 3, 4, 4, 5, 5]
+    """
+    shares = np.array([w if len(s) else 0.0 for s, w in zip(sources, weights, strict=True)])
+    shares = shares / shares.sum()
+    # Positions in endless streams of the sources, so that no epoch need know those before it.
+    bounds = np.rint(np.outer([epoch, epoch + 1], shares) * count).astype(int)
+    bounds[1, shares.argmax()] += count - int((bounds[1] - bounds[0]).sum())
+    chosen = [
+        _stream(source, low, high, (seed, number))
+        for number, (source, low, high) in enumerate(zip(sources, *bounds, strict=True))
+        if high > low
+    ]
+    found = np.concatenate(chosen)
+    return np.random.default_rng([seed, len(sources), epoch]).permutation(found)
+
+
+def _stream(
+    source: NDArray[np.int64], low: int, high: int, seed: tuple[int, int]
+) -> NDArray[np.int64]:
+    """Return a stretch of an endless row of shuffled rounds through a source."""
+    size = len(source)
+    rounds = range(low // size, (high - 1) // size + 1)
+    row = np.concatenate([np.random.default_rng([*seed, k]).permutation(source) for k in rounds])
+    return row[low - rounds[0] * size : high - rounds[0] * size]
+
+
+class MixtureSampler:
+    """Gives torch's loader the pictures of one epoch after the other.
+
+    Parameters
+    ----------
+    sources, weights, count, seed
+        As `pictures_of_epoch`.
+    epoch : int
+        With which to begin.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[NDArray[np.int64]],
+        weights: Sequence[float],
+        count: int,
+        *,
+        epoch: int = 0,
+        seed: int = 0,
+    ) -> None:
+        self._sources, self._weights, self._count = sources, weights, count
+        self._epoch, self._seed = epoch, seed
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[int]:
+        epoch, self._epoch = self._epoch, self._epoch + 1
+        row = pictures_of_epoch(self._sources, self._weights, self._count, epoch, self._seed)
+        yield from row.tolist()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from cucumbervision.perception.instances import KEYPOINT_NAMES
-from cucumbervision_lab.training.assigner import losses_of
+from cucumbervision_lab.training.cpu import losses_of
 from cucumbervision_lab.training.data import KEYPOINT_SIGMA
 
 _HIDDEN = 1.5  # COCO: 1 is hidden, 2 seen

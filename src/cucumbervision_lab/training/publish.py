@@ -134,10 +134,11 @@ def read_card(path: Path) -> ModelCard:
     card = parse_model(
         ModelCard, values, source=path, error=TrainingError, remedy="export the network again"
     )
-    if card.task not in _WHAT:
-        raise TrainingError(
-            f"no task is called {card.task!r}", source=path, remedy="export the network again"
-        )
+    fault = "" if card.task in _WHAT else f"no task is called {card.task!r}"
+    if not 0 < card.size_bytes < _TOO_LARGE:
+        fault = "its size_bytes is no file's size"
+    if fault:
+        raise TrainingError(fault, source=path, remedy="export the network again")
     return card
 
 
@@ -183,6 +184,7 @@ def _table(metrics: Mapping[str, float]) -> list[str]:
     return ["| figure | value |", "|---|--:|", *rows]
 
 
+_TOO_LARGE = 2**40
 MOST_BYTES = 45_000_000
 """What all networks in the package may weigh together."""
 

@@ -55,7 +55,7 @@ class TrainOptions:
     device : str
         'auto' (a graphics card where there is one), 'cpu', or a card's number.
     precision : str
-        'auto', 'f32' or 'bf16'; see `half_precision`.
+        'auto', 'f32' or 'bf16'; see `choose_precision`.
     freeze : int
         Layers from the front that stay as they are; 10 is the whole backbone; -1: 6 on the
         processor, where they take most of the time and learn least, none on a card.

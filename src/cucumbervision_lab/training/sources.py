@@ -13,8 +13,7 @@ import numpy as np
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.keypoint_axis import keypoints_between
 from cucumbervision.perception.yolo import BY_PLACE
-from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.derive import add_pseudo_masks, merge_datasets
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.polygons import (

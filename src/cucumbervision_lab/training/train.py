@@ -10,10 +10,16 @@ from pathlib import Path
 from typing import Protocol
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.checkpoint import load_checkpoint, place_in, strip
+from cucumbervision_lab.training.checkpoint import (
+    import_ultralytics,
+    load_checkpoint,
+    place_in,
+    read_rows,
+    strip,
+    write_rows,
+)
+from cucumbervision_lab.training.cpu import choose_precision
 from cucumbervision_lab.training.data import TASKS, prepare_data
-from cucumbervision_lab.training.extras import import_ultralytics
-from cucumbervision_lab.training.half_precision import choose_precision
 from cucumbervision_lab.training.plan import RunState, extend, parse_plan
 from cucumbervision_lab.training.points import knows_points
 from cucumbervision_lab.training.settings import (
@@ -22,7 +28,6 @@ from cucumbervision_lab.training.settings import (
     choose_device,
     trainer_settings,
 )
-from cucumbervision_lab.training.tables import read_rows, write_rows
 from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 
 _SOUND_BATCH = 4

@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cucumbervision.perception.yolo import BY_PLACE
-from cucumbervision_lab.training.assigner import assign_coarsely, losses_of
-from cucumbervision_lab.training.half_precision import channels_last, narrow, widen
+from cucumbervision_lab.training.cpu import assign_coarsely, channels_last, losses_of, narrow, widen
 from cucumbervision_lab.training.ignored import add_ignored, ignore_regions, take_out_ignored
-from cucumbervision_lab.training.mixture import MixtureSampler, sources_of
+from cucumbervision_lab.training.plan import MixtureSampler, sources_of
 from cucumbervision_lab.training.points import (
     learn_to_assign,
     learn_to_see,

@@ -89,7 +89,7 @@ def test_check_prints_a_table_and_exits_with_1(photos: Path) -> None:
 
 
 def test_check_of_a_clean_set(photos: Path) -> None:
-    result = call("check", photos, "--names", NAMES, "--no-duplicates")
+    result = call("check", photos, "--names", NAMES)
     assert (result.exit_code, result.output) == (0, "20 pictures, 20 labels, no fault.\n")
 
 

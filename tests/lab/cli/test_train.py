@@ -11,7 +11,7 @@ from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import MissingExtraError, TrainingError
 from cucumbervision_lab.cli.screen import epoch_line
 from cucumbervision_lab.cli.train import app
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.training.publish import read_card
 from cucumbervision_lab.training.train import EpochReport

@@ -9,8 +9,12 @@ import pytest
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import CaptureError, DataSetError
-from cucumbervision_lab.datasets.coco import collect_fragments, read_coco
-from cucumbervision_lab.datasets.coco_writer import write_coco, write_fragment
+from cucumbervision_lab.datasets.coco import (
+    collect_fragments,
+    read_coco,
+    write_coco,
+    write_fragment,
+)
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 
 MakeSet = Callable[..., DataSet]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.perception.instances import KEYPOINT_NAMES
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet
 
 PAGE = Path(__file__).parents[3] / "docs" / "datasets.md"

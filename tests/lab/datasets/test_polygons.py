@@ -12,7 +12,6 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.perception.mask_codes import fill_polygon
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.polygons import (
-    crosses_itself,
     join_parts,
     keypoints_of_mask,
     one_polygon,
@@ -22,6 +21,35 @@ from cucumbervision_lab.synthesis.placing import place_hanging
 from cucumbervision_lab.synthesis.scene import Scene, truth_of
 
 masks = hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24))
+
+
+def crosses_itself(points: NDArray[np.float64], slack: float = 2e-3) -> bool:
+    """Return whether two edges of a closed polygon cross, each going through the other."""
+    starts, ends = points, np.roll(points, -1, axis=0)
+    lengths = np.hypot(*(ends - starts).T)
+    starts, ends = starts[lengths > slack], ends[lengths > slack]
+    if len(starts) < 4:
+        return False
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=2)
+    first, second = np.nonzero(np.triu(meet, 1))
+    a1, a2, b1, b2 = starts[first], ends[first], starts[second], ends[second]
+    through = _apart(a1, a2, b1, b2, slack) & _apart(b1, b2, a1, a2, slack)
+    return bool(through.any())
+
+
+def _apart(
+    a1: NDArray[np.float64],
+    a2: NDArray[np.float64],
+    b1: NDArray[np.float64],
+    b2: NDArray[np.float64],
+    slack: float,
+) -> NDArray[np.bool_]:
+    """Return whether b1 and b2 lie on different sides of the line through a1 and a2."""
+    along = (a2 - a1) / np.hypot(*(a2 - a1).T)[:, None]
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    s1, s2 = ((b1 - a1) * left).sum(axis=1), ((b2 - a1) * left).sum(axis=1)
+    return np.asarray((np.minimum(s1, s2) < -slack) & (np.maximum(s1, s2) > slack))
 
 
 def without_holes(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -105,22 +133,6 @@ def test_parts_are_joined_at_their_nearest_points() -> None:
     steps = np.hypot(*np.diff(np.vstack([joined, joined[:1]]), axis=0).T)
     # Two bridges, there and back: 2 from the first to the third, 5 from there to the second.
     assert sorted(steps[steps > 1.5]) == [2, 2, 5, 5]
-
-
-@pytest.mark.parametrize(
-    ("points", "crosses"),
-    [
-        ([(0, 0), (10, 0), (10, 10), (0, 10)], False),
-        ([(0, 0), (10, 10), (10, 0), (0, 10)], True),
-        # A vertex on another edge touches it.
-        ([(0, 0), (10, 0), (10, 10), (5, 0), (0, 10)], False),
-        # One that goes through by half a pixel crosses.
-        ([(0, 0), (10, 0), (10, 10), (5, -0.5), (0, 10)], True),
-        ([(0, 0), (10, 0), (0, 5)], False),
-    ],
-)
-def test_crossing(points: list[tuple[float, float]], crosses: bool) -> None:
-    assert crosses_itself(np.array(points, np.float64)) is crosses
 
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)

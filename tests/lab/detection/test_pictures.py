@@ -9,7 +9,7 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out, spread
 

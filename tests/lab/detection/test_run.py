@@ -31,7 +31,7 @@ from cucumbervision.perception.masks import box_of_mask
 from cucumbervision.perception.networks import Detectors, NetworkLoader
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.benchmark.records import Masks
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photo_audit
 from cucumbervision_lab.detection.average_precision import Judged

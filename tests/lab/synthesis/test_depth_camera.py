@@ -9,11 +9,9 @@ from tests.scenarios.sensor_statistics import noise_split
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.camera import Distortion, align_depth_to_color
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.depth_camera import D4xx, color_sources, sense
-from cucumbervision_lab.synthesis.leaves import Leaf
-from cucumbervision_lab.synthesis.raycast import Plane
+from cucumbervision_lab.synthesis.depth_camera import D4xx, Matcher, color_sources, sense
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane
 from cucumbervision_lab.synthesis.scene import Scene, render
-from cucumbervision_lab.synthesis.stereo_matching import Matcher
 
 COLOR = Intrinsics(640, 360, 462.0, 462.0, 320.0, 180.0)
 CAMERA = D4xx.like(COLOR)
@@ -63,13 +61,6 @@ def test_the_scale_error_scales_depth() -> None:
     right, wrong = burst_of(WALL, CALM)[0], burst_of(WALL, long)[0]
     both = (right > 0) & (wrong > 0)
     assert np.median(wrong[both] / right[both]) == pytest.approx(1.02, abs=1e-4)
-
-
-def test_cameras_of_the_series_differ_by_one_percent() -> None:
-    rng = np.random.default_rng(1)
-    scales = [CAMERA.drawn(rng).scale_error for _ in range(2000)]
-    assert np.std(scales) == pytest.approx(0.01, rel=0.05)
-    assert np.mean(scales) == pytest.approx(0.0, abs=0.001)
 
 
 def test_readings_are_whole_millimetres_beyond_the_nearest_distance() -> None:
@@ -127,12 +118,3 @@ def test_glare_takes_its_share_of_the_fruit() -> None:
         for share in (0.0, 0.2)
     )
     assert dry - wet == pytest.approx(0.2, abs=0.05)
-
-
-def test_a_registration_error_moves_depth_over_colour() -> None:
-    tube = arc_tube(0.2, 0.022).moved(rotation(-80), (0, 0, 0.45))
-    scene = Scene((tube,), planes=(Plane.facing(0.9),))
-    right, off = (
-        burst_of(scene, replace(CALM, registration_px=shift))[0] for shift in ((0, 0), (3, -2))
-    )
-    assert (off[:-2, 3:] == right[2:, :-3]).mean() > 0.999

@@ -109,7 +109,7 @@ def test_words_without_meaning_are_refused(option: str, words: str, named: str) 
 def test_a_command_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None:
     program = "from cucumbervision.cli.app import main; main()"
     command = [sys.executable, "-c", program, "synth", "--out", str(tmp_path / "set")]
-    options = ["--frames", "500", "--size", "96x64", "--no-depth", "--workers", "2", "--quiet"]
+    options = ["--frames", "500", "--size", "96x64", "--no-depth", "--workers", "2"]
     running = subprocess.Popen([*command, *options], start_new_session=True)
     deadline = time.monotonic() + 60
     while not list((tmp_path / "set").glob("images/*.jpg")) and time.monotonic() < deadline:

@@ -10,7 +10,7 @@ import pytest
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.synthesis.generate import generate, parse_options
 from cucumbervision_lab.synthesis.montage import fruitless, montage

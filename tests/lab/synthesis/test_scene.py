@@ -6,9 +6,16 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.geometry.camera import Distortion
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, random_fruit, rotation
-from cucumbervision_lab.synthesis.leaves import Leaf, cast_leaf
 from cucumbervision_lab.synthesis.placing import occlude, place_hanging, trellis
-from cucumbervision_lab.synthesis.raycast import Plane, Stem, cast_plane, cast_stem, ray_grid
+from cucumbervision_lab.synthesis.raycast import (
+    Leaf,
+    Plane,
+    Stem,
+    cast_leaf,
+    cast_plane,
+    cast_stem,
+    ray_grid,
+)
 from cucumbervision_lab.synthesis.scene import Kind, Scene, render, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)

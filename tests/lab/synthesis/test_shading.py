@@ -8,10 +8,9 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.synthesis.appearance import Assets, Style, random_style
 from cucumbervision_lab.synthesis.bodies import arc_tube
-from cucumbervision_lab.synthesis.leaves import Leaf
 from cucumbervision_lab.synthesis.lighting import Light
 from cucumbervision_lab.synthesis.placing import place_hanging, string, trellis
-from cucumbervision_lab.synthesis.raycast import Plane, Stem
+from cucumbervision_lab.synthesis.raycast import Leaf, Plane, Stem
 from cucumbervision_lab.synthesis.scene import Kind, Scene, View, render
 from cucumbervision_lab.synthesis.shading import shade
 from cucumbervision_lab.synthesis.skin import Skin

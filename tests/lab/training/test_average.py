@@ -13,7 +13,7 @@ if importlib.util.find_spec("ultralytics") is None:  # its import alone would as
 
 from cucumbervision.errors import TrainingError
 from cucumbervision_lab.training.average import average_networks
-from cucumbervision_lab.training.extras import import_ultralytics
+from cucumbervision_lab.training.checkpoint import import_ultralytics
 
 pytestmark = pytest.mark.train
 

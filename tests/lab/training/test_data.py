@@ -23,11 +23,11 @@ def test_pose_gets_the_tolerances(pose_set: Path, tmp_path: Path) -> None:
         "kpt_oks_sigmas": [0.05] * 5,
     }
     card = (tmp_path / "data.md").read_text()
-    assert "| train | 6 |" in card
+    assert "| not stated | not stated | 8 | 8 | 8 |" in card
 
 
 def test_the_hubs_form_is_written_as_yolo(seg_set: Path, tmp_path: Path) -> None:
-    from cucumbervision_lab.datasets.coco_writer import write_coco
+    from cucumbervision_lab.datasets.coco import write_coco
     from cucumbervision_lab.datasets.yolo import read_yolo
 
     write_coco(read_yolo(seg_set), tmp_path / "hub")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,29 @@ from cucumbervision.perception.instances import Instance
 from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.export import HEADS, export_model, export_yolo
-from cucumbervision_lab.training.extras import import_ultralytics
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("_suppression")]
 
 SIZE_PX = 160
 CONFIDENCE = 0.30
 # Random weights amplify rounding more than trained ones (for those: 0.001 px and 1e-5).
 TOLERANCE_PX, TOLERANCE = 0.1, 3e-3
 SIZES = ((160, 160), (120, 200), (97, 233), (301, 75), (480, 640))
+
+
+@pytest.fixture(scope="module")
+def _suppression() -> Iterator[None]:
+    """Let Ultralytics suppress boxes by itself where torchvision's operators do not load."""
+    import_ultralytics()
+    import torchvision
+    from ultralytics.utils.nms import TorchNMS
+
+    with pytest.MonkeyPatch.context() as patched:
+        if not torchvision.extension._has_ops():
+            patched.setattr(torchvision.ops, "nms", TorchNMS.nms)
+        yield
 
 
 def random_network(kind: str, folder: Path) -> Path:

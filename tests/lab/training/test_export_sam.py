@@ -34,13 +34,14 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 pytest.importorskip("onnx")
 
-from cucumbervision_lab.training.export_sam import (  # noqa: E402
+from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
+from cucumbervision_lab.training.export_sam import (  # noqa: E402  # noqa: E402
     checkpoint_from_archive,
     export_sam,
+    export_source,
     load_sam,
+    pull_model,
 )
-from cucumbervision_lab.training.extras import import_ultralytics  # noqa: E402
-from cucumbervision_lab.training.pull import export_source, pull_model  # noqa: E402
 
 pytestmark = pytest.mark.train
 

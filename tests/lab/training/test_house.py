@@ -12,7 +12,7 @@ from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.in_use import use_network
 from cucumbervision.perception.registry import load_registry
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.outcomes import found_rows, fruit_rows, overall
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit

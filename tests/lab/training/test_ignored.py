@@ -14,8 +14,8 @@ if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("the extra train is not installed", allow_module_level=True)
 
 from cucumbervision_lab.datasets.labels import Label
-from cucumbervision_lab.datasets.yolo_writer import write_yolo
-from cucumbervision_lab.training.extras import import_ultralytics
+from cucumbervision_lab.datasets.yolo import write_yolo
+from cucumbervision_lab.training.checkpoint import import_ultralytics
 from cucumbervision_lab.training.ignored import (
     add_ignored,
     ignore_regions,
@@ -33,12 +33,11 @@ def test_regions_are_written_beside_the_labels_and_joined_to_them(
     heap = Label(np.array([39.5, 9.5, 79.5, 39.5]), ignore=True)
     pictures = tuple(replace(p, labels=(*p.labels, heap)) for p in dataset.pictures)
     width, height = pictures[0].width, pictures[0].height
-    written = write_yolo(replace(dataset, pictures=pictures), tmp_path / "yolo", paint_ignored=())
+    written = write_yolo(replace(dataset, pictures=pictures), tmp_path / "yolo")
     (outline,) = read_ignored(tmp_path / "yolo/ignored/train/000000.txt")
     np.testing.assert_allclose(
         outline * [width, height], [[40, 10], [80, 10], [80, 40], [40, 40]], atol=1e-3
     )
-    assert written.painted == 0
     read = _read(written.data_yaml, "segment", {"names": {0: "cucumber"}, "nc": 1, "channels": 3})
     fruit = len(read.labels[0]["cls"])
     add_ignored(read, "segment")

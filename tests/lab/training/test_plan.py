@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.mixture import MixtureSampler, pictures_of_epoch, sources_of
-from cucumbervision_lab.training.plan import RunState, extend, parse_plan
+from cucumbervision_lab.training.plan import (
+    MixtureSampler,
+    RunState,
+    extend,
+    parse_plan,
+    pictures_of_epoch,
+    sources_of,
+)
 from cucumbervision_lab.training.settings import one_to_many_at, rate_at
 
 
@@ -86,3 +93,16 @@ def test_order_is_the_same_whenever_one_begins() -> None:
 def test_files_belong_to_the_folder_they_lie_in() -> None:
     files = ["/a/x/1.jpg", "/a/xy/2.jpg", "/a/x/deep/3.jpg"]
     assert [one.tolist() for one in sources_of(files, ["/a/x", "/a/xy"])] == [[0, 2], [1]]
+
+
+@pytest.mark.parametrize("number", [0, -1, 10**12, 10**400])
+def test_a_plan_without_or_with_endless_pictures_is_refused(number: int) -> None:
+    values = asdict(RunState("seg", "data.yaml", "a.pt", parse_plan("448x900")))
+    assert RunState.of(values).plan.epochs == 2
+    for changed in (
+        {"per_epoch": number},
+        {"parts": [{"size_px": 448, "pictures": number}]},
+    ):
+        broken = values | {"plan": values["plan"] | changed}
+        with pytest.raises(TrainingError, match="its plan has a part without pictures"):
+            RunState.of(broken)

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision_lab.training.extras import import_ultralytics  # noqa: E402
+from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
 from cucumbervision_lab.training.points import (  # noqa: E402
     knows_points,
     learn_to_assign,

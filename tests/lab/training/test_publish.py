@@ -115,3 +115,11 @@ def test_what_could_not_be_judged_is_left_out_of_a_card(tmp_path: Path) -> None:
     page, record = write_card(judged, tmp_path)
     assert read_card(record).metrics == {"sure": 0.0}
     assert "right of these" not in page.read_text()
+
+
+@pytest.mark.parametrize("size", [0, -1, 2**40, 10**400])
+def test_a_card_whose_size_is_no_files_is_refused(size: int, tmp_path: Path) -> None:
+    file = exported(tmp_path / "out", b"x") / "c-seg.json"
+    file.write_text(file.read_text().replace('"size_bytes": 1,', f'"size_bytes": {size},'))
+    with pytest.raises(TrainingError, match="size_bytes is no file's size"):
+        read_card(file)

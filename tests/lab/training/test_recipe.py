@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.coco_writer import write_coco
+from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.training.checkpoint import read_rows
 from cucumbervision_lab.training.recipe import Recipe, Schedule, Source, read_recipe
 from cucumbervision_lab.training.run_recipe import (
     PACKAGED,
@@ -23,7 +23,6 @@ from cucumbervision_lab.training.run_recipe import (
 )
 from cucumbervision_lab.training.settings import TrainOptions
 from cucumbervision_lab.training.sources import build_sources, with_axis_points
-from cucumbervision_lab.training.tables import read_rows
 from cucumbervision_lab.training.train import NETWORK
 
 SIDE = 360
@@ -126,7 +125,7 @@ def test_mixture_names_folders_and_weights(built: dict[str, Path], tmp_path: Pat
 def test_one_command_trains_and_goes_on(
     built: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from cucumbervision_lab.training.extras import import_ultralytics
+    from cucumbervision_lab.training.checkpoint import import_ultralytics
 
     judged: list[int] = []
     home = "cucumbervision_lab.training.run_recipe"

@@ -19,13 +19,11 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.perception.runtime import open_network
-from cucumbervision_lab.training.checkpoint import place_in
+from cucumbervision_lab.training.checkpoint import import_ultralytics, place_in, read_rows
 from cucumbervision_lab.training.data import prepare_data
 from cucumbervision_lab.training.export import export_trained, last_metrics
-from cucumbervision_lab.training.extras import import_ultralytics
 from cucumbervision_lab.training.plan import RunState, parse_plan
 from cucumbervision_lab.training.settings import TrainOptions, rate_at, trainer_settings
-from cucumbervision_lab.training.tables import read_rows
 from cucumbervision_lab.training.train import NETWORK, EpochReport, train
 from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 

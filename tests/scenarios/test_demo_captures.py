@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from demo_captures import SCENES, place, write_demo
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision_lab.synthesis.demo import SCENES, place, write_demo
 
 
 def test_the_bundled_captures_are_what_the_scenes_draw(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import pytest
 if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
-from cucumbervision_lab.training.extras import import_ultralytics
-from cucumbervision_lab.training.half_precision import (
+from cucumbervision_lab.training.checkpoint import import_ultralytics
+from cucumbervision_lab.training.cpu import (
     channels_last,
     choose_precision,
     cpu_has_bfloat16,

@@ -6,8 +6,8 @@ import pytest
 from tests.lab.benchmark.conftest import make_record
 
 from cucumbervision_lab.benchmark.cases import Suite
-from cucumbervision_lab.benchmark.paper import paper_table
 from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.report import paper_table
 
 if TYPE_CHECKING:
     from tests.lab.benchmark.conftest import MakeRecord

@@ -11,7 +11,7 @@ from cucumbervision_lab.benchmark.records import readings_frame
 
 pytest.importorskip("matplotlib")
 
-from cucumbervision_lab.benchmark import plots
+from cucumbervision_lab.benchmark import page
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ def readings(make_record: MakeRecord) -> pd.DataFrame:
 def test_errors_spread_from_right_to_wrong(readings: pd.DataFrame) -> None:
     # A right length lies at the left, at a thousandth of a centimetre; a refused one at its whole
     # length, 10 to 22 cm.
-    png = plots.error_spread(readings, LengthDefinition.CENTRELINE)
+    png = page.error_spread(readings, LengthDefinition.CENTRELINE)
     m6, m1 = pixels(png, "M6"), pixels(png, "M1")
     assert len(m6)
     assert len(m1)
@@ -78,19 +78,19 @@ def test_errors_spread_from_right_to_wrong(readings: pd.DataFrame) -> None:
 
 
 def test_each_method_has_a_panel_of_its_own(readings: pd.DataFrame) -> None:
-    png = plots.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
+    png = page.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     columns = {method: pixels(png, method)[:, 1] for method in COLOURS}
     assert columns["M1"].max() < columns["M5"].min()
     assert columns["M5"].max() < columns["M6"].min()
 
 
 def test_what_was_refused_stands_on_the_bottom_line(readings: pd.DataFrame) -> None:
-    png = plots.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
+    png = page.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     m1, m6 = pixels(png, "M1"), pixels(png, "M6")
     assert np.ptp(m1[:, 0]) < 20  # one marker high
     assert m1[:, 0].min() > m6[:, 0].max()
 
 
 def test_every_drawn_method_has_its_own_look() -> None:
-    looks = [(colour, marker) for colour, marker, _ in plots.STYLES.values()]
+    looks = [(colour, marker) for colour, marker, _ in page.STYLES.values()]
     assert len(set(looks)) == len(looks)

@@ -1,6 +1,6 @@
 """The captures that come with the package: simulated, free to pass on, with exact truth.
 
-`python -m cucumbervision_lab.synthesis.demo FOLDER` writes them anew.
+python website/demo_captures.py FOLDER    # writes them anew
 """
 
 from __future__ import annotations
@@ -286,7 +286,7 @@ def _write_scene(folder: Path, scene: DemoScene, step: int) -> Path:
         masks=tuple(fruit.visible for fruit in truth),
         stop=Stop(row="demo", side="left", position_m=round(0.4 * step, 2), step=step),
         simulated=True,
-        provenance={"drawn_by": "cucumbervision_lab.synthesis.demo", "seed": scene.seed},
+        provenance={"drawn_by": "website/demo_captures.py", "seed": scene.seed},
     )
     manifest = write_native(capture, folder, burst=list(zip(colors, depths, strict=True)))
     _compress(manifest)

@@ -8,55 +8,12 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.card import dataset_card
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.derive import convert_dataset, merge_datasets, parse_keep
 from cucumbervision_lab.datasets.labels import DataSet, Label, keep_classes
 from cucumbervision_lab.datasets.splits import parse_shares
 
 MakeSet = Callable[..., DataSet]
-
-
-def test_the_card_counts(make_set: MakeSet) -> None:
-    dataset = make_set()
-    first, *rest = dataset.pictures
-    crate = Label(np.array([1.0, 1, 9, 9]), ignore=True)
-    pseudo = replace(first.labels[0], pseudo=True, hidden_share=1.0, extras={"distance_m": 0.5})
-    first = replace(first, labels=(crate, pseudo), source="a|b", licence="")
-    text = dataset_card(replace(dataset, pictures=(first, *rest)), "Drawn")
-    lines = text.splitlines()
-    assert lines[0] == "# Drawn"
-    assert lines[2] == "4 pictures of 4 scenes, 5 labelled fruit, 1 labels to ignore."
-    # Pictures, scenes, with fruit, fruit, pseudo.
-    assert "| train | 2 | 2 | 2 | 2 | 1 |" in lines
-    assert "| test | 1 | 1 | 1 | 1 | 0 |" in lines
-    assert "| a\\|b | 1 | 1 | 1 | 1 | 1 |" in lines
-    assert "| drawn | 3 | 3 | 3 | 4 | 0 |" in lines
-    assert "| not stated | 1 | 1 | 1 | 1 | 1 |" in lines
-    assert "| cucumber | 5 |" in lines
-    assert "| length | 4 |" in lines
-    # Four of the five hide a quarter, one all.
-    assert "| 25 to 50 % | 4 |" in lines
-    assert "| 75 to 100 % | 1 |" in lines
-    assert "|  | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 |" in lines
-    # A box of 45 x 16 in a picture whose diagonal is 200.
-    assert f"{100 * np.hypot(45, 16) / 200:.2f}" in text
-
-
-def test_a_distance_that_is_no_number_is_none(make_set: MakeSet) -> None:
-    dataset = make_set()
-    first, *rest = dataset.pictures
-
-    def card(*distances: object) -> str:
-        labels = [replace(first.labels[0], extras={"distance_m": one}) for one in distances]
-        changed = replace(first, labels=tuple(labels))
-        return dataset_card(replace(dataset, pictures=(changed, *rest)))
-
-    measured = "|  | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 | 0.50 |"
-    assert measured in card(0.5)
-    # Files of others may say anything there.
-    assert measured in card(0.5, "0.7", "near", None, [0.7], 10**400)
-    assert measured in card(0.5, True, float("nan"), float("inf"), 1e300, {})
 
 
 def test_merged_sets_keep_source_split_and_truth(make_set: MakeSet, tmp_path: Path) -> None:

@@ -5,8 +5,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision_lab.training.assigner import assign_coarsely  # noqa: E402
-from cucumbervision_lab.training.extras import import_ultralytics  # noqa: E402
+from cucumbervision_lab.training.checkpoint import import_ultralytics  # noqa: E402
+from cucumbervision_lab.training.cpu import assign_coarsely  # noqa: E402
 
 pytestmark = pytest.mark.train
 

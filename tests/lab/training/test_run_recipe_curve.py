@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cucumbervision_lab.detection.pictures import Frame, TrueFruit
-from cucumbervision_lab.training.curve import Curve, draw_curve
-from cucumbervision_lab.training.tables import read_rows, write_rows
+from cucumbervision_lab.training.checkpoint import read_rows, write_rows
+from cucumbervision_lab.training.run_recipe import Curve, draw_curve
 
 
 def test_rows_keep_all_columns_and_are_drawn(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_a_network_is_judged_as_it_would_be_shipped(
 
     from cucumbervision_lab.detection.photos import Photo
     from cucumbervision_lab.synthesis.generate import generate, parse_options
-    from cucumbervision_lab.training.extras import import_ultralytics
+    from cucumbervision_lab.training.checkpoint import import_ultralytics
 
     options = parse_options(
         frames=2, seed=3, size="96x64", shares="0,1,0", split="test", depth=False

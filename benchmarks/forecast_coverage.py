@@ -151,11 +151,11 @@ def _scores(
     said = found.probability[[at[str(k)] for k in real]].transpose(1, 0, 2)[1:]
     width = said.shape[2]
     became = np.eye(width)[true[1:, real]]
-    told = np.eye(width)[naive[1:]]
-    brier = [float(((p - became) ** 2).sum(axis=2).mean()) for p in (said, told)]
+    naive_share = np.eye(width)[naive[1:]]
+    brier = [float(((p - became) ** 2).sum(axis=2).mean()) for p in (said, naive_share)]
     logs = [
         float(-np.log(np.clip((p * became).sum(axis=2), CLIP, 1 - CLIP)).mean())
-        for p in (said, told)
+        for p in (said, naive_share)
     ]
     return brier[0], brier[1], logs[0], logs[1]
 

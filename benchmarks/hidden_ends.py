@@ -4,7 +4,7 @@
 
 Fruit of the stress set's kind (0.3 to 1.2 m, tilted up to 45 degrees, outlines exact and
 disturbed), a leaf laid over 7 to 45 % of each from one end, and over 0 to 12 cm beyond it. The
-second table learns how girth goes with length on some of the fruit and holds it against the
+second table learns how girth goes with length on some of the fruit and compares it with the
 others: one half against the other, and two kinds of fruit against the third.
 """
 
@@ -96,17 +96,19 @@ def learnt(rows: pd.DataFrame) -> GirthRelation:
     return GirthRelation(float(log_length), float(slope), spread)
 
 
-def learnt_table(told: pd.DataFrame) -> Table:
+def learnt_table(estimated: pd.DataFrame) -> Table:
     """Return what relations hold that were learnt on other fruit."""
-    even = told["number"] % 2 == 0
+    even = estimated["number"] % 2 == 0
     splits = [("odd numbers, learnt on even", even), ("even numbers, learnt on odd", ~even)]
-    kinds = sorted(told["kind of fruit"].unique())
-    splits += [(f"{kind}, learnt on other kinds", told["kind of fruit"] != kind) for kind in kinds]
+    kinds = sorted(estimated["kind of fruit"].unique())
+    splits += [
+        (f"{kind}, learnt on other kinds", estimated["kind of fruit"] != kind) for kind in kinds
+    ]
     table = Table(title="Length by girth, learnt on other fruit")
     for head in ("fruit", "readings", "spread", "median off %", "error %", "covers %", "width %"):
         table.add_column(head, justify="right")
     for name, of in splits:
-        relation, others = learnt(told[of]), told[~of]
+        relation, others = learnt(estimated[of]), estimated[~of]
         columns = others[["seen", "girth", "reach"]].to_numpy(float).tolist()
         found = [hidden_length(seen, girth, reach, relation) for seen, girth, reach in columns]
         low, median, high = np.array([(x.low_m, x.median_m, x.high_m) for x in found]).T
@@ -126,15 +128,17 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="file of what was measured: a run resumes")
     options = parser.parse_args()
     rows = rows_of(options.fruit, measured, options.keep)
-    told = rows[rows["median"].notna()]
+    estimated = rows[rows["median"].notna()]
     groups = {
-        "all": told["true"] > 0,
-        "exact outlines": told["kind"] == "exact",
-        "disturbed outlines": told["kind"] == "disturbed",
-        "7 to 25 % hidden": told["share"] >= 0.75,
-        "25 to 45 % hidden": told["share"] < 0.75,
+        "all": estimated["true"] > 0,
+        "exact outlines": estimated["kind"] == "exact",
+        "disturbed outlines": estimated["kind"] == "disturbed",
+        "7 to 25 % hidden": estimated["share"] >= 0.75,
+        "25 to 45 % hidden": estimated["share"] < 0.75,
     }
-    title = f"{len(rows)} measured, {rows['flagged'].sum()} flagged, {len(told)} with an estimate"
+    title = (
+        f"{len(rows)} measured, {rows['flagged'].sum()} flagged, {len(estimated)} with an estimate"
+    )
     table = Table(title=title)
     heads = (
         "group",
@@ -148,7 +152,7 @@ def main() -> None:
     for head in heads:
         table.add_column(head, justify="right")
     for name, chosen in groups.items():
-        some = told[chosen]
+        some = estimated[chosen]
         off = 100 * (some["median"] / some["true"] - 1)
         covers = 100 * some["true"].between(some["low"], some["high"]).mean()
         width = 100 * ((some["high"] - some["low"]) / some["median"]).mean()
@@ -157,7 +161,7 @@ def main() -> None:
         table.add_row(name, str(len(some)), *(f"{x:.1f}" for x in cells))
     console = Console(width=100, highlight=False)
     console.print(table)
-    console.print(learnt_table(told))
+    console.print(learnt_table(estimated))
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def _begin_worker() -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when the command has been killed: nobody would fetch its results."""
+    """End this process when the command has been killed: its results have no reader."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -243,7 +243,7 @@ NOTES = {
         "smooth field of 1.5 px RMS. For 'perceived' ones nothing is given: the detector finds the "
         "fruit, the pose network places its keypoints and MobileSAM draws it; a fruit that is not "
         "found counts as not measured. The depth scale is exact in all tables, as after `calibrate "
-        "--grid`; a camera that nobody calibrated adds its own."
+        "--grid`; an uncalibrated camera adds its own."
     ),
     "paper": (
         "The paper's figures were read on its own captures of seven real cucumbers against the "

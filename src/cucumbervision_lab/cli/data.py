@@ -122,7 +122,7 @@ def split(
 ) -> None:
     """Part a set into train, val and test that share no scene.
 
-    Scenes that nobody has named are found: near-duplicates belong together.
+    Scenes without a name are found: near-duplicates belong together.
     """
     from rich.table import Table
 

@@ -236,13 +236,13 @@ def _split_faults(dataset: DataSet) -> Iterator[Finding]:
 
 def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
     first: dict[str, LabelledPicture] = {}
-    told: set[tuple[str, str]] = set()
+    reported: set[tuple[str, str]] = set()
     for picture in dataset.pictures:
         if not picture.scene or not picture.split:
             continue
         other = first.setdefault(picture.scene, picture)
-        if other.split != picture.split and (picture.scene, picture.split) not in told:
-            told.add((picture.scene, picture.split))
+        if other.split != picture.split and (picture.scene, picture.split) not in reported:
+            reported.add((picture.scene, picture.split))
             fault = (
                 f"scene '{picture.scene}' is in {picture.split}, and with {other.file} in "
                 f"{other.split}"
@@ -294,7 +294,7 @@ def _copies_across(
 def _views_across(
     pictures: Sequence[LabelledPicture], prints: Sequence[Fingerprint]
 ) -> list[tuple[int, int]]:
-    """Find near-duplicates among pictures whose scenes nobody has named."""
+    """Find near-duplicates among pictures whose scenes have no name."""
     loose = [k for k, p in enumerate(pictures) if not p.scene]
     pairs = views_of_one_scene(
         [prints[k] for k in loose],

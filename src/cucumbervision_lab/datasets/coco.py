@@ -16,6 +16,7 @@ import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.files import parse_model, read_json
+from cucumbervision.capture.pictures import MOST_PIXELS
 from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
@@ -47,7 +48,6 @@ ROBOFLOW = "_annotations.coco.json"
 _FOLDERS = {"train": "train", "valid": "val", "val": "val", "test": "test"}
 _KEYPOINTS = 5
 _FAULTS = (AttributeError, KeyError, TypeError, ValueError, OverflowError)  # of wrong types
-_MOST_PIXELS = 2**30  # as OpenCV reads at most
 
 
 def read_coco(path: Path) -> DataSet:
@@ -201,7 +201,7 @@ def picture_of(
     """
     width, height = int(image["width"]), int(image["height"])
     name = str(image["file_name"]).replace("\\", "/")
-    if min(width, height) < 1 or width * height > _MOST_PIXELS:
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
         raise ValueError(f"its size {width}x{height} is no picture")
     labels: list[Label] = []
     refused: list[CucumberVisionError] = []

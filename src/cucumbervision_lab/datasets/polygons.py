@@ -1,4 +1,4 @@
-"""What a mask's outline tells: polygons without losing a pixel, and keypoints along its axis.
+"""Polygons of masks without losing a pixel, and keypoints along a mask's axis.
 
 Polygons' points count from the picture's corner, as YOLO and COCO files do: the first pixel's
 centre is (0.5, 0.5); `perception.masks.fill_polygon` draws them again. Keypoints of a mask are

@@ -441,7 +441,7 @@ def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[G
         For recall: by the fruit's own distance, size, hidden share and whether it is cut off.
     found : sequence of FoundRow
         For precision: by distance and size of the detection and whether its box reaches the
-        picture's border. How much of a false detection is hidden nobody can say.
+        picture's border. The hidden share of a false detection is unknown.
 
     Returns
     -------

@@ -102,7 +102,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     folder : Path
         Searched with its subfolders.
     split : str
-        'test', whose scenes nobody trained on.
+        'test', whose scenes no network was trained on.
 
     Returns
     -------

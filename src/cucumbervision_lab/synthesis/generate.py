@@ -123,7 +123,7 @@ _EXACT_UNIT_M = 0.0001
 # In twenty frames fourteen train, three validate, three test: the paper's 70:15:15.
 _SPLIT_OF = ("train",) * 14 + ("val",) * 3 + ("test",) * 3
 
-# Less of a fruit than this tells nobody what it is: neither fruit nor background.
+# A fruit of which less is visible counts as neither fruit nor background.
 _LEAST_SHARE = 0.12
 
 _PASTED = 1.2  # real fruit a training frame, on average

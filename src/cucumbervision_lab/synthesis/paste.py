@@ -46,7 +46,7 @@ class Cutout:
     keypoints : ndarray of float64, shape (5, 3), optional
         In pixels of the cutout.
     by_place : bool
-        Whether nobody said which of them is the stem's end.
+        Whether the stem's end is unknown.
     """
 
     color: NDArray[np.uint8]
@@ -312,7 +312,7 @@ def label_of(
     points : ndarray of float64, shape (5, 3), optional
         Its keypoints.
     by_place : bool
-        Whether nobody said which of them is the stem's end; the label records this.
+        Whether the stem's end is unknown; the label records this.
     """
     height, width = seen.shape
     if points is not None:

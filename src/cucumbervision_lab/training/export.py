@@ -65,10 +65,6 @@ def halve_storage(network: onnx.ModelProto) -> None:
     graph.node.extend(nodes)
 
 
-HEADS = ("one-to-one", "one-to-many", "end-to-end")
-
-"""Forms of export: ours, and Ultralytics' two."""
-
 _OPSET = 17
 
 
@@ -76,13 +72,12 @@ def export_yolo(
     checkpoint: Path | str,
     out: Path | str,
     *,
-    head: str = "one-to-one",
     size_px: int | tuple[int, int] = 640,
     dynamic: bool = False,
     half: bool = False,
     input_sizes: Sequence[int] = (),
 ) -> Path:
-    """Export a checkpoint to ONNX.
+    """Export a checkpoint's one-to-one head to ONNX, in the form of a raw output.
 
     Parameters
     ----------
@@ -90,8 +85,6 @@ def export_yolo(
         A YOLO26 .pt file (detect, segment or pose), or an Ultralytics .yaml for random weights.
     out : Path or str
         The file to write.
-    head : str
-        'one-to-one' (the package's form), 'one-to-many' or 'end-to-end' (Ultralytics' own).
     size_px : int or tuple of int
         Height and width of the input; a multiple of the stride.
     dynamic : bool
@@ -99,7 +92,7 @@ def export_yolo(
     half : bool
         Store the weights in half precision; inputs and outputs stay float32.
     input_sizes : sequence of int
-        Long sides at which the network is run where nobody asks for others, pixels; without any
+        Long sides at which the network is run where no others are asked for, pixels; without any
         `size_px` alone.
 
     Returns
@@ -114,11 +107,9 @@ def export_yolo(
     MissingExtraError
         If the extra `train` is not installed.
     """
-    if head not in HEADS:
-        raise ModelError(f"no head is called {head!r}", remedy=f"choose one of {', '.join(HEADS)}")
     model = _load(checkpoint)
     return export_model(
-        model, out, head=head, size_px=size_px, dynamic=dynamic, half=half, input_sizes=input_sizes
+        model, out, size_px=size_px, dynamic=dynamic, half=half, input_sizes=input_sizes
     )
 
 
@@ -139,7 +130,6 @@ def export_model(
     model: Any,
     out: Path | str,
     *,
-    head: str = "one-to-one",
     size_px: int | tuple[int, int] = 640,
     dynamic: bool = False,
     half: bool = False,
@@ -147,14 +137,13 @@ def export_model(
 ) -> Path:
     """Export a loaded `ultralytics.YOLO`; see `export_yolo`."""
     detect = model.model.model[-1]
-    if head != "one-to-many" and getattr(detect, "one2one_cv2", None) is None:
+    if getattr(detect, "one2one_cv2", None) is None:
         raise ModelError("it has no one-to-one head", source=model.ckpt_path, remedy="use YOLO26")
     out = Path(out)
     with tempfile.TemporaryDirectory() as folder:
         # Ultralytics writes beside the checkpoint; the checkpoint's own folder stays clean.
         model.ckpt_path = model.model.pt_path = str(Path(folder) / "network.pt")
-        if head == "one-to-one":
-            detect.postprocess = _corners_to_centres
+        detect.postprocess = _corners_to_centres
         try:
             with warnings.catch_warnings():
                 # The tracer warns of itself and of branches on shapes.
@@ -165,7 +154,7 @@ def export_model(
                     dynamic=dynamic,
                     opset=_OPSET,
                     simplify=False,
-                    nms=None if head == "one-to-many" else False,
+                    nms=False,
                     device="cpu",
                     verbose=False,
                 )
@@ -175,9 +164,9 @@ def export_model(
         own = {
             ORDER_KEY: str(getattr(model.model, "keypoint_order", "")),
             SIZES_KEY: ",".join(map(str, input_sizes)),
+            "end2end": "False",
+            ONE_TO_ONE_KEY: "True",
         }
-        if head == "one-to-one":
-            own |= {"end2end": "False", ONE_TO_ONE_KEY: "True"}
         _finish(Path(written), own, half=half)
         shutil.move(written, out)
     return out
@@ -259,7 +248,7 @@ def export_trained(
     ------
     TrainingError
         If no epoch of the run is through, the name or the evaluation cannot be used, or the
-        network is not one of ours.
+        network is for another task or several classes.
     CaptureError
         If the evaluation's file is no JSON.
     ModelError
@@ -312,7 +301,7 @@ def export_trained(
 
 
 def _known_of_run(run: Path) -> dict[str, Any]:
-    """Collect what a run's folder tells for the card, without any path of this machine."""
+    """Return a run's entries for the card, without any path of this machine."""
     state = RunState.load(run)
     init, data = Path(state.init).name, run / DATA_CARD
     return {

@@ -153,7 +153,7 @@ def train_house(
     workers : int
         Processes that draw.
     say : callable
-        Told what is being done.
+        Called with a line for each step.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How a network learns the five points: kindly first, strictly at last, and which of them are seen.
+"""How a network learns the five points: the tolerance narrows, and visibility is learnt too.
 
 Ultralytics' YOLO26 chooses the anchors that learn a fruit by the similarity of its points (OKS)
 alone. With the tolerance that a length needs, 0.05, a network that does not know the points yet

@@ -219,7 +219,7 @@ def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Pat
     Raises
     ------
     ModelHashError
-        If the file is not the one that its card tells of.
+        If the file is not the one that its card describes.
     TrainingError
         If the card cannot be read, the weights together would exceed `MOST_BYTES`, or the
         folder cannot be written.
@@ -228,7 +228,7 @@ def publish(exported: Path, name: str, package: Path | None = None) -> tuple[Pat
     network = exported / card.file
     if not network.is_file() or file_sha256(network) != card.sha256:
         raise ModelHashError(
-            "is not the file that its card tells of", source=network, remedy="export it again"
+            "is not the file that its card describes", source=network, remedy="export it again"
         )
     package = package or Path(registry.__file__).parent
     weights, toml = package / "weights", package / "models.toml"

@@ -56,7 +56,7 @@ class RecipeFolders:
 
 def run_recipe(
     recipe: Recipe,
-    kitchen: RecipeFolders,
+    folders: RecipeFolders,
     *,
     tasks: tuple[str, ...] = ("seg", "pose"),
     options: TrainOptions | None = None,
@@ -70,7 +70,7 @@ def run_recipe(
     ----------
     recipe : Recipe
         Which pictures, and the plans.
-    kitchen : RecipeFolders
+    folders : RecipeFolders
         Where everything is.
     tasks : tuple of str
         Those of 'seg' and 'pose' to train, in this order.
@@ -81,7 +81,7 @@ def run_recipe(
     workers : int
         Processes that draw.
     say : callable
-        Told what is being done.
+        Called with a line for each step.
 
     Returns
     -------
@@ -97,10 +97,10 @@ def run_recipe(
     unknown = [task for task in tasks if task not in recipe.schedules]
     if unknown:
         raise TrainingError(f"the recipe has no plan for {unknown[0]}", remedy="add its table")
-    built = build_sources(recipe, kitchen.data, kitchen.out / "data", workers, say)
+    built = build_sources(recipe, folders.data, folders.out / "data", workers, say)
     found = {}
     for task in tasks:
-        schedule, run = recipe.schedules[task], kitchen.out / task
+        schedule, run = recipe.schedules[task], folders.out / task
         data = write_mixture(recipe, built, task, run)
         own = replace(
             given,
@@ -117,12 +117,12 @@ def run_recipe(
             task,
             data,
             run,
-            init=None if begun else str(kitchen.weights / schedule.init),
+            init=None if begun else str(folders.weights / schedule.init),
             plan=schedule.plan,
             per_epoch=schedule.per_epoch,
             resume=begun,
             options=own,
-            watcher=_Judged(watcher, Curve(task, kitchen.data, kitchen.test, run), recipe),
+            watcher=_Judged(watcher, Curve(task, folders.data, folders.test, run), recipe),
         )
     return found
 

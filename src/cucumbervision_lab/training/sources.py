@@ -48,7 +48,7 @@ def build_sources(
     workers : int
         Processes that draw.
     say : callable
-        Told what is being built.
+        Called with a line for each source.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def _few_of_each(pictures: Sequence[LabelledPicture], most: int) -> list[Labelle
 def with_axis_points(dataset: DataSet) -> DataSet:
     """Add keypoints along the axis of its mask to every whole fruit that has none.
 
-    Where nobody said which end is the stem's, the order is by chance of where the fruit lies, which
+    Where the stem's end is unknown, the order follows from how the fruit lies, which
     the label's extras say: good for a network that learns points by place, not for `train ends`.
 
     Parameters
@@ -167,9 +167,9 @@ def _with_points(label: Label) -> Label:
     points = None if ends is None else keypoints_between(mask, ends)
     if points is not None:
         return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))
-    told = label.extras.get("stem")
-    known = told in DIRECTIONS
-    for stem in [str(told)] if known else ["right", "up"]:
+    noted = label.extras.get("stem")
+    known = noted in DIRECTIONS
+    for stem in [str(noted)] if known else ["right", "up"]:
         points = keypoints_of_mask(mask, stem)
         if points is not None:
             extras = label.extras if known else {**label.extras, KEYPOINT_ORDER: BY_PLACE}

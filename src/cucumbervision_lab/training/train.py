@@ -238,7 +238,7 @@ def _run_part(
 
 
 class _Link:
-    """Turns what the trainer tells into reports, the CSV file, the state and `NETWORK`."""
+    """Turns the trainer's callbacks into reports, the CSV file, the state and `NETWORK`."""
 
     def __init__(
         self, state: RunState, out: Path, watcher: TrainWatcher, end: float | None

@@ -1,4 +1,4 @@
-"""Ultralytics' trainer with what is ours: one plan, a mixture of sources, safe files, bfloat16.
+"""Ultralytics' trainer with one plan, a mixture of sources, files written whole, and bfloat16.
 
 Nothing of Ultralytics is forked: one subclass of its trainer, and its callbacks.
 """
@@ -84,7 +84,7 @@ def make_trainer(
     task: str,
     overrides: dict[str, Any],
     watcher: Watcher,
-    course: TrainerSettings,
+    settings: TrainerSettings,
     *,
     threads: int,
     workers: int,
@@ -100,7 +100,7 @@ def make_trainer(
         Ultralytics' own settings.
     watcher : Watcher
         Called with every batch and epoch.
-    course : TrainerSettings
+    settings : TrainerSettings
         Where in the plan it begins.
     threads, workers : int
         Threads of torch, and processes that load pictures.
@@ -120,12 +120,12 @@ def make_trainer(
         dict.__setitem__(SETTINGS, name, False)
     base: Any = {"segment": SegmentationTrainer, "pose": PoseTrainer}[task]
 
-    class Training(_Ours, base):  # type: ignore[misc]
+    class Training(_PlannedTraining, base):  # type: ignore[misc]
         """Named without 'Trainer', so that Ultralytics ties no outside services to it."""
 
     trainer = Training(overrides=overrides)
-    trainer.course = course
-    if course.by_place:
+    trainer.settings = settings
+    if settings.by_place:
         trainer.add_callback("on_train_start", _say_by_place)
     # Ultralytics allows the CPU one thread less than it has, and no loading beside it.
     trainer.args.workers = workers
@@ -148,8 +148,8 @@ def make_trainer(
     return trainer
 
 
-class _Ours:
-    """What the trainer does otherwise: the plan is one, and files are never half written."""
+class _PlannedTraining:
+    """Overrides of Ultralytics' trainer: one plan for the whole training, files written whole."""
 
     args: Any
     data: dict[str, Any]
@@ -157,7 +157,7 @@ class _Ours:
     ema: Any
     model: Any
     optimizer: Any
-    course: TrainerSettings
+    settings: TrainerSettings
     wdir: Path
     last: Path
     best: Path
@@ -167,19 +167,19 @@ class _Ours:
         """Lower the learning rate over the plan."""
         import torch
 
-        self.lf = lambda epoch: rate_at(self.course.plan.through(epoch))
+        self.lf = lambda epoch: rate_at(self.settings.plan.through(epoch))
         self.scheduler = torch.optim.lr_scheduler.LambdaLR(self.optimizer, self.lf)
 
     def resume_training(self, ckpt: dict[str, Any] | None) -> None:
         """Go on where the plan stands, with the optimiser's memory if the checkpoint has it."""
-        self.start_epoch = self.course.epochs
-        if self.course.epochs and ckpt and ckpt.get("optimizer"):
+        self.start_epoch = self.settings.epochs
+        if self.settings.epochs and ckpt and ckpt.get("optimizer"):
             self._load_checkpoint_state(ckpt)  # type: ignore[attr-defined]
             self.cold_steps = 0
 
     def _model_train(self) -> None:
         super()._model_train()  # type: ignore[misc]
-        if self.course.still_norms:
+        if self.settings.still_norms:
             import torch
 
             for module in self.model.modules():
@@ -189,12 +189,12 @@ class _Ours:
     def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
         """Bring a batch to the device, points in the order to be learnt."""
         ready: dict[str, Any] = take_out_ignored(super().preprocess_batch(batch))  # type: ignore[misc]
-        return _ordered(ready) if self.course.by_place else ready
+        return _ordered(ready) if self.settings.by_place else ready
 
     def get_validator(self) -> Any:
         """Judge points in the order that was learnt."""
         validator = super().get_validator()  # type: ignore[misc]
-        if self.course.by_place:
+        if self.settings.by_place:
             prepare = validator.preprocess
             validator.preprocess = lambda batch: _ordered(prepare(batch))
         return validator
@@ -222,9 +222,9 @@ class _Ours:
             sampler=MixtureSampler(
                 sources,
                 self.data.get("weights") or [float(len(source)) for source in sources],
-                self.course.plan.per_epoch,
-                epoch=self.course.epochs,
-                seed=self.course.seed,
+                self.settings.plan.per_epoch,
+                epoch=self.settings.epochs,
+                seed=self.settings.seed,
             ),
             num_workers=workers,
             prefetch_factor=4 if workers else None,
@@ -290,7 +290,7 @@ def _listen(trainer: Any, watcher: Watcher, threads: int) -> None:
             rows |= {**t.metrics, "fitness": t.fitness}
         numbers = {key: float(value) for key, value in rows.items()}
         over = watcher.epoch(t.epoch + 1, numbers, time.monotonic() - began)
-        if over or t.epoch + 1 >= t.course.plan.end_of_part(t.epoch):
+        if over or t.epoch + 1 >= t.settings.plan.end_of_part(t.epoch):
             t.stop = True
 
     trainer.add_callback("on_train_start", start)
@@ -306,14 +306,16 @@ def _average_sooner(trainer: Any) -> None:
 
 def _share_of_heads(trainer: Any) -> None:
     """Lower the one-to-many head's share of the loss over the plan; say when to validate."""
-    course, model = trainer.course, trainer.model
-    last = course.plan.end_of_part(trainer.epoch)
-    trainer.args.val = (trainer.epoch + 1) % course.validate_every == 0 or trainer.epoch + 1 == last
+    settings, model = trainer.settings, trainer.model
+    last = settings.plan.end_of_part(trainer.epoch)
+    trainer.args.val = (
+        trainer.epoch + 1
+    ) % settings.validate_every == 0 or trainer.epoch + 1 == last
     if getattr(model, "criterion", None) is None:
         model.criterion = model.init_criterion()
     loss = model.criterion
     if hasattr(loss, "o2m"):
-        loss.o2m = one_to_many_at(course.plan.through(trainer.epoch), course.one_to_many)
+        loss.o2m = one_to_many_at(settings.plan.through(trainer.epoch), settings.one_to_many)
         loss.o2o = loss.total - loss.o2m
 
 
@@ -329,6 +331,6 @@ def _warm_up(trainer: Any) -> None:
 
 def _be_stricter(trainer: Any) -> None:
     """Lower the points' tolerance over the plan."""
-    course = trainer.course
-    progress = 1.0 if course.strict else course.plan.through(trainer.epoch)
+    settings = trainer.settings
+    progress = 1.0 if settings.strict else settings.plan.through(trainer.epoch)
     set_tolerance(trainer.model, tolerance_at(progress))

@@ -133,11 +133,11 @@ def test_one_command_trains_and_goes_on(
     monkeypatch.setattr(f"{home}.build_sources", lambda *_: built)
     ultralytics = import_ultralytics()
     ultralytics.YOLO("yolo26n-seg.yaml").save(tmp_path / "seg.pt")
-    kitchen = RecipeFolders(tmp_path, tmp_path, tmp_path / "out")
+    folders = RecipeFolders(tmp_path, tmp_path, tmp_path / "out")
     short = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, minutes=0.0001)
-    first = run_recipe(RECIPE, kitchen, tasks=("seg",), options=short, say=lambda _: None)
+    first = run_recipe(RECIPE, folders, tasks=("seg",), options=short, say=lambda _: None)
     assert first == {"seg": tmp_path / "out/seg" / NETWORK}
-    run_recipe(RECIPE, kitchen, tasks=("seg",), options=short, say=lambda _: None)
+    run_recipe(RECIPE, folders, tasks=("seg",), options=short, say=lambda _: None)
     rows = read_rows(tmp_path / "out/seg/metrics.csv")
     assert [int(row["pictures"]) for row in rows] == [12, 24]
     # Only the second epoch is validated, and the end of the plan is judged.

@@ -82,7 +82,7 @@ def data_card(dataset: DataSet, title: str) -> str:
     >>> from cucumbervision_lab.datasets.labels import LabelledPicture
     >>> one = LabelledPicture("a.png", 64, 48, source="own house", licence="CC0-1.0")
     >>> print(data_card(DataSet(Path(), (one, one)), "Set"))
-    ## Set
+    # Set
     <BLANKLINE>
     | source | licence | pictures | with fruit | fruit |
     |---|---|--:|--:|--:|
@@ -92,7 +92,7 @@ def data_card(dataset: DataSet, title: str) -> str:
     for picture in dataset.pictures:
         key = (picture.source or "not stated", picture.licence or "not stated")
         groups.setdefault(key, []).append(picture)
-    lines = [f"## {title}", "", "| source | licence | pictures | with fruit | fruit |"]
+    lines = [f"# {title}", "", "| source | licence | pictures | with fruit | fruit |"]
     lines.append("|---|---|--:|--:|--:|")
     for (source, licence), own in sorted(groups.items()):
         fruit = [sum(not label.ignore for label in picture.labels) for picture in own]

@@ -184,7 +184,7 @@ def write_mixture(recipe: Recipe, built: Mapping[str, Path], task: str, run: Pat
         if source.validate and "val" in head:
             values["val"].append(str(folder / "images" / "val"))
         if source.kind in ORIGINAL:
-            cards.append("\n" + (folder / DATA_CARD).read_text(encoding="utf-8"))
+            cards.append("\n#" + (folder / DATA_CARD).read_text(encoding="utf-8"))
     run.mkdir(parents=True, exist_ok=True)
     (run / DATA_CARD).write_text("\n".join(cards), encoding="utf-8")
     mixture = run / "mixture.yaml"

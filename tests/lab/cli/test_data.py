@@ -51,7 +51,7 @@ def test_from_boxes_without_yaml_to_ultralytics(photos: Path, tmp_path: Path) ->
     assert "train │ 10" in result.output
     assert {p.split for p in read_coco(hub).pictures} == {"train", "val", "test"}
 
-    result = call("pseudo", hub, "--runtime", "onnxruntime")
+    result = call("pseudo", hub)
     assert result.exit_code == 0, result.output
     boxes = [x for p in read_coco(hub).in_split("test") for x in p.labels]
     assert boxes

@@ -327,7 +327,8 @@ def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
     page = (tmp_path / "tiny-seg.md").read_text()
     for word in ("AGPL-3.0", "Photos: A", card.sha256, "--plan 64x16,96x8", '"recall": 0.9'):
         assert word in page
-    assert "| train | 6 |" in page
+    assert "## Trained on" in page
+    assert "| not stated | not stated | 8 | 8 | 8 |" in page
     assert str(seg_run) not in page
     assert str(tmp_path) not in page
 

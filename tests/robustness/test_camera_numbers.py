@@ -86,6 +86,7 @@ FILES = (
 )
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numbers that overflow when multiplied
 @pytest.mark.parametrize("name", FILES)
 @settings(
     max_examples=150,

@@ -42,6 +42,7 @@ def test_a_folder_is_looked_at_once_however_it_is_linked(tmp_path: Path, capture
     write_native(capture, tmp_path / "walk" / "a")
     (tmp_path / "walk" / "b").symlink_to(tmp_path / "walk", target_is_directory=True)
     (tmp_path / "walk" / "c").symlink_to(tmp_path / "walk" / "a", target_is_directory=True)
+    (tmp_path / "walk" / "d").symlink_to("/", target_is_directory=True)
     assert open_source(tmp_path).total == 1
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _SHORTEST, _LONGEST = 0.05, 100.0  # focal lengths, of the longer side
 _SQUARE = 1.5  # one focal length over the other: pixels are nearly square
 _CURVED = 1e3  # largest coefficient of a lens
+_WIDEST = 20.0  # tangent of the widest angle that a pixel looks in
 
 
 class Stream(StrEnum):
@@ -281,6 +282,16 @@ def check_intrinsics(
             f"{width}x{height}",
             source=source,
             remedy="give cx and cy in pixels of this picture",
+        )
+    with np.errstate(all="ignore"):
+        corners = given.rays(
+            np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height])
+        )
+    if not (np.abs(corners) <= _WIDEST).all():
+        raise IntrinsicsError(
+            f"the lens distortion {given.coefficients} cannot be undone in the picture's corners",
+            source=source,
+            remedy="give k1, k2, p1, p2, k3 of this camera",
         )
     return given
 

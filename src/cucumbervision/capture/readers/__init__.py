@@ -155,14 +155,14 @@ def list_folder(path: Path) -> Folder:
             CaptureError(fault, source=error.filename, remedy="check who may read it")
         )
 
-    seen = {os.path.realpath(path)}
+    # A link may lead to a folder that was seen, or around the path itself.
+    seen = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
     for place, folders, files in os.walk(path, onerror=note, followlinks=True):
         at = Path(place).relative_to(path)
         for name in sorted(files):
             folder.add((at / name).as_posix())
         if not os.access(place, os.X_OK):
             note(PermissionError(errno.EACCES, os.strerror(errno.EACCES), place))
-        # A link may lead to a folder that was seen, or is being looked at.
         inside = {os.path.realpath(Path(place, name)): name for name in sorted(folders)[::-1]}
         folders[:] = sorted(name for real, name in inside.items() if real not in seen)
         seen |= inside.keys()

@@ -439,8 +439,7 @@ def _data_set(folder: Path) -> Any:
                 licence="CC0",
             )
         )
-    names = tuple(f"KP{k}" for k in range(5))
-    return DataSet(folder, tuple(pictures), ("cucumber",), names)
+    return DataSet(folder, tuple(pictures))
 
 
 def coco_set(folder: Path) -> None:

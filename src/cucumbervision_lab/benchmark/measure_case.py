@@ -96,13 +96,10 @@ class CaseOptions:
         Whose masks.
     baselines : bool
         Whether other people's tools run too.
-    frames : int
-        Size of the burst.
     """
 
     masks: tuple[Masks, ...] = (Masks.EXACT, Masks.DISTURBED)
     baselines: bool = False
-    frames: int = 5
 
 
 def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[LengthRecord]:
@@ -123,7 +120,7 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
     list of LengthRecord
         One for each kind of mask; none where too little of the fruit shows.
     """
-    taken = simulate(case, options.frames, paint=Masks.PERCEIVED in options.masks)
+    taken = simulate(case, paint=Masks.PERCEIVED in options.masks)
     if np.count_nonzero(taken.truth.visible) < NO_RECORD_BELOW_PX:
         return []
     records = []

@@ -23,7 +23,7 @@ from cucumbervision.errors import (
     DataSetError,
     wrap_reader_errors,
 )
-from cucumbervision.perception.instances import KEYPOINT_NAMES
+from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
@@ -85,9 +85,7 @@ def read_coco(path: Path) -> DataSet:
             found, bad = _read_pictures(data, ids, file, split, root)
         pictures.extend(found)
         refused.extend(bad)
-    with wrap_reader_errors(sources[0][0], DataSetError, "give COCO JSON"):
-        points = _keypoint_names(files[0])
-    return DataSet(root, tuple(pictures), tuple(names), points, refused=tuple(refused))
+    return DataSet(root, tuple(pictures), tuple(names), tuple(refused))
 
 
 def _find(path: Path) -> list[tuple[Path, str]]:
@@ -126,14 +124,6 @@ def _category_indices(data: Mapping[str, Any], names: list[str]) -> dict[int, in
             names.append(name)
         ids[int(category["id"])] = names.index(name)
     return ids
-
-
-def _keypoint_names(data: Mapping[str, Any]) -> tuple[str, ...]:
-    for category in data.get("categories", []):
-        found = category.get("keypoints") if isinstance(category, dict) else None
-        if isinstance(found, list) and len(found) == _KEYPOINTS:
-            return tuple(str(name) for name in found)
-    return KEYPOINT_NAMES
 
 
 def _read_pictures(
@@ -448,8 +438,8 @@ def _categories(dataset: DataSet) -> list[dict[str, Any]]:
             "id": k + 1,
             "name": name,
             "supercategory": "fruit",
-            "keypoints": list(dataset.keypoint_names),
-            "skeleton": [[a + 1, b + 1] for a, b in dataset.skeleton],
+            "keypoints": list(KEYPOINT_NAMES),
+            "skeleton": [[a + 1, b + 1] for a, b in SKELETON],
         }
         for k, name in enumerate(dataset.categories)
     ]

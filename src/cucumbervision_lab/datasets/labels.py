@@ -14,7 +14,6 @@ import numpy as np
 from cucumbervision.capture.files import read_bytes
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
 from cucumbervision.errors import CaptureError, DataSetError
-from cucumbervision.perception.instances import KEYPOINT_NAMES, SKELETON
 from cucumbervision.perception.mask_codes import Rle
 from cucumbervision.perception.masks import box_of_mask
 
@@ -189,12 +188,6 @@ class DataSet:
         In the order of the files.
     categories : tuple of str
         Names of the classes that `Label.category` counts.
-    keypoint_names : tuple of str
-        Of the five keypoints.
-    skeleton : tuple of (int, int)
-        Which keypoints a line joins.
-    flip_index : tuple of int
-        Which keypoint each becomes in a mirrored picture: itself, a fruit has no left and right.
     refused : tuple of CucumberVisionError
         What a reader found and could not use; the rest is in `pictures`.
     """
@@ -202,9 +195,6 @@ class DataSet:
     folder: Path
     pictures: tuple[LabelledPicture, ...]
     categories: tuple[str, ...] = ("cucumber",)
-    keypoint_names: tuple[str, ...] = KEYPOINT_NAMES
-    skeleton: tuple[tuple[int, int], ...] = SKELETON
-    flip_index: tuple[int, ...] = (0, 1, 2, 3, 4)
     refused: tuple[CucumberVisionError, ...] = ()
 
     def path(self, picture: LabelledPicture) -> Path:

@@ -17,6 +17,7 @@ from cucumbervision.errors import (
     wrap_reader_errors,
 )
 from cucumbervision.perception.instance_files import parse_yolo_line
+from cucumbervision.perception.instances import KEYPOINT_NAMES
 from cucumbervision.perception.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.perception.masks import box_of_mask
 from cucumbervision_lab.datasets.labels import (
@@ -498,7 +499,8 @@ def _data_yaml(dataset: DataSet, task: str, counts: dict[str, int]) -> str:
     data: dict[str, Any] = {split: f"images/{split}" for split in SPLITS if counts[split]}
     data["names"] = dict(enumerate(dataset.categories))
     if task == "pose":
-        data["kpt_shape"] = [len(dataset.keypoint_names), 3]
-        data["flip_idx"] = list(dataset.flip_index)
-        data["kpt_names"] = {k: list(dataset.keypoint_names) for k in data["names"]}
+        data["kpt_shape"] = [_KEYPOINTS, 3]
+        # Mirrored, each stays what it is: a fruit has no left and right.
+        data["flip_idx"] = list(range(_KEYPOINTS))
+        data["kpt_names"] = {k: list(KEYPOINT_NAMES) for k in data["names"]}
     return yaml.safe_dump(data, default_flow_style=None, sort_keys=False, allow_unicode=True)

@@ -391,14 +391,10 @@ def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
     return bool(inside.min() < _EDGE_PX)
 
 
-ALL = "all"
-
 _DISTANCE_M = (0.0, 0.45, 0.6, 0.75, 0.9, math.inf)
 
 _LONG_PX = (0.0, 50.0, 100.0, 200.0, 300.0, 450.0, math.inf)
 
-HIDDEN_SHARE = "hidden share (%)"
-"""The factor that groups fruit by how much of them is hidden."""
 
 _HIDDEN = (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.01)
 
@@ -411,8 +407,6 @@ class GroupScore:
     ----------
     factor, group : str
         By what, and which.
-    middle : float
-        Where to plot it: the mean of the fruit's own values; NaN where there is no scale.
     recall : Estimate
         Of the fruit of this group.
     precision : Estimate, optional
@@ -422,14 +416,13 @@ class GroupScore:
 
     factor: str
     group: str
-    middle: float
     recall: Estimate
     precision: Estimate | None
 
 
 def overall(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> GroupScore:
     """Compute recall and precision of everything."""
-    return GroupScore(ALL, ALL, math.nan, _recall(fruit), _precision(found))
+    return GroupScore("all", "all", _recall(fruit), _precision(found))
 
 
 def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[GroupScore]:
@@ -450,12 +443,12 @@ def group_scores(fruit: Sequence[FruitRow], found: Sequence[FoundRow]) -> list[G
     """
     scores = _by_scale("distance (m)", "distance_m", _DISTANCE_M, fruit, found)
     scores += _by_scale("longer side of the box (px)", "long_px", _LONG_PX, fruit, found)
-    scores += _by_scale(HIDDEN_SHARE, "hidden_share", _HIDDEN, fruit, None)
+    scores += _by_scale("hidden share (%)", "hidden_share", _HIDDEN, fruit, None)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):
         own = [r for r in fruit if r.cut_off is cut]
         seen = [r for r in found if r.cut_off is cut]
         if own or seen:
-            scores.append(GroupScore("edge", name, math.nan, _recall(own), _precision(seen)))
+            scores.append(GroupScore("edge", name, _recall(own), _precision(seen)))
     return scores
 
 
@@ -472,10 +465,9 @@ def _by_scale(
         own = [r for r in fruit if low <= getattr(r, field) < high]
         seen = [r for r in found or () if low <= getattr(r, field) < high]
         if own or seen:
-            middle = sum(getattr(r, field) for r in own) / len(own) if own else math.nan
             precision = None if found is None else _precision(seen)
             name = _name(low, high, 100.0 if found is None else 1.0)
-            scores.append(GroupScore(factor, name, middle, _recall(own), precision))
+            scores.append(GroupScore(factor, name, _recall(own), precision))
     return scores
 
 

@@ -8,7 +8,6 @@ its boxes were drawn and why each scene is in its split.
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -24,7 +23,7 @@ from cucumbervision.perception.mask_codes import fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 _FILES = ("photos_audit.json", "photos2_audit.json")
 _HASH_DIGITS = 12
@@ -231,8 +230,8 @@ def audited(
     DataSet
         Labels of one category; whole courgettes are in it too. `Label.extras` has 'kind', 'stem'
         and, where they are known, 'ends_px'; `LabelledPicture.extras` 'setting', 'collection',
-        'test' and 'fully_labelled'. Photos that are missing, changed or never audited are in
-        `refused`.
+        'test' and 'fully_labelled'. Photos that are missing, changed or never audited are left
+        out.
 
     Raises
     ------
@@ -241,10 +240,9 @@ def audited(
     """
     known = load_audit() if audit is None else audit
     wanted = {photo.sha1: photo for photo in known.in_split(split)}
-    hashes = {path: _sha1(path) for path in list_pictures(folder)}
     files: dict[str, Path] = {}
-    for path, sha1 in hashes.items():
-        files.setdefault(sha1, path)
+    for path in list_pictures(folder):
+        files.setdefault(_sha1(path), path)
     found = {sha1: files[sha1] for sha1 in wanted if sha1 in files}
     if not found:
         raise DataSetError(
@@ -255,11 +253,7 @@ def audited(
     pictures = [_picture(wanted[s], path, folder, known) for s, path in found.items()]
     if outlines:
         pictures = [_outlined(picture, folder / picture.file) for picture in pictures]
-    return DataSet(
-        folder=folder,
-        pictures=tuple(pictures),
-        refused=(*_missing(wanted.values(), found, folder), *_strangers(known, hashes, found)),
-    )
+    return DataSet(folder, tuple(pictures))
 
 
 def _photo(entry: Mapping[str, Any]) -> AuditedPhoto:
@@ -345,36 +339,3 @@ def _outlined(picture: LabelledPicture, path: Path) -> LabelledPicture:
             label = replace(label, mask_code=shapes.pop(int(np.argmax(fits))).mask_code)
         labels.append(label)
     return replace(picture, labels=tuple(labels))
-
-
-def _missing(
-    wanted: Iterable[AuditedPhoto], found: Mapping[str, Path], folder: Path
-) -> list[DataSetError]:
-    """Say once a collection how many photos are not there."""
-    photos = list(wanted)
-    total = Counter(photo.collection for photo in photos)
-    lost = Counter(photo.collection for photo in photos if photo.sha1 not in found)
-    return [
-        DataSetError(
-            f"{count} of {total[name]} audited photos of {name} are not here", source=folder
-        )
-        for name, count in lost.items()
-    ]
-
-
-def _strangers(
-    audit: Audit, hashes: Mapping[Path, str], found: Mapping[str, Path]
-) -> list[DataSetError]:
-    """Name the files beside audited ones that are none of them."""
-    names = {photo.name for photo in audit.photos}
-    known = {photo.sha1 for photo in audit.photos}
-    beside = {path.parent for path in found.values()}
-    return [
-        DataSetError(
-            "its bytes are not those that were audited" if path.name in names else "never audited",
-            source=path,
-            remedy="fetch it again" if path.name in names else "it is left out",
-        )
-        for path, sha1 in hashes.items()
-        if sha1 not in known and path.parent in beside
-    ]

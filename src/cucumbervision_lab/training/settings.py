@@ -61,9 +61,6 @@ class TrainOptions:
         processor, where they take most of the time and learn least, none on a card.
     seed : int
         Of the random numbers.
-    cache : str
-        Where decoded pictures are kept: 'ram', 'disk' or 'none'. With 'ram' mosaics are made of
-        any pictures, else of those just seen, mixed by the sources' weights.
     threads, workers : int
         Threads of torch (0: as many as there are cores), and processes that load pictures.
     minutes : float, optional
@@ -89,7 +86,6 @@ class TrainOptions:
     precision: str = "auto"
     freeze: int = 0
     seed: int = 0
-    cache: str = "none"
     threads: int = 0
     workers: int = 0
     minutes: float | None = None
@@ -178,7 +174,7 @@ def trainer_settings(
         "save_dir": str(out),
         "device": device,
         "batch": batch,
-        "cache": False if options.cache == "none" else options.cache,
+        "cache": False,
         "freeze": options.frozen_on(device) or None,
         "plots": False,
         "patience": 0,

@@ -161,7 +161,6 @@ def test_recall_and_precision_by_group() -> None:
     assert far_off.recall.value == 0.5
     assert far_off.precision is not None
     assert far_off.precision.value == 5 / 7
-    assert far_off.middle == pytest.approx(1.0)
     assert groups["hidden share (%)", "25 to 50"].recall.value == 0.5
     assert groups["hidden share (%)", "25 to 50"].precision is None
     assert groups["edge", "cut by the picture's edge"].recall.value == 0.5

@@ -29,9 +29,7 @@ from cucumbervision_lab.training.trainer import TrainerSettings, make_trainer
 
 pytestmark = pytest.mark.train
 
-QUICK = TrainOptions(
-    batch=4, device="cpu", precision="f32", cache="none", threads=1, validate_every=1
-)
+QUICK = TrainOptions(batch=4, device="cpu", precision="f32", threads=1, validate_every=1)
 
 
 class Notes:

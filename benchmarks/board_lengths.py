@@ -1,4 +1,4 @@
-"""Real cucumbers on a board, with tape lengths: the outline half of M6 against people.
+"""Real cucumbers on a board: lengths by M6's outline fit beside lengths by tape.
 
     python benchmarks/board_lengths.py DATA_FOLDER/photos2/board_cm
 

@@ -1,4 +1,4 @@
-"""Cucumbers on the plant before a real D435: which are found and measured, and what is false.
+"""Cucumbers on the plant before a real D435: recall, precision and lengths.
 
     python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--sheet PNG]
 

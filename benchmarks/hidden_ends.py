@@ -1,4 +1,4 @@
-"""What M6 says of fruit of which a leaf hides one end: the whole length's median and interval.
+"""Fruit with one end hidden by a leaf: M6's estimate of the whole length, and its interval.
 
     python benchmarks/hidden_ends.py --fruit 110 [--keep FILE]
 

@@ -1,4 +1,4 @@
-"""What the shipped intervals hold on fruit that they were not learnt from, kind by kind.
+"""Coverage and width of the shipped intervals on fruit that they were not learnt from.
 
     python benchmarks/interval_coverage.py SET [--split test] [--fruit 200] [--keep FOLDER]
 

@@ -1,4 +1,4 @@
-"""What further views of a fruit are worth: drawn fruit, each from three stops of a row.
+"""Errors of one, two and three views together: drawn fruit, each seen from three stops of a row.
 
     python benchmarks/many_views.py --fruit 60 [--from 140] [--perceived] [--keep FILE]
 

@@ -1,4 +1,4 @@
-"""Lengths of fruit that lie on a plane, from points that somebody marked in a colour picture.
+"""Lengths of fruit that lie on a plane, from points marked by hand in a colour picture.
 
 No depth is used. The camera's pose comes from points of known place in the plane. A fruit is round,
 rests on the plane and its axis runs level, one radius above it. What is marked of its outline are

@@ -1,4 +1,4 @@
-"""Measure numbered fruit one after the other, and go on where a run was ended."""
+"""Measure numbered fruit one after the other, and resume an interrupted run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other people's ways to a length, on the same mask and depth: skan and PlantCV.
+"""Lengths by other tools on the same mask and depth: skan and PlantCV.
 
 The skeleton tools give a line of pixels; what lifts it into space is the same for both
 (`lifted_length`). Nothing is added at the ends, where a skeleton may stop up to one fruit radius

@@ -1,4 +1,4 @@
-"""How the interval of a length is learnt: sigma on some of the fruit, quantiles on the others."""
+"""Learn the interval of a length: sigma on some of the fruit, quantiles on the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmark's report: the paper's figures beside ours, then every suite and kind of masks."""
+"""The benchmark's report: the paper's figures beside this program's, then every suite."""
 
 from __future__ import annotations
 

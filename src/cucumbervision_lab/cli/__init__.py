@@ -22,7 +22,7 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     groups : mapping of str to typer.Typer
         Its groups of commands, of which `evaluate` gets two more and `models` one.
     """
-    from cucumbervision_lab.cli import benchmark, data, evaluate, models, synth, train
+    from cucumbervision_lab.cli import benchmark, data, evaluate, synth, train
 
     program.command("benchmark")(benchmark.benchmark)
     program.command("synth")(synth.synth)
@@ -30,4 +30,4 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program.add_typer(train.app, name="train")
     groups["evaluate"].command("models")(evaluate.evaluate_models)
     groups["evaluate"].command("photos")(evaluate.evaluate_photos)
-    groups["models"].command("pull")(models.pull)
+    groups["models"].command("pull")(train.pull)

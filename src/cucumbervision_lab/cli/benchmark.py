@@ -1,4 +1,4 @@
-"""`cucumbervision benchmark`: how good every method is, on fruit whose lengths are known."""
+"""`cucumbervision benchmark`: every method's accuracy on fruit of known length."""
 
 from __future__ import annotations
 

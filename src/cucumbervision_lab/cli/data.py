@@ -228,9 +228,9 @@ def from_store(
     licence: Annotated[str, typer.Option(help="Of the pictures; it is noted in the set.")] = "",
     copy: Copy = False,
 ) -> None:
-    """Write the pictures whose finds a person has judged as a set: a house that teaches its eyes.
+    """Write the pictures whose detections were reviewed as a set, to train the detector on.
 
-    Accepted, corrected and added fruit are labels, rejected finds background, others ignored.
+    Accepted, corrected and added fruit are labels, rejected ones background, others ignored.
     Whole metres of a row are kept back, the same ones however the set grows.
     """
     from rich.table import Table

@@ -1,4 +1,4 @@
-"""What long commands show: a bar while they run, lines of any width when they are done."""
+"""Output of long commands: progress bars while they run, lines of any width when they are done."""
 
 from __future__ import annotations
 

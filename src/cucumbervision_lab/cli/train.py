@@ -1,4 +1,4 @@
-"""`cucumbervision train`: train the detector and the keypoints, and export what was trained."""
+"""`cucumbervision train` and `models pull`: train networks, export them, and fetch one."""
 
 from __future__ import annotations
 
@@ -326,3 +326,17 @@ def depth_vote(
         f"{fit.fruit} fruit and {fit.others} other detections; log loss in scenes left out "
         f"{fit.log_loss:.3f}, by the detector's confidence alone {fit.log_loss_without:.3f}"
     )
+
+
+def pull(
+    name: Annotated[str, typer.Argument(help="A name that `models list` shows.")],
+    given: Annotated[
+        Path | None,
+        typer.Option("--from", help="The publisher's file, downloaded by hand.", metavar="FILE"),
+    ] = None,
+) -> None:
+    """Fetch a network from its publisher, check its hash and export it to ONNX."""
+    from cucumbervision_lab.cli.screen import DownloadBar, show
+    from cucumbervision_lab.training.export_sam import pull_model
+
+    show(*pull_model(name, given=given, progress=DownloadBar(name)).values())

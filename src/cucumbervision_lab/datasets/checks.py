@@ -1,4 +1,4 @@
-"""What is wrong with a data set, all of it, before an hour of training is spent."""
+"""Faults of a data set: files, labels, classes, splits and scenes on both sides of a split."""
 
 from __future__ import annotations
 

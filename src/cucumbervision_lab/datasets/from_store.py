@@ -1,4 +1,4 @@
-"""The stops of a store that a person has judged, as a labelled set: what a house corrects teaches.
+"""The reviewed stops of a store as a labelled set, to train the detector on a house's corrections.
 
 A find that was accepted is a fruit, with its corrected mask where there is one; a fruit that was
 added by hand is one; a rejected find is background; a find that nobody judged is to be ignored.
@@ -45,7 +45,7 @@ _STRETCH_M = 1.0
 
 @dataclass(frozen=True)
 class JudgedFruit:
-    """What a person said of the finds in a set.
+    """How the detections in a set were reviewed.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def dataset_from_store(
             counts.setdefault(picture.split, Counter()).update(said)
     if not pictures:
         raise DataSetError(
-            "nobody has judged a find whose picture was kept",
+            "no detection whose picture was kept has been reviewed",
             source=str(store.engine.url.database),
             remedy="accept, reject, correct or add fruit in the dashboard first",
         )

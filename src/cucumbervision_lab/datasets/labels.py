@@ -1,4 +1,4 @@
-"""Labelled pictures: what they say, their classes, and their files."""
+"""Labelled pictures: labels, classes and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real photos' labels, audited by eye: what must be found in each, and what counts neither way.
+"""Labels of real photos, audited by eye: fruit to be found, and regions that are not counted.
 
 The files of `audit/` hold numbers only; the photos themselves never come with the project. A photo
 is known again by its bytes, so that a folder may be laid out at will. Each file's own notes say how

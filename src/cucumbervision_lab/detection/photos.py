@@ -1,4 +1,4 @@
-"""Recall and precision on audited real photos; of the photos themselves nothing is kept."""
+"""Recall and precision on audited real photos."""
 
 from __future__ import annotations
 

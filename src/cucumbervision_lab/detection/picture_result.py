@@ -1,4 +1,4 @@
-"""What the networks make of a test's pictures, as `detect` and `measure` would: fruit and masks."""
+"""The networks run on a test's pictures as `detect` and `measure` run them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real fruit pasted into real photos that show none, behind what stands in front there.
+"""Real fruit pasted into real photos without fruit, partly behind their foreground.
 
 In a canopy the leaves in front are bright and the gaps between them dark, so that a fruit comes to
 lie in the gaps: where a smoothed brightness exceeds a threshold the photo stays as it is. Some

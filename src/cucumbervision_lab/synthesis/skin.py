@@ -1,4 +1,4 @@
-"""Cucumber skin: what each variety looks like, unrolled from the fruit."""
+"""Cucumber skin of each variety, as textures unrolled from the fruit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The weighted mean of two networks of one origin.
+"""The weighted mean of two networks that were trained from the same one.
 
 A network that was trained on keeps more of what it knew, and finds more on pictures unlike the
 new ones, if its weights are averaged with those that it began with.

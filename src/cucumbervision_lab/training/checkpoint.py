@@ -1,4 +1,4 @@
-"""Ultralytics imported quietly, its checkpoints, and the small tables beside them."""
+"""Importing Ultralytics without telemetry, its checkpoints, and the tables of a run."""
 
 from __future__ import annotations
 

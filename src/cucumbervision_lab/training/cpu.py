@@ -1,4 +1,4 @@
-"""What makes training quick on a processor: masks assigned at half the resolution, and bfloat16."""
+"""Faster training on a processor: masks assigned at half the resolution, and bfloat16."""
 
 from __future__ import annotations
 

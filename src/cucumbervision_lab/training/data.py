@@ -1,4 +1,4 @@
-"""The pictures to learn from: checked, and a `data.yaml` made complete for one class, five points.
+"""Training data: checked, and a complete `data.yaml` for one class and five keypoints.
 
 A data set with faults is refused here, before any hour is spent.
 """

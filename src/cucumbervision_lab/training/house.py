@@ -1,4 +1,4 @@
-"""Train on from the package's detector on a house's own pictures, and judge old against new.
+"""Continue training the package's detector on a house's pictures, and compare it with the old one.
 
 The shipped mixture is seen beside them, so that nothing is forgotten. Pictures of places that the
 set keeps back are never trained on; old and new are judged on them and on our tests.
@@ -221,7 +221,7 @@ def kept_back(house: Path) -> tuple[DataSet, tuple[LabelledPicture, ...]]:
             raise TrainingError(
                 f"no picture with fruit is {what}",
                 source=house,
-                remedy="judge the finds of more stops, and write the set again",
+                remedy="review more stops, and write the set again",
             )
     return dataset, held_back
 

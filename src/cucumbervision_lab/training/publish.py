@@ -1,4 +1,4 @@
-"""A trained network's card, and the way of the two into the package."""
+"""A trained network's card, and adding a network to the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One recipe: which pictures, in which mixture, by which plans; read from a TOML file."""
+"""Training recipes: sources of pictures, their mixture and the plans, read from a TOML file."""
 
 from __future__ import annotations
 

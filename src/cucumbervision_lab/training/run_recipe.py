@@ -1,4 +1,4 @@
-"""From folders of pictures to trained networks by one recipe, and the curve of what they find."""
+"""Train networks by one recipe, from folders of pictures, with their accuracy over time."""
 
 from __future__ import annotations
 

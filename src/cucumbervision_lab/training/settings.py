@@ -1,4 +1,4 @@
-"""What is set of Ultralytics for a training, and why."""
+"""Options of a training, and the settings of Ultralytics that follow from them."""
 
 from __future__ import annotations
 

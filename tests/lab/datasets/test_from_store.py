@@ -119,7 +119,7 @@ def test_what_nobody_judged_is_to_be_ignored_and_what_is_taken_back_is_forgotten
     assert [label.ignore for label in made.dataset.pictures[0].labels] == [True, True]
     assert list(made.judged.values()) == [JudgedFruit(rejected=1, unjudged=2)]
     store.undo(WALK)
-    with pytest.raises(DataSetError, match="nobody has judged"):
+    with pytest.raises(DataSetError, match="has been reviewed"):
         dataset_from_store(store, tmp_path / "other")
 
 

@@ -247,7 +247,7 @@ NOTES = {
     ),
     "paper": (
         "The paper's figures were read on its own captures of seven real cucumbers against the "
-        "outer side of the bend; ours on simulated captures of seven fruit whose outer sides are "
+        "outer side of the bend; these on simulated captures of seven fruit whose outer sides are "
         "as long. They stand side by side; they do not measure the same captures.\n\n"
         "Reproduced: M2, M3 and the medians of M4 and M5. M5's mean is not: it contains outliers "
         "on short fruit beyond 0.7 m. There the outermost two or three of its 25 bins hold mostly "
@@ -289,7 +289,7 @@ def paper_table(readings: pd.DataFrame) -> Table | None:
         "fruit. Its intervals for M1 and M5 are left out: one does not contain its own mean, the "
         "other is printed in two ways."
     )
-    title = "The paper's figures, on its own captures, beside ours"
+    title = "The paper's figures, on its own captures, beside this program's"
     return Table.of(title, heads, rows, comment)
 
 

@@ -25,15 +25,19 @@ from cucumbervision_lab.benchmark.measure_case import fruit_lengths
 
 def said(record: DetectionRecord) -> dict[str, Any]:
     """What a record says of the length, in the columns of the tables."""
+    assert record.length is not None
     metres = {
-        name: getattr(record, f"{name}_m")
-        for name in ("length", "interval_low", "interval_high", "thread", "centreline", "chord")
+        "length": record.length.value_m,
+        "interval_low": record.length.low_m,
+        "interval_high": record.length.high_m,
+        **{name: getattr(record, f"{name}_m") for name in ("thread", "centreline", "chord")},
     }
     cells: dict[str, Any] = {
         f"{name}_cm": None if value is None else round(100 * value, 3)
         for name, value in metres.items()
     }
-    names = ("method", "length_kind", "mask_source", "flags", "reason")
+    cells["length_kind"] = record.length.kind
+    names = ("method", "mask_source", "flags", "reason")
     return cells | {name: getattr(record, name) for name in names}
 
 

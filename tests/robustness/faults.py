@@ -203,13 +203,13 @@ def _kill_worker(folder: Path) -> Outcome:
     source = captures(folder / "in", 6)
     command("measure", source, "--out", folder / "whole", *MASKS)
     once = (
-        "import os, signal\nfrom cucumbervision.pipeline import engines\n"
-        "submit, count = engines._Pool.submit, [0]\n"
+        "import os, signal\nfrom cucumbervision.pipeline import batch\n"
+        "submit, count = batch._Pool.submit, [0]\n"
         "def killing(self, task):\n    future = submit(self, task)\n    count[0] += 1\n"
         "    if count[0] == 4:\n"
         "        os.kill(next(iter(self._pool._processes)), signal.SIGKILL)\n"
         "        os.write(2, b'killed a worker\\n')\n    return future\n"
-        "engines._Pool.submit = killing"
+        "batch._Pool.submit = killing"
     )
     ran = command("measure", source, "--out", folder / "out", "--workers", 2, *MASKS, before=once)
     rows = rows_in(folder / "out")

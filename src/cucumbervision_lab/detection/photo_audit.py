@@ -13,19 +13,22 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from cucumbervision.capture.files import read_json
 from cucumbervision.errors import DataSetError, wrap_reader_errors
 from cucumbervision.perception.boxes import box_iou
 from cucumbervision.perception.instance_files import parse_yolo_line
-from cucumbervision.perception.mask_codes import fill_polygon
+from cucumbervision.perception.mask_codes import Rle, fill_polygon
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture, list_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-_FILES = ("photos_audit.json", "photos2_audit.json")
+    from numpy.typing import NDArray
+
+_FILES = ("photos_audit.json", "photos2_audit.json", "photos3_audit.json")
 _HASH_DIGITS = 12
 _EDGE_PX = 2.0
 _MOST = 0.5
@@ -63,12 +66,15 @@ class AuditedBox:
     ends : tuple of (float, float), length 2, optional
         Blossom end and stem end of the body without its stalk, u and v in pixels; None where they
         were not read.
+    outline : tuple of ndarray of int64, each of shape (K, 2)
+        Polygons around the visible pieces, in pixels; empty where none were drawn.
     """
 
     box: tuple[float, float, float, float]
     kind: AuditKind
     stem: str | None = None
     ends: tuple[Point, Point] | None = None
+    outline: tuple[NDArray[np.int64], ...] = ()
 
     @property
     def area_px(self) -> float:
@@ -264,6 +270,7 @@ def _photo(entry: Mapping[str, Any]) -> AuditedPhoto:
             AuditKind(b["class"]),
             b.get("stem"),
             _ends(b.get("ends")),
+            tuple(np.array(points).reshape(-1, 2) for points in b.get("outline", ())),
         )
         for b in entry["boxes"]
     )
@@ -312,8 +319,12 @@ def _label(box: AuditedBox, photo: AuditedPhoto) -> Label:
     """Return the box as a label; fruit at the picture's edge runs on beyond it."""
     x1, y1, x2, y2 = box.box
     inside = min(x1, y1, photo.width - 1 - x2, photo.height - 1 - y2) + 0.5
+    mask = np.zeros((photo.height, photo.width), np.uint8)
+    cv2.fillPoly(mask, [np.asarray(points, np.int32) for points in box.outline], 1)
     return Label(
         np.array(box.box, np.float64),
+        mask_code=Rle.of(mask.astype(bool)) if box.outline else None,
+        pseudo=bool(box.outline),
         cut_off=inside < _EDGE_PX,
         ignore=box.kind is AuditKind.IGNORE,
         extras={"kind": str(box.kind), "stem": box.stem}

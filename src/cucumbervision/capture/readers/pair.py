@@ -309,13 +309,12 @@ def _load_npz(path: Path, given: CameraFile | None, options: ReadOptions, name: 
 
 def _npz_intrinsics(arrays: dict[str, np.ndarray], path: Path) -> Intrinsics:
     height, width = arrays["color"].shape[:2]
-    try:
-        stream = Stream(str(arrays.get("stream", Stream.COLOR)))
-        with as_errors_of(path):
-            return Intrinsics.from_matrix(arrays["matrix"], width, height, stream)
-    except (ValueError, TypeError):
+    stream = str(arrays.get("stream", Stream.COLOR))
+    if stream not in {*Stream}:
         raise IntrinsicsError(
-            "'matrix' is no 3x3 camera matrix, or 'stream' is neither 'color' nor 'depth'",
+            "'stream' is neither 'color' nor 'depth'",
             source=path,
             remedy="save the colour camera's matrix in pixels",
-        ) from None
+        )
+    with as_errors_of(path):
+        return Intrinsics.from_matrix(arrays["matrix"], width, height, Stream(stream))

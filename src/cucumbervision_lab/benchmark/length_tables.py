@@ -191,7 +191,6 @@ _TILTS_DEG: _Bands = {
     "30 to 45": (30, 45),
     "45 to 60": (45, 60 + _TINY),
     "above 60": (60 + _TINY, np.inf),
-    "30 to 60, together": (30, 60 + _TINY),
 }
 _DISTANCES_CM: _Bands = {
     "below 50": (0, 50),
@@ -226,19 +225,12 @@ def factors_of(frame: pd.DataFrame, true_m: pd.Series[float]) -> list[Factor]:
     """
     tilt, hidden = frame["tilt_deg"].abs(), 100 * frame["hidden_share"]
     far, radius = 100 * frame["distance_m"], (100 * frame["bend_radius_m"]).fillna(_STRAIGHT_CM)
-    ends_seen = frame.get("ends_seen", pd.Series(False, frame.index)).fillna(False).astype(bool)
     banded = (
         ("true length (cm)", 100 * true_m, _TRUE_CM, ""),
         ("tilt (°)", tilt, _TILTS_DEG, "Angle of the fruit's chord out of the picture plane. "),
         ("distance (cm)", far, _DISTANCES_CM, "From the camera to the fruit's middle. "),
         ("radius of the bend (cm)", radius, _RADII_CM, "The smaller, the more bent. "),
         ("hidden share of the fruit (%)", hidden, _HIDDEN_PERCENT, ""),
-        (
-            "hidden share (%), both ends in sight",
-            hidden.where(ends_seen),
-            _HIDDEN_PERCENT,
-            "Only fruit whose two ends nothing hides. ",
-        ),
     )
     factors = []
     for head, values, bands, comment in banded:

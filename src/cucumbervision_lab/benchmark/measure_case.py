@@ -194,7 +194,7 @@ def _record(
         condition=case.condition,
         depth_scale=taken.depth_scale,
         lengths_m=lengths,
-        details=details | {"ends_seen": _ends_seen(taken)},
+        details=details,
     )
 
 
@@ -247,19 +247,6 @@ def noted(fruit: FruitMeasurement) -> dict[str, Any]:
         found["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
         found["m6_flags"] = list(m6.fit.flags)
     return found
-
-
-def _ends_seen(taken: Simulated) -> bool:
-    """Whether leaves leave both ends' outlines in sight."""
-    truth = taken.truth
-    hidden = truth.amodal & ~truth.visible
-    if not hidden.any():
-        return True
-    seen = []
-    for u, v in np.rint(taken.capture.intrinsics.project(truth.axis_m[[0, -1]])).astype(int):
-        near = np.s_[max(v - 3, 0) : max(v + 4, 0), max(u - 3, 0) : max(u + 4, 0)]
-        seen.append(not hidden[near].any())
-    return all(seen)
 
 
 def _chord_tilt_deg(axis_m: Sequence[NDArray[np.float64]] | NDArray[np.float64]) -> float:

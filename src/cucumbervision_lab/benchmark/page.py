@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.accuracy.table import Table
 from cucumbervision.errors import MissingExtraError
@@ -168,7 +166,8 @@ def _template() -> Template:
 
 _DPI = 110
 _WIDTH_IN = 10.0
-_FEW_CAPTURES = 200  # drawn as larger dots
+
+
 # Okabe and Ito's colours, suitable for colour-blind readers; each method also has its marker.
 STYLES: dict[str, tuple[str, str, str]] = {
     "M1": ("#E69F00", "v", "-"),
@@ -180,9 +179,6 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "skan": ("#777777", "x", ":"),
     "PlantCV": ("#777777", "+", "--"),
 }
-
-
-_SMALLEST_CM = 0.001  # what a logarithmic axis starts at
 
 
 def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
@@ -227,44 +223,6 @@ def predicted_against_truth(readings: pd.DataFrame, truth: LengthDefinition) -> 
         ax.set_visible(False)
     figure.supxlabel(f"true {truth} (cm)")
     figure.supylabel("measured (cm)")
-    return as_png(figure)
-
-
-def error_spread(readings: pd.DataFrame, truth: LengthDefinition) -> bytes:
-    """Plot each method's absolute errors as a box and every capture as a dot.
-
-    Parameters
-    ----------
-    readings, truth
-        As for `predicted_against_truth`. What was not measured has its whole length as error.
-    """
-    scored = against(readings, truth)
-    methods = shown_methods(scored, truth)
-    figure = new_figure(0.5 * len(methods) + 1.4)
-    ax = figure.subplots()
-    rng = np.random.default_rng(0)
-    for k, method in enumerate(reversed(methods)):
-        errors = scored.loc[scored["method"] == method, "error_cm"].clip(lower=_SMALLEST_CM)
-        colour, _, _ = method_style(method)
-        jitter = k + rng.uniform(-0.25, 0.25, len(errors))
-        size = 24 if len(errors) <= _FEW_CAPTURES else 9
-        ax.scatter(errors, jitter, s=size, c=colour, alpha=0.6, linewidths=0, zorder=3)
-        ax.boxplot(
-            [errors],
-            positions=[k],
-            orientation="horizontal",
-            widths=0.6,
-            showfliers=False,
-            whis=(5, 95),
-            manage_ticks=False,
-            medianprops={"color": "black", "linewidth": 2, "zorder": 4},
-        )
-    ax.set_yticks(range(len(methods)), reversed(methods))
-    ax.set_xscale("log")
-    ticks = [0.001, 0.01, 0.1, 1.0, 10.0]
-    ax.set_xticks(ticks, ["0.01 mm", "0.1 mm", "1 mm", "1 cm", "10 cm"])
-    ax.set_xlabel(f"absolute error against the true {truth} (each mark is ten times the last)")
-    ax.grid(alpha=0.3, axis="x")
     return as_png(figure)
 
 

@@ -201,24 +201,13 @@ def _suite_section(readings: pd.DataFrame, suite: Suite, masks: Masks) -> Sectio
     entries: list[Table | Plot] = [accuracy_table(readings, truth) for truth in truths_of(readings)]
     if captures >= _GROUPED_CAPTURES:
         for truth in _TRUTHS[:1] if suite is Suite.STRESS else _TRUTHS:
-            entries += _plots(readings, truth)
+            caption = f"Measured against true {truth}; on the line, both are the same."
+            entries.append(Plot(caption, page.predicted_against_truth(readings, truth)))
             scored = against(readings, truth)
             factors = factors_of(scored, scored["true_m"])
             entries += [group_table(scored, factor, truth) for factor in factors]
     intro = (words, f"{captures} measurements of {fruit} fruit, with {outlines}.")
     return Section(f"{title}, {outlines}", intro, tuple(entries))
-
-
-def _plots(readings: pd.DataFrame, truth: LengthDefinition) -> list[Plot]:
-    measured = f"Measured against true {truth}; on the line, both are the same."
-    spread = (
-        f"Absolute errors against the {truth}: the box holds the middle half, the whiskers "
-        "90 of 100, the black bar is the median, each dot a capture."
-    )
-    return [
-        Plot(measured, page.predicted_against_truth(readings, truth)),
-        Plot(spread, page.error_spread(readings, truth)),
-    ]
 
 
 _PUBLISHED: dict[str, tuple[Cell, ...]] = {

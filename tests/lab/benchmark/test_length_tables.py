@@ -106,7 +106,6 @@ def test_bounds_belong_to_the_upper_group_and_the_last_is_closed(make_record: Ma
         "30 to 45": 1,
         "45 to 60": 2,
         "above 60": 1,
-        "30 to 60, together": 3,
     }
 
 
@@ -146,23 +145,6 @@ def test_unknown_values_are_in_no_group(make_record: MakeRecord) -> None:
     unknown = dict.fromkeys(("hidden_share", "tilt_deg", "distance_m"), float("nan"))
     records = [make_record(c, lengths_m={"M6": 0.2}, **unknown) for c in "ab"]
     assert group_tables(records, LengthDefinition.CENTRELINE) == []
-
-
-def test_both_ends_in_sight_is_a_group_of_its_own(make_record: MakeRecord) -> None:
-    records = [
-        make_record(
-            f"c{k}", hidden_share=0.1 * k, details={"ends_seen": k < 4}, lengths_m={"M6": 0.2}
-        )
-        for k in range(6)
-    ]
-    counts = [
-        {row[0]: row[1] for row in table.rows}
-        for table in group_tables(records, LengthDefinition.CENTRELINE)
-    ]
-    assert counts == [
-        {"0": 1, "above 0 to 20": 1, "20 to 40": 2, "40 to 60": 2},
-        {"0": 1, "above 0 to 20": 1, "20 to 40": 2},
-    ]
 
 
 def test_fruit_that_m6_flags_are_a_group_of_their_own(make_record: MakeRecord) -> None:

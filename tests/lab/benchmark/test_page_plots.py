@@ -66,17 +66,6 @@ def readings(make_record: MakeRecord) -> pd.DataFrame:
     return readings_frame(records)
 
 
-def test_errors_spread_from_right_to_wrong(readings: pd.DataFrame) -> None:
-    # A right length lies at the left, at a thousandth of a centimetre; a refused one at its whole
-    # length, 10 to 22 cm.
-    png = page.error_spread(readings, LengthDefinition.CENTRELINE)
-    m6, m1 = pixels(png, "M6"), pixels(png, "M1")
-    assert len(m6)
-    assert len(m1)
-    assert np.median(m6[:, 1]) < 0.25 * picture(png).shape[1]
-    assert np.median(m1[:, 1]) > 0.75 * picture(png).shape[1]
-
-
 def test_each_method_has_a_panel_of_its_own(readings: pd.DataFrame) -> None:
     png = page.predicted_against_truth(readings, LengthDefinition.CENTRELINE)
     columns = {method: pixels(png, method)[:, 1] for method in COLOURS}

@@ -262,7 +262,7 @@ def average(
 ) -> None:
     """Write the mean of two checkpoints: what the first knew fades less."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.average import average_networks
+    from cucumbervision_lab.training.checkpoint import average_networks
 
     show(average_networks(first, second, out, share))
 

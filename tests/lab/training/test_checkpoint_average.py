@@ -12,8 +12,7 @@ if importlib.util.find_spec("ultralytics") is None:  # its import alone would as
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
 from cucumbervision.errors import TrainingError
-from cucumbervision_lab.training.average import average_networks
-from cucumbervision_lab.training.checkpoint import import_ultralytics
+from cucumbervision_lab.training.checkpoint import average_networks, import_ultralytics
 
 pytestmark = pytest.mark.train
 

@@ -127,3 +127,9 @@ def test_missing_file_and_unknown_name_say_what_to_do(tmp_path: Path) -> None:
         ProfileError, match=r"called 'gherkin'; take one of aubergine, .* own gherkin"
     ):
         load_profile("gherkin")
+
+
+@pytest.mark.parametrize("name", ["x" * 400, "long-cucumber\0"])
+def test_a_name_that_no_file_can_have_is_no_profile(name: str) -> None:
+    with pytest.raises(ProfileError, match="no crop profile is called"):
+        load_profile(name)

@@ -309,9 +309,10 @@ def load_profile(name_or_path: str | Path) -> CropProfile:
     if isinstance(name_or_path, Path) or text.endswith(".toml") or Path(text).name != text:
         return _read(Path(name_or_path))
     for place in (profiles_folder(), _SHIPPED):
-        path = place / f"{text}.toml"
-        if path.is_file():
-            return _read(path)
+        # Looked up by name: a name that no file can have is none of them.
+        found = {path.stem: path for path in place.glob("*.toml")}
+        if text in found:
+            return _read(found[text])
     known = ", ".join(entry.name for entry in profiles())
     raise ProfileError(
         f"no crop profile is called {text!r}",

@@ -188,7 +188,8 @@ def compare(found: tuple[Instance, ...], theirs: Any) -> int:
             mask = theirs.masks.data[i].numpy() > 0
             assert fruit.detector_mask is not None
             different = (fruit.detector_mask != mask).sum()
-            assert different <= 2 + 1e-3 * mask.sum()
+            # Ultralytics crops the padding at whole cells of its prototypes.
+            assert different <= 2 + 0.03 * mask.sum()
         if fruit.keypoints is not None:
             points = theirs.keypoints.data[i].numpy()
             assert np.abs(fruit.keypoints[:, :2] + 0.5 - points[:, :2]).max() < TOLERANCE_PX

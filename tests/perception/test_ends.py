@@ -10,7 +10,7 @@ from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.ends import STRIP_PX, EndClassifier, orient
-from cucumbervision.perception.instances import Instance, each_once, with_keypoints
+from cucumbervision.perception.instances import Instance, with_keypoints
 from cucumbervision.perception.masks import box_of_mask
 
 if TYPE_CHECKING:
@@ -123,8 +123,8 @@ def test_how_sure_it_is_goes_with_the_points(redness: Path) -> None:
     mask[105:136, 60:181] = True
     (posed,) = EndClassifier(redness).order_ends(picture, [fruit_at(points)])
     found = Instance(box_of_mask(mask), detector_mask=mask)
-    for (one,) in (with_keypoints([found], [posed]), each_once([found], [posed])):
-        assert one.end_confidence == posed.end_confidence
+    (one,) = with_keypoints([found], [posed])
+    assert one.end_confidence == posed.end_confidence
 
 
 def test_another_network_is_refused(tmp_path: Path) -> None:

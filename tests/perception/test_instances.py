@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from cucumbervision.perception.instances import (
     Instance,
     apart,
-    join_pieces,
     merge_instances,
     with_keypoints,
 )
@@ -151,43 +149,6 @@ def test_boxes_without_masks_are_one_only_where_they_agree() -> None:
     assert merge_instances([]) == ()
 
 
-def line(start: tuple[float, float], end: tuple[float, float]) -> NDArray[np.float64]:
-    share = np.linspace(0, 1, 5)[:, None]
-    return np.hstack([np.array(start) * (1 - share) + np.array(end) * share, np.ones((5, 1))])
-
-
-PIECES = (bar(60, 80, 60, 20), bar(155, 80, 90, 20))  # the larger is half of the whole's box
-
-
-def test_pieces_without_a_whole_are_joined_by_the_pose() -> None:
-    pieces = [found(PIECES[0], 0.5), found(PIECES[1], 0.8)]
-    other = found(bar(120, 20, 100, 20), 0.9)
-    pose = Instance(np.array([29.0, 69, 201, 91]), 0.7, keypoints=line((30, 80), (200, 80)))
-    kept = join_pieces([other, *pieces], [pose])
-    assert len(kept) == 2
-    assert kept[1].confidence == 0.8
-    assert kept[1].keypoints is pose.keypoints
-    assert kept[1].box.tolist() == box_of_mask(PIECES[0] | PIECES[1]).tolist()
-    assert masks_of(kept[1:]) == {(PIECES[0] | PIECES[1]).tobytes()}
-
-
-@pytest.mark.parametrize("case", ["two poses", "off the line", "taller", "no keypoints"])
-def test_two_fruit_in_a_row_stay_two(case: str) -> None:
-    pieces = [found(mask, 0.8) for mask in PIECES]
-    box = np.array([29.0, 69, 201, 91])
-    poses = [Instance(box, 0.7, keypoints=line((30, 80), (200, 80)))]
-    if case == "two poses":
-        poses.append(Instance(box_of_mask(PIECES[1]), 0.6, keypoints=line((120, 80), (200, 80))))
-    if case == "off the line":
-        poses = [Instance(box, 0.7, keypoints=line((30, 140), (200, 140)))]
-    if case == "taller":
-        taller = np.array([29.0, 39, 201, 121])
-        poses = [Instance(taller, 0.7, keypoints=line((30, 80), (200, 80)))]
-    if case == "no keypoints":
-        poses = [Instance(box, 0.7)]
-    assert len(join_pieces(pieces, poses)) == 2
-
-
 def test_masks_keep_the_pictures_size() -> None:
     whole = bar(100, 80, 120, 20, 30)
     (one,) = merge_instances([found(whole, 0.9), found(cv2.dilate(
@@ -234,21 +195,15 @@ def test_hopeless_pairs_push_no_good_one_aside() -> None:
     assert out[1].keypoints is None
 
 
-def test_a_mask_over_two_fruit_leaves_the_second_to_itself() -> None:
-    # Side by side, 20 thick each; the second is found only together with the first.
-    upper, lower = bar(120, 70, 140, 20), bar(120, 91, 140, 20)
-    kept = merge_instances([found(upper, 0.9), found(upper | lower, 0.6)])
-    first, second = apart(kept)
+def test_a_mask_that_loses_much_gets_a_new_box() -> None:
+    # Two thirds of the wider mask remain below the narrower one, of which more than half is shared.
+    upper, both = bar(120, 70, 140, 20), bar(120, 80, 140, 60)
+    first, second = apart([found(upper, 0.9), found(both, 0.6)])
     assert first.detector_mask is not None
     assert second.detector_mask is not None
     assert (first.detector_mask == upper).all()
-    assert (second.detector_mask == (lower & ~upper)).all()
-    assert second.box.tolist() == box_of_mask(lower & ~upper).tolist()
-
-
-def test_a_surer_mask_over_a_narrow_one_is_the_fruit() -> None:
-    whole, strip = bar(120, 80, 140, 40), bar(120, 70, 140, 20)
-    assert len(merge_instances([found(whole, 0.9), found(strip, 0.6)])) == 1
+    assert (second.detector_mask == (both & ~upper)).all()
+    assert second.box.tolist() == box_of_mask(both & ~upper).tolist()
 
 
 def test_what_shares_nothing_is_left_as_it_is() -> None:

@@ -112,7 +112,6 @@ def test_unknown_name_lists_the_known(registry: Registry) -> None:
 def test_a_changed_byte_is_found(registry: Registry, tmp_path: Path) -> None:
     path = tmp_path / "weights" / "inside.onnx"
     path.write_bytes(b"abd")
-    assert [c.state for c in registry.verify("inside")] == ["damaged"]
     with pytest.raises(ModelHashError, match=r"inside\.onnx: .*; install cucumbervision again"):
         registry.resolve("inside")
 
@@ -137,9 +136,7 @@ def test_installed_files_are_resolved_and_verified(registry: Registry, tmp_path:
     assert registry.resolve("outside") == files
     assert registry.state("outside") == "pulled"
     assert registry.size_bytes("outside") == len("e.onnx") + len("d.onnx")
-    assert [c.state for c in registry.verify("outside")] == ["ok", "ok"]
     files["decoder"].write_bytes(b"else")
-    assert [c.state for c in registry.verify("outside")] == ["ok", "damaged"]
     with pytest.raises(ModelHashError, match=r"d\.onnx: .*models pull outside"):
         registry.resolve("outside")
 

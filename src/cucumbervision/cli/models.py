@@ -49,12 +49,11 @@ def verify(
 
     from cucumbervision.perception.registry import load_registry
 
-    registry, console = load_registry(), Console(highlight=False)
+    registry = load_registry()
     here = [one.name for one in registry.models if registry.state(one.name) != "not pulled"]
-    checks = [check for one in ([name] if name else here) for check in registry.verify(one)]
-    for check in checks:
-        console.print(f"{check.state:8} {check.model}: {check.path}", soft_wrap=True)
-    registry.require(checks)
+    for one in [name] if name else here:
+        for path in registry.resolve(one).values():
+            Console(highlight=False).print(f"ok {one}: {path}", soft_wrap=True)
 
 
 @app.command()

@@ -1,13 +1,9 @@
-"""Detected fruit, and the merging of duplicate and partial detections.
+"""Detected fruit, and the merging of duplicate detections.
 
 Masks identify three kinds of duplicates: two boxes of one fruit (the masks agree), a box within a
 box (one mask contains the other), and the parts of a fruit behind a leaf beside the whole (which
-contains each part). Parts without the whole share no pixel; only a pose network that sees one fruit
-across both distinguishes them from two fruit in a row. Boxes alone are not enough, since crossing
-fruit have nested boxes.
-
-A mask that covers two fruit side by side is recognised by its thickness, and its neighbour's pixels
-are removed.
+contains each part). Boxes alone are not enough, since crossing fruit have nested boxes. Parts
+without the whole are joined by depth (`perception.pieces`).
 """
 
 from __future__ import annotations
@@ -18,12 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.perception.boxes import box_areas, box_iou
+from cucumbervision.perception.boxes import box_areas, box_iou, box_ious
 from cucumbervision.perception.masks import (
     as_mask,
     box_of_mask,
     disjoint_masks,
-    mask_pixels,
     mask_window,
 )
 
@@ -106,11 +101,7 @@ _SAME_IOU = 0.5  # of two masks of one fruit
 _INSIDE = 0.8  # share of the smaller mask inside the larger one, for masks of one fruit
 _SAME_BOX_IOU = 0.7  # of two boxes of one fruit, where there are no masks
 _TRUSTED = 0.5  # of the best confidence: least confidence for keeping the largest mask
-_SPAN_IOU = 0.75  # between a pose's box and the common box of the parts that it joins
-_OWN_IOU = 0.5  # between a part's box and another pose's box: then it is a fruit of its own
-_THICKER = 1.6  # thickness of a mask over two fruit, relative to the one found separately
 _MUCH_CUT = 0.3  # share of a mask lost to others from which its box is recomputed
-_OFF_LINE = 0.15  # of the pose's length: largest distance of a part's centre from its line
 
 
 def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -118,11 +109,9 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 
     Two instances are one fruit when their masks have an IoU of at least 0.5, or when 80 % of the
     smaller mask lies in the larger; without masks, when their boxes have an IoU of at least 0.7.
-    Crossing fruit share only the crossing. A mask that contains another one covers two fruit, which
-    stay separate, if it is 1.6 times as thick, has a lower confidence, and its remainder is about
-    as large as the other. An instance that contains two or more others that are separate is the
-    fruit of which they are parts if its confidence is at least their mean; otherwise it is a box
-    around several fruit and is removed.
+    Crossing fruit share only the crossing. An instance that contains two or more others that are
+    separate is the fruit of which they are parts if its confidence is at least their mean;
+    otherwise it is a box around several fruit and is removed.
 
     Parameters
     ----------
@@ -160,75 +149,6 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
         else:
             groups.append([one])
     return tuple(sorted(map(_kept, groups), key=lambda one: -one.confidence))
-
-
-def join_pieces(instances: Sequence[Instance], poses: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Join the parts of a fruit behind a leaf where a pose network sees the whole.
-
-    A pose whose keypoints run through two or more instances joins them if their common box has an
-    IoU of at least 0.75 with the pose's box, more than each of them alone, and none of them matches
-    another pose (IoU 0.5). Two fruit in a row therefore stay separate.
-
-    Parameters
-    ----------
-    instances : sequence of Instance
-        After `merge_instances`.
-    poses : sequence of Instance
-        After `merge_instances` too, with keypoints; others join nothing.
-
-    Returns
-    -------
-    tuple of Instance
-        Best first. Joined: the common box and mask, the best confidence, the pose's keypoints.
-
-    Examples
-    --------
-    >>> from cucumbervision.perception.masks import box_of_mask
-    >>> left, right = np.zeros((20, 60), bool), np.zeros((20, 60), bool)
-    >>> left[5:15, 5:25] = right[5:15, 30:55] = True
-    >>> pieces = [Instance(box_of_mask(m), detector_mask=m) for m in (left, right)]
-    >>> line = np.array([[u, 9.5, 1.0] for u in (6, 18, 30, 42, 54)])
-    >>> pose = Instance(np.array([4.5, 4.5, 54.5, 14.5]), keypoints=line)
-    >>> [one.box.tolist() for one in join_pieces(pieces, [pose])]
-    [[4.5, 4.5, 54.5, 14.5]]
-    """
-    left = list(instances)
-    for pose in poses:
-        pieces = [one for one in left if _is_piece(one, pose, poses)]
-        if len(pieces) < 2:
-            continue
-        edges = np.array([one.box for one in pieces])
-        box = np.concatenate([edges[:, :2].min(axis=0), edges[:, 2:].max(axis=0)])
-        alone = max(box_iou(one.box, pose.box) for one in pieces)
-        if box_iou(box, pose.box) < max(_SPAN_IOU, alone):
-            continue
-        left = [one for one in left if one not in pieces]
-        left.append(_joined(pieces, box, pose))
-    return tuple(sorted(left, key=lambda one: -one.confidence))
-
-
-def each_once(
-    found: Sequence[Instance], posed: Sequence[Instance], sure: float = 0.0
-) -> tuple[Instance, ...]:
-    """Merge the detections of two networks into one instance per fruit, with keypoints.
-
-    Parameters
-    ----------
-    found : sequence of Instance
-        Of the detector, after `merge_instances`.
-    posed : sequence of Instance
-        Of the pose network, as it gives them.
-    sure : float
-        Poses with at least this confidence join parts and are matched first.
-
-    Returns
-    -------
-    tuple of Instance
-        Best first: parts joined, keypoints where a pose matches.
-    """
-    poses = merge_instances(posed)
-    whole = join_pieces(found, [pose for pose in poses if pose.confidence > sure])
-    return with_keypoints(whole, poses, sure=sure)
 
 
 def apart(
@@ -295,35 +215,22 @@ def with_keypoints(
     >>> with_keypoints([fruit], [pose])[0].keypoints.shape
     (5, 3)
     """
-    out = list(instances)
-    left = list(range(len(out)))
-    for some in (
-        [p for p in poses if p.confidence > sure],
-        [p for p in poses if p.confidence <= sure],
-    ):
-        for i, pose in _matches([out[k] for k in left], some, min_iou):
-            out[left[i]] = replace(
-                out[left[i]], keypoints=pose.keypoints, end_confidence=pose.end_confidence
-            )
-        left = [k for k in left if out[k].keypoints is None]
-    return tuple(out)
-
-
-def _matches(
-    instances: Sequence[Instance], poses: Sequence[Instance], min_iou: float
-) -> list[tuple[int, Instance]]:
-    """Match instances, by their place, with poses that have keypoints."""
-    if not instances or not poses:
-        return []
     from scipy.optimize import linear_sum_assignment
 
-    overlaps = np.array([[box_iou(a.box, b.box) for b in poses] for a in instances])
-    # Pairs below the threshold count 0, so that they cannot displace a good pair.
-    overlaps[overlaps < min_iou] = 0.0
-    pairs = zip(*(k.tolist() for k in linear_sum_assignment(overlaps, maximize=True)), strict=True)
-    return [
-        (i, poses[j]) for i, j in pairs if overlaps[i, j] > 0 and poses[j].keypoints is not None
-    ]
+    poses = [pose for pose in poses if pose.keypoints is not None]
+    boxes, others = (
+        np.array([one.box for one in some]).reshape(-1, 4) for some in (instances, poses)
+    )
+    overlaps = box_ious(boxes, others)
+    # A sure pose outweighs every overlap; pairs below the threshold displace none.
+    worth = overlaps + [pose.confidence > sure for pose in poses]
+    worth[overlaps < min_iou] = 0.0
+    out = list(instances)
+    for i, j in zip(*linear_sum_assignment(worth, maximize=True), strict=True):
+        if worth[i, j] > 0:
+            pose = poses[j]
+            out[i] = replace(out[i], keypoints=pose.keypoints, end_confidence=pose.end_confidence)
+    return tuple(out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,38 +275,7 @@ def _same(a: _Region, b: _Region) -> bool:
     if a.mask is None or b.mask is None:
         return box_iou(a.instance.box, b.instance.box) >= _SAME_BOX_IOU
     shared = _shared(a, b)
-    if shared >= _SAME_IOU * (a.area + b.area - shared) or _inside(shared, a, b):
-        return not _over_two(*sorted((a, b), key=lambda one: one.area))
-    return False
-
-
-def _inside(shared: float, a: _Region, b: _Region) -> bool:
-    return shared >= _INSIDE * min(a.area, b.area)
-
-
-def _over_two(part: _Region, whole: _Region) -> bool:
-    """Return whether a mask covers another instance's fruit and a fruit beside it."""
-    if whole.mask is None or part.mask is None or whole.window is None:
-        return False
-    if whole.instance.confidence > part.instance.confidence:
-        return False
-    rest = whole.mask[whole.window] & ~part.mask[whole.window]
-    sides = [_sides(one) for one in (part.mask[whole.window], whole.mask[whole.window], rest)]
-    (long, thick), (_, of_both), (of_rest, thick_rest) = sides
-    return (
-        of_both >= _THICKER * thick
-        and thick / _THICKER <= thick_rest <= _THICKER * thick
-        and of_rest >= long / 2
-    )
-
-
-def _sides(mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the longer and the shorter side of the rectangle with a mask's second moments."""
-    v, u = np.nonzero(mask)
-    if len(v) < 2:
-        return 0.0, 0.0
-    short, long = np.sqrt(12 * np.clip(np.linalg.eigvalsh(np.cov(np.stack([u, v]))), 0, None))
-    return float(long), float(short)
+    return shared >= min(_SAME_IOU * (a.area + b.area - shared), _INSIDE * min(a.area, b.area))
 
 
 def _around_several(one: _Region, found: Sequence[_Region]) -> bool:
@@ -429,40 +305,4 @@ def _kept(group: Sequence[_Region]) -> Instance:
         return replace(kept, confidence=best)
     return replace(
         kept, confidence=best, keypoints=posed[0].keypoints, end_confidence=posed[0].end_confidence
-    )
-
-
-def _is_piece(one: Instance, pose: Instance, poses: Sequence[Instance]) -> bool:
-    mask = visible_mask(one)
-    if pose.keypoints is None or mask is None:
-        return False
-    if any(box_iou(one.box, other.box) >= _OWN_IOU for other in poses if other is not pose):
-        return False
-    pixels = mask_pixels(mask)
-    if not len(pixels):
-        return False
-    line = np.asarray(pose.keypoints[:, :2], np.float64)
-    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    return _distance(pixels.mean(axis=0), line) <= _OFF_LINE * length
-
-
-def _distance(point: NDArray[np.float64], line: NDArray[np.float64]) -> float:
-    """Return a point's distance to a polyline, shape (K, 2)."""
-    steps = np.diff(line, axis=0)
-    squares = np.maximum((steps**2).sum(axis=1), 1e-12)
-    along = np.clip(((point - line[:-1]) * steps).sum(axis=1) / squares, 0, 1)
-    near = line[:-1] + along[:, None] * steps
-    return float(np.linalg.norm(near - point, axis=1).min())
-
-
-def _joined(pieces: Sequence[Instance], box: NDArray[np.float64], pose: Instance) -> Instance:
-    best = max(pieces, key=lambda one: one.confidence)
-    masks = [mask for one in pieces if (mask := visible_mask(one)) is not None]
-    mask = np.logical_or.reduce(masks)
-    return replace(
-        best,
-        box=box,
-        detector_mask=mask,
-        keypoints=pose.keypoints,
-        end_confidence=pose.end_confidence,
     )

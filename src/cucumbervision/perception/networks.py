@@ -15,7 +15,7 @@ from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, detector_fl
 from cucumbervision.perception.depth_vote import CANDIDATE_CONFIDENCE, with_depth_votes
 from cucumbervision.perception.ends import EndClassifier
 from cucumbervision.perception.input_sizes import SAME_IOU
-from cucumbervision.perception.instances import apart, each_once, merge_instances
+from cucumbervision.perception.instances import apart, merge_instances, with_keypoints
 from cucumbervision.perception.pieces import join_pieces_by_depth
 from cucumbervision.perception.registry import Registry, file_sha256, load_registry
 from cucumbervision.perception.yolo import YoloDetector
@@ -124,7 +124,7 @@ def each_fruit_once(
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour: joins the parts of a fruit.
     confidence : float
-        Threshold for a fruit after the vote; poses above it join the parts of a fruit too.
+        Threshold for a fruit after the vote; poses above it are matched first.
     looks : int
         As for `with_pose_votes`.
     focal_px : float, optional
@@ -146,7 +146,7 @@ def each_fruit_once(
     if depth_m is not None:
         weak = [one for one in voted if one.confidence <= confidence]
         found = join_pieces_by_depth(found, weak, depth_m)
-    return apart(each_once(found, posed, confidence) if posed and found else found, depth_m)
+    return apart(with_keypoints(found, merge_instances(posed or ()), sure=confidence), depth_m)
 
 
 def with_pose_votes(

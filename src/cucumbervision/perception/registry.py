@@ -13,13 +13,10 @@ import shutil
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cucumbervision.capture.files import parse_model, read_json
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 
 @dataclass(frozen=True)
@@ -110,26 +107,6 @@ class Model:
     embedded: bool = False
     card: str = ""
     segmenter: str = ""
-
-
-@dataclass(frozen=True)
-class FileCheck:
-    """The result of verifying one file.
-
-    Parameters
-    ----------
-    model, file : str
-        Their names.
-    path : Path
-        Where it should lie.
-    state : str
-        'ok', 'damaged' or 'missing'.
-    """
-
-    model: str
-    file: str
-    path: Path
-    state: str
 
 
 _HERE = Path(__file__).parent
@@ -255,20 +232,6 @@ class Registry:
             )
         return {f.file: str(manifest["files"].get(f.file, "")) for f in model.files}
 
-    def verify(self, name: str) -> tuple[FileCheck, ...]:
-        """Hash every file of a model that is on this machine.
-
-        Raises
-        ------
-        UnknownModelError, ModelError, ModelHashError
-            As `hashes`.
-        """
-        folder, wanted = self.folder(name), self.hashes(name)
-        return tuple(
-            FileCheck(name, file, folder / file, _file_state(folder / file, sha256))
-            for file, sha256 in wanted.items()
-        )
-
     def resolve(self, name: str) -> dict[str, Path]:
         """Return the paths of a model's files by role, each verified.
 
@@ -281,26 +244,16 @@ class Registry:
         ModelHashError
             If a file's hash differs.
         """
-        self.require(self.verify(name))
-        folder = self.folder(name)
-        return {f.role: folder / f.file for f in self.get(name).files}
-
-    def require(self, checks: Iterable[FileCheck]) -> None:
-        """Raise for the first file that is damaged or missing.
-
-        Raises
-        ------
-        ModelHashError, ModelError
-            Naming the file and the remedy.
-        """
-        for check in checks:
-            remedy = _again(self.get(check.model))
-            if check.state == "missing":
-                raise ModelError("the file is missing", source=check.path, remedy=remedy)
-            if check.state == "damaged":
+        model, folder, wanted = self.get(name), self.folder(name), self.hashes(name)
+        for file, sha256 in wanted.items():
+            path, remedy = folder / file, _again(model)
+            if not path.is_file():
+                raise ModelError("the file is missing", source=path, remedy=remedy)
+            if file_sha256(path) != sha256:
                 raise ModelHashError(
-                    "its SHA-256 is not the registry's", source=check.path, remedy=remedy
+                    "its SHA-256 is not the registry's", source=path, remedy=remedy
                 )
+        return {f.role: folder / f.file for f in model.files}
 
     def install(self, name: str, files: tuple[Path, ...]) -> dict[str, Path]:
         """Move a model's exported files into the user's folder and note their hashes.
@@ -388,12 +341,6 @@ def file_sha256(path: Path) -> str:
 
 def _model(entry: Any, path: Path, remedy: str) -> Model:
     return parse_model(Model, entry, source=path, error=ModelError, remedy=remedy)
-
-
-def _file_state(path: Path, sha256: str) -> str:
-    if not path.is_file():
-        return "missing"
-    return "ok" if file_sha256(path) == sha256 else "damaged"
 
 
 def _again(model: Model) -> str:

@@ -326,7 +326,7 @@ class Replay:
 
 @pytest.mark.parametrize("with_pose", [True, False])
 def test_reported_is_what_detect_reports(with_pose: bool) -> None:
-    """Two pieces of one fruit and a double find, put together as `Detectors` does."""
+    """Two pieces of one fruit, one found twice, put together as `Detectors` does."""
     left, right = np.zeros((40, 120), bool), np.zeros((40, 120), bool)
     left[10:20, 10:50] = right[10:20, 60:110] = True
     points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
@@ -336,8 +336,8 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
     ours = shipped(pieces, pose if with_pose else None, 0.3)
     loaded = [cast(YoloDetector, Replay(*found)) for found in (pieces, pose)]
     theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(black)
-    # Only the pose network joins pieces without depth.
-    assert len(ours) == len(theirs) == (1 if with_pose else 2)
+    # Without depth the pieces stay two.
+    assert len(ours) == len(theirs) == 2
     for a, b in zip(ours, theirs, strict=True):
         assert (a.confidence, a.box.tolist()) == (b.confidence, b.box.tolist())
         assert (a.keypoints is None) == (b.keypoints is None)

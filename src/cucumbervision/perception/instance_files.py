@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from cucumbervision.perception.mask_codes import mask_of_segmentation, polygon_p
 from cucumbervision.perception.masks import box_of_mask
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+_T = TypeVar("_T")
 _KEYPOINTS = 5
 _SLACK = 1e-6  # tolerance outside 0 to 1 for rounded numbers
 
@@ -116,10 +117,7 @@ def _coco_pictures(data: Any, path: Path) -> list[LabelledImage]:
         if key not in pictures:
             name = str(item.get("file_name", ""))
             pictures[key] = LabelledImage(name, _number(item.get("image_id")), None, [])
-        try:
-            record: LabelledInstance | InstancesError = _coco_record(item, where, names, annotated)
-        except (TypeError, ValueError, KeyError, OverflowError) as error:
-            record = InstancesError(f"{where}: {error}", source=path, remedy="correct it")
+        record = _or_error(where, path, _coco_record, item, where, names, annotated)
         pictures[key].records.append(record)
     return list(pictures.values())
 
@@ -313,20 +311,18 @@ class InstanceFile:
                 source=self.source,
                 remedy="give the annotations of this very picture",
             )
-        instances, clipped, refused = [], [], []
-        for record in picture.records:
-            if isinstance(record, InstancesError):
-                refused.append(record)
-                continue
-            try:
-                instance, cut = _instance(record, width, height)
-            except (TypeError, ValueError, KeyError, OverflowError) as error:
-                fault = f"{record.where}: {error}"
-                refused.append(InstancesError(fault, source=self.source, remedy="correct it"))
-            else:
-                instances.append(instance)
-                clipped.append(cut)
-        return FileInstances(tuple(instances), tuple(clipped), tuple(refused))
+        read = [
+            record
+            if isinstance(record, InstancesError)
+            else _or_error(record.where, self.source, _instance, record, width, height)
+            for record in picture.records
+        ]
+        kept = [one for one in read if not isinstance(one, InstancesError)]
+        return FileInstances(
+            instances=tuple(instance for instance, _ in kept),
+            clipped=tuple(cut for _, cut in kept),
+            refused=tuple(one for one in read if isinstance(one, InstancesError)),
+        )
 
     def coverage(
         self, captures: Iterable[tuple[Sequence[str], int | None]]
@@ -355,7 +351,7 @@ class InstanceFile:
         ]
 
     def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
-        for short in (_whole, _file_name, _stem):
+        for short in (str, _file_name, _stem):
             # A capture's name may contain dots without having an extension.
             wanted = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
             found = [p for p in self.pictures if p.name and short(p.name) in wanted]
@@ -422,11 +418,19 @@ def _read_yolo_file(path: Path, names: list[str]) -> LabelledImage:
     for i, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        try:
-            records.append(parse_yolo_line(line, f"{path.name}, line {i}", names))
-        except (ValueError, OverflowError) as error:
-            records.append(InstancesError(f"line {i}: {error}", source=path, remedy="correct it"))
+        where = f"{path.name}, line {i}"
+        records.append(_or_error(f"line {i}", path, parse_yolo_line, line, where, names))
     return LabelledImage(path.name, None, None, records)
+
+
+def _or_error(
+    where: str, source: object, read: Callable[..., _T], *given: Any
+) -> _T | InstancesError:
+    """Return what is read of one entry, or the error that says what is wrong with it."""
+    try:
+        return read(*given)
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        return InstancesError(f"{where}: {error}", source=source, remedy="correct it")
 
 
 def _instance(record: LabelledInstance, width: int, height: int) -> tuple[Instance, bool]:
@@ -476,10 +480,6 @@ def _clip(box: NDArray[np.float64], width: int, height: int) -> tuple[NDArray[np
 
 def _beyond(points: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_]:
     return (points < -_CLIP_SLACK_PX) | (points > np.array([width, height]) + _CLIP_SLACK_PX)
-
-
-def _whole(name: str) -> str:
-    return name
 
 
 def _file_name(name: str) -> str:

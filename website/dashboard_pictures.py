@@ -25,7 +25,7 @@ FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-backgroun
 # A text that a page shows once it is complete.
 PAGES = {
     "today": ("", "Pick list"),
-    "capture": ("capture", "Valid depth"),
+    "capture": ("capture", "Depth seen"),
     "map": ("map", "One mark per fruit"),
     "results": ("results", "tick one to open it"),
 }

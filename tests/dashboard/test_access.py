@@ -14,6 +14,7 @@ pytest.importorskip("streamlit")
 from cucumbervision.dashboard.access import (
     COOKIE,
     SESSION_S,
+    TICKET,
     AccessGuard,
     Login,
     OpenIdConnect,
@@ -123,26 +124,37 @@ def test_the_token_leads_to_no_other_site() -> None:
     assert dict(sent[0]["headers"])[b"location"] == b"/evil.example/x"
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["/_stcore/upload_file/eve/1", "/house/_stcore/upload_file/eve/1", "/_stcore/upload_file"],
-)
-def test_with_a_provider_a_stranger_sends_no_file(path: str) -> None:
-    reached, sent = ask((Login.OIDC, ""), path)
-    assert not reached
-    assert sent[0]["status"] == 403
-
-
-def test_with_a_provider_a_viewer_sends_files_until_the_login_ends() -> None:
+def test_with_a_provider_the_other_routes_need_the_session_of_a_viewer() -> None:
     admitted = [True]
-    note_viewer("anna", lambda: admitted[0])
-    assert ask((Login.OIDC, ""), "/_stcore/upload_file/anna/1")[0]
+    note_viewer("anna", lambda: admitted[0], "anna@example.org")
+    for path in ("/capture", "/api/press"):
+        assert not ask((Login.OIDC, ""), path)[0]
+        assert not ask((Login.OIDC, ""), path, cookie=f"{TICKET}=eve")[0]
+        assert ask((Login.OIDC, ""), path, cookie=f"{TICKET}=anna")[0]
     admitted[0] = False
-    assert not ask((Login.OIDC, ""), "/_stcore/upload_file/anna/1")[0]
-    admitted[0] = True
+    assert not ask((Login.OIDC, ""), "/api/preview", kind="websocket", cookie=f"{TICKET}=anna")[0]
     note_viewer("anna", None)
-    assert not ask((Login.OIDC, ""), "/_stcore/upload_file/anna/1")[0]
-    assert ask((Login.OIDC, ""), "/_stcore/health")[0]
+
+
+def test_a_page_of_another_site_sends_nothing_and_frames_nothing() -> None:
+    guard, cookie = (Login.TOKEN, TOKEN), f"{COOKIE}={TOKEN}"
+    here = {"host": "house:8501", "cookie": cookie}
+    for kind in ("http", "websocket"):
+        assert ask(guard, "/api/press", kind=kind, origin="http://house:8501", **here)[0]
+        assert not ask(guard, "/api/press", kind=kind, origin="http://evil.example", **here)[0]
+    _, sent = ask(guard, "/", host="house:8501")
+    assert (b"x-frame-options", b"SAMEORIGIN") in sent[0]["headers"]
+    assert (b"x-content-type-options", b"nosniff") in sent[0]["headers"]
+
+
+@pytest.mark.parametrize("login", [(Login.NONE, ""), (Login.OIDC, ""), (Login.TOKEN, TOKEN)])
+def test_routes_of_streamlit_s_that_no_page_needs_are_closed(login: tuple[Login, str]) -> None:
+    cookie = f"{COOKIE}={TOKEN}"
+    for path in ("metrics", "agent/openapi.json", "upload_file/eve/1"):
+        for base in ("", "/house"):
+            asked = ask(login, f"{base}/_stcore/{path}", host="localhost", cookie=cookie)
+            assert not asked[0]
+    assert ask(login, "/_stcore/health", host="localhost", cookie=cookie)[0]
 
 
 def test_openid_connect_must_be_complete_and_admit_somebody(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ StartServer = Callable[..., str]
 
 def links(page: Any) -> Any:
     """The links to the pages, which only who is logged in sees."""
-    return page.get_by_test_id("stTopNavLink")
+    return page.locator(".st-key-nav a")
 
 
 def test_only_the_link_with_the_token_opens_the_pages(

@@ -37,7 +37,7 @@ class Dashboard:
     faults: list[str]
 
     def go(self, name: str) -> None:
-        self.page.get_by_test_id("stTopNavLink").filter(has_text=name).click()
+        self.page.locator(".st-key-nav a").filter(has_text=name).click()
         self.quiet()
 
     def quiet(self) -> None:
@@ -148,12 +148,11 @@ def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> Non
 def test_a_capture_from_the_replay_is_measured_in_place(dashboard: Dashboard) -> None:
     page, stops = dashboard.page, dashboard.stops()
     dashboard.go("Capture")
-    page.locator("svg.view image").first.wait_for()
+    page.locator("button.take:enabled").wait_for()
+    page.wait_for_function("document.getElementById('color').naturalWidth > 0")
     for _ in range(2):
         page.locator("button.take").click()
-    page.get_by_text(f"Stop {stops + 2}: row", exact=False).first.wait_for()
-    page.get_by_text("waiting.").wait_for(state="hidden")
-    dashboard.quiet()
+    page.locator("#where").get_by_text(f"Stop {stops + 2}: row", exact=False).wait_for()
     dashboard.shot("capture")
     assert dashboard.stops() == stops + 2
 

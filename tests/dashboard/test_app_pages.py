@@ -18,17 +18,15 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.shutter import Press
 from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision.rounds.settling import move_stop, settle
-from cucumbervision.rounds.walking import NextPlace, next_place
 from cucumbervision.store.edits import StopPlace
 from cucumbervision.store.records import RoundRecord, StopRecord, key_of, new_key
 from cucumbervision.store.repository import Store, open_store
 from cucumbervision.store.views import Verdict
 
 WALK, LONG = key_of("walk"), key_of("long walk")
-PAGES = ("today", "capture", "upload", "results", "row_map", "forecast", "accuracy", "settings")
+PAGES = ("today", "upload", "results", "row_map", "forecast", "accuracy", "settings")
 
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
@@ -42,7 +40,10 @@ def app(page: str, **state: Any) -> AppTest:
     )
     test = AppTest.from_string(script, default_timeout=600)
     for name, value in state.items():
-        test.session_state[name] = value
+        if name in ("fruit", "stop", "row"):  # the address names them
+            test.query_params[name] = value
+        else:
+            test.session_state[name] = value
     return test.run()
 
 
@@ -135,39 +136,15 @@ def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
     test = app("results", fruit=keys[0])
     assert next(b for b in test.button if b.label == "Previous").disabled
     next(b for b in test.button if b.label == "Next").click().run()
-    assert test.session_state["fruit"] == keys[1]
+    assert test.query_params["fruit"] == keys[1]
     next(b for b in test.button if b.label == "All fruit").click().run()
     assert any(metric.label == "Mean length" for metric in test.metric)
-
-
-def test_presses_become_stops_that_go_on_from_the_last_one(house: Path) -> None:
-    resources.change_settings(fruit_from="dataset")
-    feed, shutter = resources.feed("replay"), resources.shutter()
-    place = next_place([Stop("9", "right", 1.6, 4), Stop("9", "right", 2.0, 5)])
-    for number in range(3):
-        stop = Stop(place.row, place.side, place.position_m)
-        assert shutter.press(feed, 1, WALK, stop, Press(str(number), time.time()))
-        place = place.onward()
-    shutter.close()
-    wait_for_jobs()
-    test = app("capture", source="replay")
-    # Drawn captures are the demonstration's, whatever round is open.
-    with open_store(house) as store:
-        assert all(stop.row != "9" for stop in store.stops(WALK))
-        taken = [one for one in store.stops(DEMONSTRATION) if one.row == "9"]
-    places = [(one.step, one.side, one.position_m, one.fruit) for one in taken]
-    assert [one[:3] for one in places] == [(1, "right", 2.4), (2, "right", 2.8), (3, "right", 3.2)]
-    assert sum(one[3] for one in places) == 8
-    assert "never into yours" in said(test)
-    assert "Stop 3: row 9, right, 3.20 m: saved" in said(test)
-    assert test.session_state["place"] == NextPlace("9", "right", 3.6, 0.4)
-    assert all(text.endswith(" cm") for text in test.dataframe[-1].value["Length"])
 
 
 def test_the_row_map_tells_two_fruit_from_one_and_takes_that_back(house: Path) -> None:
     with open_store(house) as store:
         first, second, *_ = store.detections(WALK)
-    test = app("row_map", round=WALK, map_fruit=first.key)
+    test = app("row_map", round=WALK, fruit=first.key)
     assert not test.exception
     assert "90 %" in said(test)
 
@@ -279,11 +256,10 @@ def test_a_house_whose_sides_have_other_names_is_walked(house: Path) -> None:
         for side in ("A", "B"):
             stop = replace(template, key=key_of(side), round_key=DEMONSTRATION, side=side)
             store.save_stop(stop)
-    for page in ("capture", "upload"):
-        test = app(page, round=DEMONSTRATION, source="replay")
-        assert not test.exception
-        control = field(test, "segmented_control", "Side")
-        assert (control.options, control.value) == (["A", "B"], "B")
+    test = app("upload", round=DEMONSTRATION)
+    assert not test.exception
+    control = field(test, "segmented_control", "Side")
+    assert (control.options, control.value) == (["A", "B"], "B")
 
 
 def test_undo_on_a_fruit_s_page_takes_a_deleted_stop_back_and_merges(house: Path) -> None:
@@ -291,8 +267,8 @@ def test_undo_on_a_fruit_s_page_takes_a_deleted_stop_back_and_merges(house: Path
         stop = store.stops(WALK)[0]
         fruit = next(one for one in store.detections(WALK) if one.stop_key != stop.key)
         store.delete_stop(stop.key)
-        for page, state in (("results", {"fruit": fruit.key}), ("row_map", {})):
-            test = app(page, round=WALK, map_fruit=fruit.key, **state)
+        for page in ("results", "row_map"):
+            test = app(page, round=WALK, fruit=fruit.key)
             tap(test, "Undo")
             put_back = store.stops(WALK)[0]
             assert put_back.key == stop.key
@@ -406,30 +382,18 @@ def test_today_counts_what_is_ready(house: Path) -> None:
     assert int(shown["Ready today"]) + int(shown.get("Too long", 0)) >= len(ready) > 0
 
 
-def test_the_absent_camera_is_told_and_the_replay_offered(
-    house: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
-    if len(rs.context().query_devices()):
-        pytest.skip("a camera is connected")
-    while resources.camera().preview().state == "opening":
-        time.sleep(0.05)  # until the test's own limit
-    test = app("capture", source="camera", source_chosen=True)
-    assert "No camera was found" in said(test)
-    assert "choose 'Replay'" in said(test)
-    # Exposure and preset are chosen all the same, and the next camera is opened with them.
+def test_preset_and_exposure_of_the_camera_are_chosen(house: Path) -> None:
+    test = app("settings")
     next(box for box in test.selectbox if box.label == "Depth preset").select("hand").run()
     exposure = next(box for box in test.selectbox if box.label.startswith("Exposure"))
     exposure.select("fixed").run()
     next(box for box in test.number_input if box.label == "Microseconds").set_value(5000.0).run()
     assert not test.exception
     assert resources.settings().camera == CameraSettings("hand", 5000.0)
-    # Who chose nothing is shown the replay at once.
-    assert app("capture", source="camera").session_state["source"] == "replay"
 
 
 def test_a_round_is_begun(house: Path) -> None:
-    test = app("capture", source="replay")
+    test = app("today")
     test.text_input(key="new_name").set_value("Evening").run()
     next(b for b in test.button if b.label == "Start this round").click().run()
     with open_store(house) as store:
@@ -476,7 +440,7 @@ def test_every_page_opens_on_500_stops(
     with open_store(house) as store:
         template = store.stop(store.stops(WALK)[0].key)
         make_long(store, template, 500)
-    for page in ("results", "row_map", "forecast", "accuracy", "capture"):
+    for page in ("results", "row_map", "forecast", "accuracy"):
         test = app(page, round=LONG, source="replay")
         assert not test.exception
         if page == "results":

@@ -134,8 +134,8 @@ def test_a_press_whose_picture_is_gone_is_refused_and_told(
     for feed_of in (feed, Replay(example_captures())):
         shutter = Shutter(store, waiting, lambda: None)
         for number in "ab":
-            assert not shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
-            assert not shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
+            refused = shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5))
+            assert shutter.press(feed_of, 1, WALK, stop, Press(number, now - 5)) is refused
         shutter.close()
         errors = [one.error for one in shutter.pressed(WALK)]
         assert len(errors) == 2
@@ -152,7 +152,7 @@ def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refuse
     assert before.press(replay, 1, WALK, stop, press)
     before.close()
     again = Shutter(store, waiting, lambda: None)
-    assert not again.press(Replay(example_captures()), 1, WALK, stop, press)
+    assert again.press(Replay(example_captures()), 1, WALK, stop, press) is None
     again.close()
     assert again.pressed(WALK) == []
     assert len(waiting.captures()) == 1

@@ -3,7 +3,9 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,18 +14,18 @@ import pytest
 from cucumbervision.capture.source import example_captures
 from cucumbervision.dashboard.jobs import Job
 from cucumbervision.dashboard.measuring import SharedMeasurer
-from cucumbervision.dashboard.uploading import CAMERAS, measure_uploads
+from cucumbervision.dashboard.uploading import CAMERAS, measure_upload
+from cucumbervision.dashboard.uploads import Sending, SentFile, SentPlace, UploadOutcome, Uploads
 from cucumbervision.measurement.result import LengthDefinition
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.rounds.demonstration import DEMONSTRATION
-from cucumbervision.rounds.walking import NextPlace
 from cucumbervision.store.records import DetectionRecord, RoundRecord, key_of
 from cucumbervision.store.repository import Store
 
 OPTIONS = MeasureOptions(instances="dataset")
 ROUND = RoundRecord(key_of("uploads"))
-PLACE = NextPlace("7", "right", 3.0, 0.5, back=True)
+PLACE = SentPlace(row="7", side="right", position_m=3.0, step_m=0.5, back=True)
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,34 @@ def measurer() -> SharedMeasurer:
 
 def kind_of(record: DetectionRecord) -> str | None:
     return None if record.length is None else str(record.length.kind)
+
+
+Measure = Callable[..., tuple[UploadOutcome, ...]]
+
+
+@pytest.fixture
+def measured(store: Store, measurer: SharedMeasurer, tmp_path: Path) -> Measure:
+    """Send files into the round, measure them, and return their outcomes."""
+    store.save_round(ROUND)
+    uploads = Uploads(tmp_path / "uploads")
+
+    def measure(
+        files: list[tuple[str, io.BytesIO]],
+        options: MeasureOptions = OPTIONS,
+        job: Job | None = None,
+        camera: str = "",
+    ) -> tuple[UploadOutcome, ...]:
+        listed = tuple(SentFile(name=name, size=len(f.getvalue())) for name, f in files)
+        sending = Sending(round=ROUND.key, files=listed, place=PLACE, camera=camera)
+        uploads.begin(sending, 10**9)
+        for number, (_, content) in enumerate(files):
+            uploads.append(sending.key, number, 0, content.getvalue())
+        assert uploads.to_measure() == [sending.key]
+        measure_upload(uploads, sending.key, measurer, store, options, job or Job(1, "uploads"))
+        assert uploads.to_measure() == []
+        return uploads.all()[0].outcomes
+
+    return measure
 
 
 def pair(number: int) -> list[tuple[str, io.BytesIO]]:
@@ -63,13 +93,13 @@ def packed() -> io.BytesIO:
 
 
 def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
-    store: Store, measurer: SharedMeasurer
+    store: Store, measured: Measure
 ) -> None:
-    store.save_round(ROUND)
     files = [("odd.png", io.BytesIO(b"MZ")), *pair(1), ("row.zip", packed())]
     job = Job(1, "uploads")
-    told = measure_uploads(files, measurer, store, ROUND.key, OPTIONS, PLACE, job)
-    assert (job.total, job.done) == (4, 4)
+    told = measured(files, job=job)
+    # Four files are checked; a pair that is none and two captures are measured.
+    assert (job.total, job.done) == (7, 7)
     assert sum(one.saved for one in told) == 2
     lost = [one for one in told if not one.saved]
     assert [one.name for one in lost] == ["odd.png", "upload"]
@@ -79,29 +109,20 @@ def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
     assert store.stops(ROUND.key) == []
     places = [(s.row, s.side, s.position_m, s.step) for s in store.stops(DEMONSTRATION)]
     assert places == [("7", "right", 3.0, 1), ("7", "right", 2.5, 2)]
-    again = measure_uploads(
-        [("row.zip", packed())], measurer, store, ROUND.key, OPTIONS, PLACE, job
-    )
+    again = measured([("row.zip", packed())])
     assert [one.words for one in again] == ["is in the round already"] * 2
     store.delete_stop(store.stops(DEMONSTRATION)[0].key)
-    again = measure_uploads(
-        [("row.zip", packed())], measurer, store, ROUND.key, OPTIONS, PLACE, job
-    )
+    again = measured([("row.zip", packed())])
     assert [(one.saved, one.words) for one in again] == [
         (False, "was deleted: undo that to have it back"),
         (False, "is in the round already"),
     ]
 
 
-def test_an_upload_with_other_options_is_measured_again(
-    store: Store, measurer: SharedMeasurer
-) -> None:
-    store.save_round(ROUND)
+def test_an_upload_with_other_options_is_measured_again(store: Store, measured: Measure) -> None:
     places, kinds = [], []
     for length in (LengthDefinition.CENTRELINE, LengthDefinition.CHORD):
-        options, job = replace(OPTIONS, length=length), Job(1, "uploads")
-        given = [("row.zip", packed())]
-        told = measure_uploads(given, measurer, store, ROUND.key, options, PLACE, job)
+        told = measured([("row.zip", packed())], replace(OPTIONS, length=length))
         assert all(one.saved for one in told)
         places.append([(one.key, one.position_m) for one in store.stops(DEMONSTRATION)])
         kinds.append({kind_of(one.record) for one in store.detections(DEMONSTRATION)})
@@ -110,28 +131,23 @@ def test_an_upload_with_other_options_is_measured_again(
     assert kinds == [{"centreline"}, {"chord"}]
 
 
-def test_one_camera_takes_a_place_once(store: Store, measurer: SharedMeasurer) -> None:
-    store.save_round(ROUND)
-    camera, job = next(iter(CAMERAS)), Job(1, "uploads")
+def test_one_camera_takes_a_place_once(store: Store, measured: Measure) -> None:
+    camera = next(iter(CAMERAS))
     for number, words in (
         (1, "row 7, right, 3.00 m"),
         (2, "stop 1 is at 3.00 m of that row and side"),
     ):
-        (told,) = measure_uploads(
-            pair(number), measurer, store, ROUND.key, OPTIONS, PLACE, job, camera
-        )
+        (told,) = measured(pair(number), camera=camera)
         assert words in told.words
         assert told.saved == (number == 1)
     assert len(store.stops(ROUND.key)) == 1
 
 
 def test_a_camera_s_usual_figures_stand_for_intrinsics_that_are_missing(
-    store: Store, measurer: SharedMeasurer
+    store: Store, measured: Measure
 ) -> None:
-    store.save_round(ROUND)
     camera = next(iter(CAMERAS))
-    job = Job(1, "uploads")
-    told = measure_uploads(pair(1), measurer, store, ROUND.key, OPTIONS, PLACE, job, camera)
+    told = measured(pair(1), camera=camera)
     assert [one.saved for one in told] == [True]
     (stop,) = store.stops(ROUND.key)
     assert (stop.row, stop.position_m) == ("7", 3.0)

@@ -24,7 +24,16 @@ if TYPE_CHECKING:
 
 SESSION_S = 12 * 3600.0  # a working day; then the viewer logs in again
 COOKIE = "cucumbervision_token"
+TICKET = "cucumbervision_viewer"
 _UPLOAD = "/_stcore/upload_file"
+_OWN = ("/api/", "/capture")  # routes that are none of Streamlit's, and so without its login
+_UNUSED = (_UPLOAD, "/_stcore/metrics", "/_stcore/agent", "/_stcore/script-health-check")
+_HEADERS = {
+    "x-frame-options": "SAMEORIGIN",
+    "content-security-policy": "frame-ancestors 'self'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+}
 _MOST_VIEWERS = 10_000  # sessions that are remembered
 _OIDC_SHARED = ("redirect_uri", "cookie_secret")
 _OIDC_PROVIDER = ("client_id", "client_secret", "server_metadata_url")
@@ -148,22 +157,25 @@ def read_openid_connect(files: tuple[Path, ...] | None = None) -> OpenIdConnect 
     return OpenIdConnect(tuple(named), frozenset(names))
 
 
-_viewers: dict[str, Callable[[], bool]] = {}
+_viewers: dict[str, tuple[Callable[[], bool], str]] = {}
 
 
-def note_viewer(session: str, is_admitted: Callable[[], bool] | None) -> None:
-    """Note who is behind a page, for the uploads of that page.
+def note_viewer(session: str, is_admitted: Callable[[], bool] | None, name: str = "") -> None:
+    """Note who is behind a page, for what that page sends outside Streamlit's connection.
 
     Parameters
     ----------
     session : str
-        Streamlit's identifier of the page's session.
+        Streamlit's identifier of the page's session, which nobody else knows; the page sends it
+        as the cookie `TICKET`.
     is_admitted : callable, optional
-        Whether the viewer is still logged in, asked at each upload; None for one who is not.
+        Whether the viewer is still logged in, asked each time; None for one who is not.
+    name : str
+        Who that is, for the log of corrections.
     """
     _viewers.pop(session, None)
     if is_admitted is not None:
-        _viewers[session] = is_admitted
+        _viewers[session] = is_admitted, name
     while len(_viewers) > _MOST_VIEWERS:
         del _viewers[next(iter(_viewers))]
 
@@ -174,8 +186,9 @@ class AccessGuard:
     - Without a login only requests to a loopback name, from pages of such a name, are admitted: a
       page of another site, or a name that was rebound to this machine, operates nothing.
     - With a token, a request needs it in its cookie; the link `?token=…` sets the cookie.
-    - With OpenID Connect, Streamlit's pages ask for the login; here only uploads of sessions that
-      are not logged in are refused, since Streamlit takes files from every session.
+    - With OpenID Connect, Streamlit's pages ask for the login; what is sent outside their
+      connection (uploads, presses, pictures) needs the session of one who is logged in.
+    - A request from a page of another site is refused, whatever the login.
 
     Parameters
     ----------
@@ -206,24 +219,33 @@ class AccessGuard:
         is_link = scope.get("method") == "GET" and self._is_token(query.pop("token", ""))
         if self._login is Login.TOKEN and is_link:
             await self._redirect(scope["path"], query, send)
-        elif self._admits(scope["path"], headers):
-            await self._app(scope, receive, send)
+        elif self._admits(scope, headers):
+            await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:
             await _answer(send, 403, self._refusal, {})
 
-    def _admits(self, path: str, headers: Mapping[str, str]) -> bool:
-        if self._login is Login.TOKEN:
-            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-            return cookie is not None and self._is_token(cookie.value)
-        if self._login is Login.OIDC:
-            _, found, rest = path.partition(_UPLOAD)
-            is_admitted = _viewers.get(rest.strip("/").split("/")[0])
-            return not found or (is_admitted is not None and is_admitted())
+    def _admits(self, scope: MutableMapping[str, Any], headers: Mapping[str, str]) -> bool:
+        path, host = scope["path"], headers.get("host", "")
         origin = headers.get("origin")
-        names = [headers.get("host", ""), *([] if origin is None else [urlsplit(origin).netloc])]
+        if any(unused in path for unused in _UNUSED):
+            return False
+        if path.startswith(_OWN) and origin is not None and urlsplit(origin).netloc != host:
+            return False
+        if self._login is Login.TOKEN:
+            return self._is_token(_cookie(headers, COOKIE))
+        if self._login is Login.OIDC:
+            return self._is_logged_in(scope, headers)
+        names = [host, *([] if origin is None else [urlsplit(origin).netloc])]
         return all(is_loopback(urlsplit(f"//{name}").hostname or "?") for name in names)
+
+    def _is_logged_in(self, scope: MutableMapping[str, Any], headers: Mapping[str, str]) -> bool:
+        if not scope["path"].startswith(_OWN):
+            return True
+        session = _cookie(headers, TICKET)
+        is_admitted, scope["viewer"] = _viewers.get(session, (None, ""))
+        return is_admitted is not None and is_admitted()
 
     def _is_token(self, given: str) -> bool:
         return bool(self._token) and hmac.compare_digest(given.encode(), self._token.encode())
@@ -245,10 +267,27 @@ class AccessGuard:
         await _answer(send, 303, "", {"location": place, "set-cookie": cookie})
 
 
+def _cookie(headers: Mapping[str, str], name: str) -> str:
+    found = SimpleCookie(headers.get("cookie", "")).get(name)
+    return "" if found is None else found.value
+
+
+def _with_headers(send: Callable[..., Any]) -> Callable[..., Any]:
+    """Return what sends an answer with headers by which no other site can frame or misread it."""
+    more = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+
+    async def send_all(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message["headers"], *more]}
+        await send(message)
+
+    return send_all
+
+
 async def _answer(
     send: Callable[..., Any], status: int, text: str, headers: Mapping[str, str]
 ) -> None:
-    every = {"content-type": "text/plain", "connection": "close", **headers}
+    every = {"content-type": "text/plain", "connection": "close", **_HEADERS, **headers}
     head = [(name.encode(), value.encode()) for name, value in every.items()]
     await send({"type": "http.response.start", "status": status, "headers": head})
     await send({"type": "http.response.body", "body": text.encode()})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from typing import TYPE_CHECKING
+from urllib.parse import urlencode
 
 import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
@@ -15,7 +16,6 @@ from cucumbervision.dashboard.access import Login, note_viewer, read_openid_conn
 from cucumbervision.dashboard.server import LOGIN_VARIABLE
 from cucumbervision.dashboard.views import (
     accuracy,
-    capture,
     forecast,
     results,
     row_map,
@@ -32,24 +32,28 @@ if TYPE_CHECKING:
 # Streamlit forgets the input of a page that is left; these are kept for its return.
 _KEPT_INPUTS = (
     "round",
-    *("source", "fruit", "color_by", "list_page", "pick_row"),
+    *("color_by", "list_page", "pick_row"),
 )
 _SESSION_CHECK_S = 10.0
 
 _STYLE = """<style>
 .stButton button, .stDownloadButton button, .stLinkButton a, [data-testid="stPopoverButton"] {
   min-height: 3rem; }
-.st-key-live [data-testid="stHorizontalBlock"] { flex-wrap: nowrap; gap: 6px; }
-.st-key-live [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
+.st-key-nav { gap: 2px; border-bottom: 1px solid #d6dad7; padding-bottom: 4px; }
+.st-key-nav a { min-height: 40px; padding: 0 9px; align-items: center; }
+.st-key-nav p { font-size: 0.94rem; }
+.st-key-nav a > span:has([data-testid="stIconMaterial"]) { display: none; }
 .stNumberInput input, .stTextInput input, [data-baseweb="select"] > div { min-height: 2.75rem; }
 [data-testid="stButtonGroup"] button { min-height: 2.75rem; }
 .stNumberInput button { min-width: 2.75rem; }
 .st-key-point_cloud [data-testid="stDeckGlJsonChart"] { background: #14181d; border-radius: 8px; }
-.block-container { padding-top: 4.2rem; padding-bottom: 2rem; }
+.block-container { padding-top: 0.4rem; padding-bottom: 2rem; }
 @media (max-width: 640px) {
-  .st-key-rounds [data-testid="stHorizontalBlock"] { gap: 8px; }
-  .st-key-rounds [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
-  .st-key-rounds [data-testid="stColumn"]:first-child { min-width: 100%; } }
+  .block-container { padding-left: 0.6rem; padding-right: 0.6rem; }
+  .st-key-nav a { padding: 0 6px; }
+  .st-key-rounds > div > [data-testid="stHorizontalBlock"] { gap: 6px; flex-wrap: nowrap; }
+  .st-key-rounds [data-testid="stColumn"] { min-width: 0; }
+  .st-key-rounds [data-testid="stPopoverButton"] { padding: 0 6px; } }
 @media (max-width: 1000px) {
   .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
   .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {
@@ -70,11 +74,16 @@ def main() -> None:
         # Without a login too, so that each page's address leads to the form.
         pages = _pages()
         st.session_state["pages"] = {page.url_path or "today": page for page in pages}
-        chosen = st.navigation(pages, position="top" if admitted else "hidden")
+        chosen = st.navigation(pages, position="hidden")
         if admitted:
+            resources.prepare()
+            read_address()
+            _draw_navigation(pages)
             _draw_log_out(login)
             keep_inputs()
-            page_elements.progress(resources.prepare())
+            context = get_script_run_ctx()
+            ticket = context.session_id if context and login is Login.OIDC else ""
+            page_elements.live(ticket)
             chosen.run()
         else:
             _draw_login()
@@ -84,26 +93,44 @@ def main() -> None:
 
 
 def _pages() -> list[StreamlitPage]:
-    modules = [
-        ("Today", today, ":material/today:"),
-        ("Capture", capture, ":material/photo_camera:"),
-        ("Upload", upload, ":material/upload:"),
-        ("Results", results, ":material/straighten:"),
-        ("Row map", row_map, ":material/map:"),
-        ("Forecast", forecast, ":material/calendar_month:"),
-        ("Accuracy", accuracy, ":material/target:"),
-        ("Settings", settings, ":material/settings:"),
+    draw = [
+        ("Today", today.page, ":material/today:"),
+        ("Capture", _leave_for_capture, ":material/photo_camera:"),
+        ("Upload", upload.page, ":material/upload:"),
+        ("Results", results.page, ":material/straighten:"),
+        ("Row map", row_map.page, ":material/map:"),
+        ("Forecast", forecast.page, ":material/calendar_month:"),
+        ("Accuracy", accuracy.page, ":material/target:"),
+        ("Settings", settings.page, ":material/settings:"),
     ]
     return [
         st.Page(
-            module.page,
+            page,
             title=title,
             icon=icon,
             url_path=title.split()[-1].lower(),
-            default=module is today,
+            default=page is today.page,
         )
-        for title, module, icon in modules
+        for title, page, icon in draw
     ]
+
+
+def _leave_for_capture() -> None:
+    """Open the capture page, which is none of Streamlit's."""
+    page_elements.go(f"/capture?{urlencode(page_elements.here())}")
+
+
+def _draw_navigation(pages: list[StreamlitPage]) -> None:
+    with st.container(horizontal=True, key="nav", gap="small"):
+        for one in pages:
+            st.page_link(one, label=one.title, query_params=page_elements.here())
+
+
+def read_address() -> None:
+    """Open the round that the address names; the address names the one that is open."""
+    named = st.query_params.get("round")
+    if named and named != st.session_state.get("named"):
+        st.session_state["round"] = st.session_state["named"] = named
 
 
 def keep_inputs() -> None:
@@ -144,7 +171,8 @@ def _is_admitted(login: Login) -> bool:
     admitted = is_admitted()
     context = get_script_run_ctx()
     if context is not None:
-        note_viewer(context.session_id, is_admitted if admitted else None)
+        name = str(claims.get("email") or claims.get("sub") or "")
+        note_viewer(context.session_id, is_admitted if admitted else None, name)
     return admitted
 
 

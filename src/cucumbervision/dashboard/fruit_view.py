@@ -54,7 +54,18 @@ _BAR_M = {"cm": 0.10, "in": 0.1016}
 
 
 def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
-    """Return a picture as a JPEG in a data URL, scaled down to a width where it is wider.
+    """Return a picture as a JPEG in a data URL, as `as_jpeg` makes it.
+
+    Examples
+    --------
+    >>> as_data_url(np.zeros((4, 4, 3), np.uint8))[:23]
+    'data:image/jpeg;base64,'
+    """
+    return f"data:image/jpeg;base64,{base64.b64encode(as_jpeg(picture, widest_px)).decode()}"
+
+
+def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280) -> bytes:
+    """Return a picture as a JPEG, scaled down to a width where it is wider.
 
     Parameters
     ----------
@@ -63,8 +74,8 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
 
     Examples
     --------
-    >>> as_data_url(np.zeros((4, 4, 3), np.uint8))[:23]
-    'data:image/jpeg;base64,'
+    >>> as_jpeg(np.zeros((4, 4, 3), np.uint8))[:3].hex()
+    'ffd8ff'
     """
     if picture.shape[1] > widest_px:
         height = round(picture.shape[0] * widest_px / picture.shape[1])
@@ -73,7 +84,7 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
     _, data = cv2.imencode(
         ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
     )
-    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+    return data.tobytes()
 
 
 def depth_picture(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], str]:

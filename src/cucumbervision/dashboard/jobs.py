@@ -104,6 +104,7 @@ class Worker:
         self._jobs: OrderedDict[int, Job] = OrderedDict()
         self._lock = threading.Lock()
         self._next = 1
+        self.finished = 0
 
     def submit(self, title: str, work: Work) -> Job:
         """Queue a job; `work` is given the job, to count its steps."""
@@ -114,8 +115,12 @@ class Worker:
             for number in old[: max(0, len(old) - KEPT)]:
                 del self._jobs[number]
             job.future = self._pool.submit(_run, work, job)
+            job.future.add_done_callback(self._count)
             self._jobs[job.number] = job
         return job
+
+    def _count(self, _: Future[Any]) -> None:
+        self.finished += 1
 
     def get(self, number: int | None) -> Job | None:
         """Return a job by its number; None where it is not held any more."""

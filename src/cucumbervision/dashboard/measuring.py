@@ -156,6 +156,24 @@ class SharedMeasurer:
         (found,) = self._sam().segment(capture.color, [Instance(box)])
         return _some(found.mask)
 
+    def mask_of(
+        self,
+        capture: Capture,
+        point: Sequence[float] | None,
+        box: Sequence[float] | None,
+    ) -> NDArray[np.bool_]:
+        """Return the mask of the fruit at a point, or in a box where none is given.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        if point:
+            return self.mask_from_click(capture, (float(point[0]), float(point[1])))
+        x1, y1, x2, y2 = (float(value) for value in box or ())
+        return self.mask_from_box(capture, (x1, y1, x2, y2))
+
     def correct(
         self,
         store: Store,

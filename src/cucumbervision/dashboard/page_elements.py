@@ -9,8 +9,8 @@ import streamlit as st
 
 from cucumbervision.agronomy.picking import hours_words
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.fruit_view import component
 from cucumbervision.dashboard.round_choice import choose_round
-from cucumbervision.dashboard.words import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,7 +34,8 @@ def button(
 ) -> None:
     """Draw a button as wide as its place; pressing it calls `act` before the page is drawn anew."""
     icon = f":material/{icon}:"
-    place.button(label, icon=icon, width="stretch", on_click=act, args=args, **options)
+    options.setdefault("width", "stretch")
+    place.button(label, icon=icon, on_click=act, args=args, **options)
 
 
 def table(lines: list[dict[str, Any]]) -> None:
@@ -74,11 +75,19 @@ def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
     return page
 
 
-def link(page: str, label: str) -> None:
-    """Draw a way to another page, by the name that its address ends on."""
+def link(page: str, label: str, **parts: str) -> None:
+    """Draw a way to another page of the round, by the name that its address ends on."""
     found = st.session_state.get("pages", {}).get(page)
     if found is not None:
-        st.page_link(found, label=label, icon=found.icon, width="stretch")
+        st.page_link(
+            found, label=label, icon=found.icon, query_params=here(**parts), width="stretch"
+        )
+
+
+def here(**parts: str) -> dict[str, str]:
+    """Return what an address says: the round that is open, and what else is named."""
+    opened = st.session_state.get("round")
+    return ({"round": opened} if opened else {}) | parts
 
 
 def work_words(work: PickWork) -> str:
@@ -94,34 +103,38 @@ def work_words(work: PickWork) -> str:
     return f"{hours_words(work.hours)} and {crates} {'crate' if crates == 1 else 'crates'}"
 
 
+def name_in_address(name: str, value: str | None) -> None:
+    """Let the address name a fruit, row or stop, so that it can be sent; None takes it away."""
+    if value is not None:
+        st.query_params[name] = value
+    elif name in st.query_params:
+        del st.query_params[name]
+
+
 def start_job(key: str, title: str, work: Work) -> None:
     """Queue a job and remember it in the viewer's session."""
     st.session_state[key] = resources.worker().submit(title, work).number
 
 
 def finished_job(key: str) -> Job | None:
-    """Return the viewer's job once it is finished; until then its progress is drawn."""
+    """Return the viewer's job once it is finished; `live` shows its progress until then."""
     job = resources.worker().get(st.session_state.get(key))
-    progress(job)
     return job if job is not None and job.finished else None
 
 
-def progress(job: Job | None) -> None:
-    """Draw a job's progress until it is finished; then the page is drawn again."""
-    place = st.container()  # also without a job: what follows keeps its place, and stays unfolded
-    if job is None or job.finished:
-        return
+def live(ticket: str = "") -> None:
+    """Show the work that goes on, and draw the page anew whenever its round changes.
 
-    @st.fragment(run_every=1.0)
-    def _bar() -> None:
-        if job.finished:
-            st.rerun()
-        words = (
-            f"{plain(job.title)}: {job.done} of {job.total}"
-            if job.total
-            else f"{plain(job.title)} …"
-        )
-        st.progress(job.share, text=words + (" (waiting)" if job.is_waiting else ""))
+    Parameters
+    ----------
+    ticket : str
+        By which the viewer is known outside Streamlit's pages, where a provider logs in.
+    """
+    opened = st.session_state.get("round") or ""
+    data = {"round": opened, "version": resources.news(opened)["version"], "ticket": ticket}
+    component("live")(key="live", data=data, on_changed_change=lambda: None)
 
-    with place:
-        _bar()
+
+def go(address: str) -> None:
+    """Leave Streamlit's pages for another address of this server."""
+    component("live")(key="leave", data={"go": address}, on_changed_change=lambda: None)

@@ -37,9 +37,15 @@ from cucumbervision.dashboard.settings import (
     write_settings,
 )
 from cucumbervision.dashboard.shutter import Shutter
+from cucumbervision.dashboard.uploading import measure_upload
+from cucumbervision.dashboard.uploads import Uploads
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.perception.registry import Registry, load_registry
-from cucumbervision.rounds.demonstration import DEMONSTRATION, round_for_capture
+from cucumbervision.rounds.demonstration import (
+    DEMONSTRATION,
+    is_demonstration,
+    round_for_capture,
+)
 from cucumbervision.rounds.from_store import RoundContent, read_round
 from cucumbervision.rounds.fruit_table import RoundFruit, fruit_table
 from cucumbervision.rounds.joint_lengths import measure_jointly
@@ -73,7 +79,7 @@ def _who() -> str:
     return str(st.user.get("email") or st.user.get("sub") or "dashboard")
 
 
-@st.cache_resource(show_spinner="Opening the store …")
+@st.cache_resource(show_spinner=False)
 def _store() -> Store:
     place, images = where(), os.environ.get(IMAGES_VARIABLE)
     if "://" not in place:
@@ -143,6 +149,34 @@ def wake() -> Job | None:
     # With these it is no page's function any more, and may run when no page is open.
     jobs[:] = [worker().submit("Measuring what waits", partial(measure_waiting, *parts))]
     return jobs[0]
+
+
+@st.cache_resource(show_spinner=False)
+def uploads() -> Uploads:
+    """Return what was uploaded."""
+    return Uploads(waiting_folder(where()).with_suffix(".uploads"))
+
+
+@st.cache_resource(show_spinner=False)
+def _uploading() -> set[str]:
+    return set()
+
+
+def measure_uploads() -> None:
+    """Start measuring the uploads that are there and not measured; each once."""
+    for key in uploads().to_measure():
+        if key not in _uploading():
+            _uploading().add(key)
+            worker().submit("Measuring the uploads", partial(_measure_upload, key))
+
+
+def _measure_upload(key: str, job: Job) -> None:
+    try:
+        measure_upload(uploads(), key, measurer(), store(), settings().options, job)
+    finally:
+        _uploading().discard(key)
+    for round_key in {one.sending.round for one in uploads().all() if one.sending.key == key}:
+        merge(round_key)
 
 
 def _settle(round_key: str) -> str:
@@ -238,6 +272,32 @@ def undo(round_key: str | None = None, *, number: int | None = None) -> None:
         merge(moved)
 
 
+def rounds() -> list[RoundView]:
+    """Return the rounds, the newest first and the demonstration last: it is nobody's work."""
+    return sorted(store().rounds(), key=lambda one: is_demonstration(one.key))
+
+
+def news(round_key: str) -> dict[str, Any]:
+    """Return what open pages must know at once: what waits, what is done, and the round's version.
+
+    Parameters
+    ----------
+    round_key : str
+        The round that is looked at; its `version` changes whenever a page of it would.
+    """
+    one = next((x for x in store().rounds() if x.key == round_key), None)
+    counts = worker().finished + uploads().changes, 0 if one is None else hash(_version(one))
+    return {
+        "version": f"{counts[0]}-{counts[1]}",
+        "now_s": time.time(),
+        "waiting": len(waiting().captures()),
+        "jobs": [
+            {"title": job.title, "done": job.done, "total": job.total, "queued": job.is_waiting}
+            for job in worker().unfinished()
+        ],
+    }
+
+
 def _version(one: RoundView) -> tuple[object, ...]:
     """Return what changes whenever a page of the round would."""
     newest = store().log(one.key, limit=1)
@@ -308,12 +368,12 @@ def fruit_detail(one: RoundView, fruit_key: str) -> DetectionDetail:  # noqa: AR
     return store().detection(fruit_key)
 
 
-@st.cache_data(show_spinner=False, max_entries=2000)
+@st.cache_resource(show_spinner=False, max_entries=2000)
 def _capture_widths(stop_key: str) -> dict[str, int]:
     return {one.name: one.width_px for one in store().stop(stop_key).captures}
 
 
-@st.cache_data(
+@st.cache_resource(
     show_spinner=False,
     max_entries=400,
     hash_funcs={DetectionView: lambda view: (view.key, view.corrected, view.record.box_x1_px)},
@@ -332,7 +392,7 @@ def joint_of(round_key: str, key: str) -> JointRecord:
     return store().joint_drawing(round_key, key)
 
 
-@st.cache_data(
+@st.cache_resource(
     show_spinner=False,
     max_entries=400,
     hash_funcs={
@@ -361,6 +421,7 @@ def cutout_of(view: DetectionView, joint: JointRecord | None = None) -> str | No
 def prepare() -> Job | None:
     """Load the networks before the first capture; measure the bundled ones into an empty store."""
     waiting().clean()
+    measure_uploads()
     if wake() is not None:
         return None
     if store().rounds() or store().rounds(deleted=True):

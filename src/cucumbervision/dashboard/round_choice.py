@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
 from cucumbervision.dashboard import resources
-from cucumbervision.dashboard.words import plain
+from cucumbervision.dashboard.words import plain, round_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.rounds.demonstration import is_demonstration
 from cucumbervision.rounds.settling import delete_round
 from cucumbervision.store.records import RoundRecord
 
@@ -24,10 +22,7 @@ _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 def choose_round() -> RoundView | None:
     """Draw the choice, and return the round that is open; None where there is none."""
-    every = resources.store().rounds()
-    # The grower's own first: the demonstration is no work of anybody's.
-    every.sort(key=lambda one: is_demonstration(one.key))
-    rounds = {one.key: one for one in every}
+    rounds = {one.key: one for one in resources.rounds()}
     if st.session_state.get("round") not in rounds:
         st.session_state["round"] = next(iter(rounds), None)
     with st.container(key="rounds"):
@@ -35,11 +30,13 @@ def choose_round() -> RoundView | None:
     key = chosen.selectbox(
         "Round",
         list(rounds),
-        format_func=lambda key: _name(rounds[key]),
+        format_func=lambda key: round_name(rounds[key]),
         key="round",
         placeholder="No round yet",
     )
     one = rounds.get(key) if key else None
+    if one is not None and st.query_params.get("round") != one.key:
+        st.query_params["round"] = st.session_state["named"] = one.key
     # They know whether they are open, so that what is done in them closes them.
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
     with new.popover("New round", icon=":material/add:", key=_BEGINNING, **tall):
@@ -47,13 +44,6 @@ def choose_round() -> RoundView | None:
     with change.popover("", icon=":material/edit:", key=_CHANGING, help="Rename or delete", **tall):
         _change(one)
     return one
-
-
-def _name(one: RoundView) -> str:
-    day = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.record.started_s))
-    house = f", {one.record.house}" if one.record.house else ""
-    stops = "1 stop" if one.stops == 1 else f"{one.stops} stops"
-    return f"{one.record.name or 'Round'}{house} · {day} · {stops}"
 
 
 def _begin() -> None:
@@ -92,7 +82,7 @@ def _change(one: RoundView | None) -> None:
         )
     for gone in resources.store().rounds(deleted=True):
         st.button(
-            f"Restore: {plain(_name(gone))}",
+            f"Restore: {plain(round_name(gone))}",
             icon=":material/undo:",
             width="stretch",
             key=f"back_{gone.key}",

@@ -109,6 +109,8 @@ class Settings(BaseModel):
         The depth camera's preset, as `CameraSettings.preset`; empty for the camera's own.
     exposure_us : float, optional
         Of the colour camera: 0 is automatic, None as the camera has it.
+    upload_limit_mb : int
+        How much may be sent at once.
     fruit_per_hour, minutes_per_row, fruit_per_crate
         As in `agronomy.picking.Rates`.
     """
@@ -130,6 +132,7 @@ class Settings(BaseModel):
     calibration: str = ""
     camera_preset: Preset = ""
     exposure_us: Annotated[float, AfterValidator(_exposure_us)] | None = None
+    upload_limit_mb: Annotated[int, Field(ge=1, le=1_000_000)] = 4000
     fruit_per_hour: Annotated[float, Field(gt=0)] = 350.0
     minutes_per_row: Annotated[float, Field(ge=0)] = 2.0
     fruit_per_crate: Annotated[int, Field(ge=1)] = 12

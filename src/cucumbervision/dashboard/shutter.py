@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.store.views import StopView
     from cucumbervision.store.waiting import Waiting, WaitingCaptures
 
-_REMEMBERED = 2000  # each page sends its last presses again and again
+_REMEMBERED = 2000  # presses that a browser may send again
 
 
 @dataclass(frozen=True)
@@ -99,22 +99,25 @@ class Shutter:
         self._store, self._waiting, self._kept = store, waiting, kept
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
         self._lock = threading.Lock()
-        self._pressed: OrderedDict[tuple[str, str], Pressed | None] = OrderedDict()
+        self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
 
-    def press(self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press) -> bool:
-        """Grab a burst for a press; return whether there is one.
+    def press(
+        self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press
+    ) -> Pressed | None:
+        """Grab a burst for a press; return its outcome, None for one that was kept before.
 
-        There is none where the same press came before, or where the feed no longer holds the
-        picture of its moment: `pressed` then tells why. Returns at once: the burst's last frames
-        and the disk are waited for elsewhere.
+        The same press sent again gets the same outcome: one stop. Where the feed no longer holds
+        the picture of its moment, the outcome is that error. Returns at once: the burst's last
+        frames and the disk are waited for elsewhere.
         """
         name = (round_key, press.number)
         at_s = min(press.at_s, time.time())
         with self._lock:
             if name in self._pressed:
-                return False
+                return self._pressed[name]
+            if self._was_kept(key_of("press", *name)):  # before this program was started
+                return None
             kept: Future[Waiting] = Future()
-            grabbed = None
             try:
                 grabbed = feed.grab(burst, at_s)
             except CameraError as error:
@@ -123,21 +126,18 @@ class Shutter:
                 kept = self._pool.submit(
                     self._keep, grabbed, round_key, stop, Press(press.number, at_s)
                 )
-            is_known = grabbed is None and self._was_kept(key_of("press", *name))
-            self._pressed[name] = None if is_known else Pressed(stop, at_s, kept)
+            self._pressed[name] = Pressed(stop, at_s, kept)
             while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
-        return grabbed is not None
+            return self._pressed[name]
 
     def _was_kept(self, key: str) -> bool:
-        """Tell whether a press was kept before this program was started."""
-        there = (*self._waiting.captures(), *self._waiting.set_aside())
-        return any(one.key == key for one in there) or self._store.stop_is_deleted(key) is not None
+        return self._waiting.holds(key) or self._store.stop_is_deleted(key) is not None
 
     def pressed(self, round_key: str) -> list[Pressed]:
         """Return the presses of a round that are remembered, the oldest first."""
         with self._lock:
-            return [one for (key, _), one in self._pressed.items() if one and key == round_key]
+            return [one for (key, _), one in self._pressed.items() if key == round_key]
 
     def close(self) -> None:
         """Keep what was pressed, then end."""

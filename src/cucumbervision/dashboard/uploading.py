@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
-from cucumbervision.errors import CucumberVisionError, IntrinsicsError
+from cucumbervision.dashboard.uploads import MOST_TRIES, UploadOutcome
+from cucumbervision.errors import CucumberVisionError, IntrinsicsError, UploadError
+from cucumbervision.intake.limits import Limits
 from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.rounds.adding import (
     Placed,
@@ -23,12 +25,13 @@ from cucumbervision.rounds.walking import last_step, refuse_taken
 from cucumbervision.store.records import key_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
     from cucumbervision.dashboard.jobs import Job
     from cucumbervision.dashboard.measuring import SharedMeasurer
+    from cucumbervision.dashboard.uploads import Uploads
     from cucumbervision.intake.uploads import AcceptedSource
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision.rounds.walking import NextPlace
@@ -36,25 +39,6 @@ if TYPE_CHECKING:
 
 # Focal length over the picture's height, of colour cameras as their makers give them.
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
-
-
-@dataclass(frozen=True)
-class UploadOutcome:
-    """The outcome of a file, or of a capture in it.
-
-    Parameters
-    ----------
-    name : str
-        By its sender's name.
-    saved : bool
-        Whether it is a stop now.
-    words : str
-        How many fruit, and where; or why not.
-    """
-
-    name: str
-    saved: bool
-    words: str
 
 
 def _usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
@@ -70,48 +54,61 @@ def _usual_intrinsics(camera: str, width: int, height: int) -> Intrinsics:
     return Intrinsics(width, height, focal_px, focal_px, *middle, Stream.COLOR)
 
 
-def measure_uploads(
-    files: Sequence[tuple[str, BinaryIO | Path]],
+def measure_upload(
+    uploads: Uploads,
+    key: str,
     measurer: SharedMeasurer,
     store: Store,
-    round_key: str,
     options: MeasureOptions,
-    place: NextPlace,
     job: Job,
-    camera: str = "",
-) -> list[UploadOutcome]:
-    """Check uploads and save their captures as stops of a round; a bad one costs only itself.
+) -> None:
+    """Check an upload and save its captures as stops of its round; a bad one costs only itself.
+
+    Each outcome is kept as it comes: refused files first, then as the files were sorted into
+    captures. Simulated captures go into the demonstration instead.
 
     Parameters
     ----------
-    files : sequence of (name, stream or Path)
-        As for `intake.uploads.accept_uploads`.
-    round_key : str
-        The round; simulated captures go into the demonstration instead.
-    place : NextPlace
-        Of the first capture that brings none of its own; the others follow from step to step.
+    uploads : Uploads
+        Where it is.
+    key : str
+        Which one.
     job : Job
-        Gets a step a file.
-    camera : str
-        Of `CAMERAS`: whose usual figures stand for intrinsics that are missing.
-
-    Returns
-    -------
-    list of UploadOutcome
-        Refused files first, then as the files were sorted into captures.
+        Gets a step a file that is checked, and a step a capture that is measured.
     """
-    job.total, outcomes = len(files), list[UploadOutcome]()
-    with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
-        accepted = accept_uploads(files, Path(folder), report=lambda *_: job.step())
-        outcomes += [UploadOutcome(one.source, False, one.message) for one in accepted.refused]
+    upload = uploads.try_once(key)
+    sending, outcomes = upload.sending, list[UploadOutcome]()
+    if upload.tries >= MOST_TRIES:
+        words = "ended the program each time it was measured"
+        outcomes = [UploadOutcome(name=one.name, saved=False, words=words) for one in sending.files]
+        uploads.note(key, outcomes, done=True)
+        return
+    files, place = uploads.files(key), sending.place.next_place
+    limits = replace(Limits(), file_bytes=max(sending.size, 1), total_bytes=max(sending.size, 1))
+    job.total = len(files)
+    with tempfile.TemporaryDirectory(prefix="cucumbervision-", dir=uploads.folder) as folder:
+        try:
+            accepted = accept_uploads(files, Path(folder), limits, report=lambda *_: job.step())
+        except UploadError as error:
+            outcomes = [_failed(one.name, error.message) for one in sending.files]
+            uploads.note(key, outcomes, done=True)
+            return
+        outcomes += [_failed(str(one.source), one.message) for one in accepted.refused]
         for source in accepted.sources:
-            for read in _captures(source, options.reading, camera):
+            for read in _captures(source, options.reading, sending.camera):
+                job.total = max(job.total, job.done + 1)
                 if isinstance(read, UploadOutcome):
                     outcomes.append(read)
-                    continue
-                read, place = _placed(read, place)
-                outcomes.append(_saved(read, measurer, store, round_key, options))
-    return outcomes
+                else:
+                    read, place = _placed(read, place)
+                    outcomes.append(_saved(read, measurer, store, sending.round, options))
+                job.step()
+                uploads.note(key, outcomes)
+    uploads.note(key, outcomes, done=True)
+
+
+def _failed(name: str, words: str) -> UploadOutcome:
+    return UploadOutcome(name=name, saved=False, words=words)
 
 
 def _captures(
@@ -121,7 +118,7 @@ def _captures(
     try:
         refs: Iterator[CaptureRef] = iter(_open(source, reading, camera))
     except CucumberVisionError as error:
-        yield UploadOutcome(error.source or source.title, False, f"{error.message}; {error.remedy}")
+        yield _failed(str(error.source or source.title), f"{error.message}; {error.remedy}")
         return
     while True:
         try:
@@ -130,7 +127,7 @@ def _captures(
                 return
             yield ref.load()
         except CucumberVisionError as error:
-            yield UploadOutcome(str(error.source or source.title), False, error.message)
+            yield _failed(str(error.source or source.title), error.message)
 
 
 def _open(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
@@ -174,19 +171,19 @@ def _saved(
         key = key_of(home, capture.name, capture_sha256(capture))
         deleted = store.stop_is_deleted(key)
         if deleted:
-            return UploadOutcome(name, False, "was deleted: undo that to have it back")
+            return _failed(name, "was deleted: undo that to have it back")
         if deleted is not None:
             fruit = measured_otherwise(store, key, capture, measurer.with_options(options))
             again = "was there already, and is measured again: its intrinsics or options changed"
             words = "is in the round already" if fruit is None else again
-            return UploadOutcome(name, fruit is not None, words)
+            return UploadOutcome(name=name, saved=fruit is not None, words=words)
         capture = replace(capture, stop=stop)
         refuse_taken(store, home, *Placed.of(capture).spot_and_camera)
         taken = measurer.take_stop(store, home, capture, options, key=key)
     except CucumberVisionError as error:
-        return UploadOutcome(name, False, error.message)
+        return _failed(name, error.message)
     many = len(taken.result.fruit)
     at = f"row {stop.row or '?'}, {stop.side}, {stop.position_m:.2f} m"
-    moved = "; simulated, so in the round 'Demonstration'" if home != round_key else ""
+    moved = "; computer-made, so in the round 'Demonstration'" if home != round_key else ""
     words = taken.note or f"{many} fruit"
-    return UploadOutcome(name, True, f"{words} ({at}{moved})")
+    return UploadOutcome(name=name, saved=True, words=f"{words} ({at}{moved})")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cucumbervision.dashboard.settings import Units
     from cucumbervision.rounds.row_fruit import CountEstimate
     from cucumbervision.store.records import DetectionRecord
-    from cucumbervision.store.views import StopView
+    from cucumbervision.store.views import RoundView, StopView
 
 # Marks of Markdown, of HTML, of Streamlit's own colours and icons (:red[x], :tada:) and of TeX.
 _MARKS = re.compile(r"([\\`*_{}\[\]()#+!|~<>:$&-])")
@@ -105,6 +105,23 @@ def round_day(at_s: float) -> str:
     17
     """
     return time.strftime("%d %b %Y %H:%M", time.localtime(at_s))
+
+
+def round_name(one: RoundView) -> str:
+    """Return what a round is called in a list: its name, house, day and number of stops."""
+    house = f", {one.record.house}" if one.record.house else ""
+    stops = counted(one.stops, "stop", "stops")
+    return f"{one.record.name or 'Round'}{house} · {round_day(one.record.started_s)} · {stops}"
+
+
+def added_words(*, doubtful: bool) -> str:
+    """Return what became of a fruit that somebody added."""
+    if doubtful:
+        return (
+            "Added, but it does not look like a fruit. It is not on the pick list until someone "
+            "accepts it. 'Undo' removes it."
+        )
+    return "Added to the round. 'Undo' removes it."
 
 
 def remarks(record: DetectionRecord, units: Units) -> str:

@@ -116,6 +116,7 @@ class WaitingCaptures:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._read: dict[Path, Waiting] = {}
 
     def put(self, capture: Capture, key: str, round_key: str, pressed_s: float) -> Waiting:
         """Keep a capture; when this returns, no kill and no power cut takes it away.
@@ -157,6 +158,10 @@ class WaitingCaptures:
         """Return what was tried too often: it stays where it is, for somebody to look at."""
         return [one for one in self._all() if one.tries >= MOST_TRIES]
 
+    def holds(self, key: str) -> bool:
+        """Return whether a capture of this key waits, or was set aside."""
+        return any(self.folder.glob(f"[0-9]*-{key}/{_WHERE}"))
+
     def begin(self, one: Waiting) -> None:
         """Note that measuring begins, so that a capture that ends the program is known."""
         with (one.folder / _TRIES).open("ab") as tries:
@@ -177,24 +182,21 @@ class WaitingCaptures:
             shutil.rmtree(half, ignore_errors=True)
 
     def _all(self) -> list[Waiting]:
-        found = []
+        found, known = [], self._read
         for path in sorted(self.folder.glob(f"[0-9]*/{_WHERE}")):
             # Another thread may just be done with it.
             with suppress(OSError, ValueError, KeyError, TypeError):
-                about = json.loads(path.read_text(encoding="utf-8"))
-                tries = path.with_name(_TRIES)
-                found.append(
-                    Waiting(
-                        about["key"],
-                        about["round"],
-                        Stop(**about["stop"]),
-                        about["pressed_s"],
-                        path.parent,
-                        about["source"],
-                        tries.stat().st_size if tries.exists() else 0,
-                    )
-                )
+                one, tries = known.get(path) or _read(path), path.with_name(_TRIES)
+                found.append(replace(one, tries=tries.stat().st_size if tries.exists() else 0))
+        self._read = {one.folder / _WHERE: one for one in found}
         return found
+
+
+def _read(path: Path) -> Waiting:
+    about = json.loads(path.read_text(encoding="utf-8"))
+    stop = Stop(**about["stop"])
+    place = about["key"], about["round"], stop, about["pressed_s"]
+    return Waiting(*place, path.parent, about["source"])
 
 
 def _sync(folder: Path) -> None:

@@ -3,8 +3,8 @@ const SVG = "http://www.w3.org/2000/svg";
 const HINTS = {
   "": "Pinch, wheel or + and − to zoom, drag to move.",
   ruler: "Tap two points: the straight distance between them is measured in depth.",
-  point: "Tap the middle of the fruit: its outline is drawn anew.",
-  box: "Drag a box around the fruit: its outline is drawn anew.",
+  point: "Tap the middle of the fruit: its outline is drawn.",
+  box: "Drag a box around the fruit: its outline is drawn.",
   brush: "Paint what belongs to the fruit as well; two fingers move the picture.",
   erase: "Paint what does not belong to the fruit; two fingers move the picture.",
 };

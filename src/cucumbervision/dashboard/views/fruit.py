@@ -24,6 +24,7 @@ from cucumbervision.dashboard.fruit_view import (
 from cucumbervision.dashboard.page_elements import button
 from cucumbervision.dashboard.round_tables import GradedRound, figure_lines
 from cucumbervision.dashboard.words import (
+    added_words,
     grade_name,
     interval_words,
     length_words,
@@ -78,18 +79,16 @@ def _head(graded: GradedRound, key: str) -> None:
     at = keys.index(key)
 
     def go(to: str | None) -> None:
-        st.session_state["fruit"] = to
+        page_elements.name_in_address("fruit", to)
         st.session_state.pop("ruler", None)
 
-    back, before, after = st.columns([2, 1, 1])
-    button(back, "All fruit", "arrow_back", go, None)
-    for column, label, to, side in (
-        (before, "Previous", at - 1, "left"),
-        (after, "Next", at + 1, "right"),
-    ):
-        there = 0 <= to < len(keys)
-        target, how = keys[to] if there else key, {"disabled": not there}
-        button(column, label, f"chevron_{side}", go, target, shortcut=side.capitalize(), **how)
+    with st.container(horizontal=True, gap="small"):
+        button(st, "All fruit", "arrow_back", go, None)
+        for label, to, side in (("Previous", at - 1, "left"), ("Next", at + 1, "right")):
+            there = 0 <= to < len(keys)
+            target, how = keys[to] if there else key, {"disabled": not there}
+            # A keyboard walks through the fruit by its arrows.
+            button(st, label, f"chevron_{side}", go, target, shortcut=side.capitalize(), **how)
 
 
 def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
@@ -229,7 +228,7 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
     if adds and (drawn.point or drawn.box):
         add_fruit(detail.stop, capture, drawn.point, drawn.box)
     elif drawn.point or drawn.box:
-        _correct(detail, lambda: _mask_of(capture, drawn.point, drawn.box))
+        _correct(detail, partial(resources.measurer().mask_of, capture, drawn.point, drawn.box))
     elif drawn.stroke:
         _correct(detail, partial(_painted, record, capture, drawn.stroke))
     show_correction()
@@ -271,16 +270,6 @@ def _accept_others(detail: DetectionDetail) -> None:
     )
 
 
-def _mask_of(
-    capture: Capture, point: list[float] | None, box: list[float] | None
-) -> NDArray[np.bool_]:
-    measurer = resources.measurer()
-    if point:
-        return measurer.mask_from_click(capture, (float(point[0]), float(point[1])))
-    x1, y1, x2, y2 = (float(value) for value in box or ())
-    return measurer.mask_from_box(capture, (x1, y1, x2, y2))
-
-
 def _painted(
     record: DetectionRecord, capture: Capture, stroke: dict[str, Any]
 ) -> NDArray[np.bool_]:
@@ -316,7 +305,7 @@ def add_fruit(
 
     def work(job: Job) -> str:
         job.total = 2
-        mask = _mask_of(capture, point, box)
+        mask = measurer.mask_of(capture, point, box)
         job.step()
         return measurer.add(store, stop, capture, mask, options)
 
@@ -332,16 +321,11 @@ def show_correction() -> None:
     if job.error:
         st.warning(plain(job.error), icon=":material/error:")
     else:
-        is_new = isinstance(job.result, str)
-        if is_new and resources.store().detection(job.result).view.doubtful:
-            st.warning(
-                "Added, but it does not look like a fruit. It is not on the pick list until "
-                "someone accepts it. 'Undo' removes it.",
-                icon=":material/help:",
-            )
-            return
-        done = "Added to the round" if is_new else "Measured with this outline"
-        st.success(f"{done}. 'Undo' removes it.")
+        if isinstance(job.result, str):  # one that was added
+            doubtful = resources.store().detection(job.result).view.doubtful
+            (st.warning if doubtful else st.success)(added_words(doubtful=doubtful))
+        else:
+            st.success("Measured with this outline. 'Undo' removes it.")
 
 
 def _methods(detail: DetectionDetail) -> None:

@@ -100,8 +100,9 @@ _VERDICTS = {None: "", Verdict.ACCEPTED: "✓ accepted", Verdict.REJECTED: "✗ 
 def page(one: RoundView) -> None:
     """Draw the page."""
     graded = resources.graded_round(one)
-    if st.session_state.get("fruit") in {view.key for view in (*graded.fruit, *graded.deleted)}:
-        fruit_page.show(one, graded, st.session_state["fruit"])
+    opened = st.query_params.get("fruit")
+    if opened in {view.key for view in (*graded.fruit, *graded.deleted)}:
+        fruit_page.show(one, graded, opened)
         return
     if not (graded.fruit or graded.deleted):
         _empty(one)
@@ -153,8 +154,10 @@ def _statistics(graded: GradedRound) -> None:
         "Picked": (found.picked, None),
         "Deleted": (len(graded.deleted), None),
     }
-    for column, (label, (value, below)) in zip(st.columns(5), shown.items(), strict=True):
-        column.metric(label, value, below, delta_color="off", delta_arrow="off")
+    how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
+    with st.container(horizontal=True):
+        for label, (value, below) in shown.items():
+            st.metric(label, value, below, **how)
 
 
 def _filtered(graded: GradedRound) -> list[DetectionView]:
@@ -228,7 +231,7 @@ def _table(graded: GradedRound, fruit: Sequence[DetectionView]) -> None:
     )
     page_elements.choose_page(fruit, "list_page", _LINES)
     if picked := chosen["selection"]["rows"]:
-        st.session_state["fruit"] = shown[picked[0]].key
+        page_elements.name_in_address("fruit", shown[picked[0]].key)
         st.rerun()
 
 
@@ -236,9 +239,6 @@ def _merge(one: RoundView) -> None:
     merge, hint = st.columns([2, 3], vertical_alignment="center")
     button(merge, "Merge views of the same fruit", "join", resources.merge, one.key)
     hint.caption("Fruit seen from several stops are then counted once. Your corrections are kept.")
-    job = next(iter(resources.worker().unfinished()), None)
-    # The frame of all pages shows what is prepared.
-    page_elements.progress(None if job is resources.prepare() else job)
 
 
 def _line(graded: GradedRound, view: DetectionView) -> dict[str, Any]:

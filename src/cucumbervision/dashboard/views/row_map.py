@@ -87,7 +87,7 @@ def _choose(chart: str, keys: Sequence[str]) -> None:
     taps = st.session_state.setdefault("map_taps", {})
     if keys and taps.get(chart) != keys[0]:
         taps[chart] = keys[0]
-        st.session_state["map_fruit"] = keys[0]
+        page_elements.name_in_address("fruit", keys[0])
 
 
 def _doubtful(graded: GradedRound) -> None:
@@ -97,9 +97,9 @@ def _doubtful(graded: GradedRound) -> None:
 
     def look() -> None:
         keys = [view.key for view in left]
-        now = st.session_state.get("map_fruit")
+        now = st.query_params.get("fruit")
         at = keys.index(now) + 1 if now in keys else 0
-        st.session_state["map_fruit"] = keys[at % len(keys)]
+        page_elements.name_in_address("fruit", keys[at % len(keys)])
 
     words = counted(len(left), "fruit is", "fruit are")
     says, go = st.columns([3, 2], vertical_alignment="center")
@@ -108,7 +108,7 @@ def _doubtful(graded: GradedRound) -> None:
 
 
 def _fruit(one: RoundView, graded: GradedRound) -> None:
-    key = st.session_state.get("map_fruit")
+    key = st.query_params.get("fruit")
     found = around(resources.store(), one.key, key) if key else None
     if found is None:
         return
@@ -135,15 +135,9 @@ def _judge(one: RoundView, found: FruitContext) -> None:
         accept, "This is a fruit", "check", _do, partial(store.set_verdict, keys, Verdict.ACCEPTED)
     )
     button(reject, "Not a fruit", "delete", _do, partial(store.set_verdict, keys, Verdict.REJECTED))
-
-    def open_it() -> None:
-        st.session_state["fruit"] = found.fruit.key
-
-    button(look, "Open", "zoom_in", open_it)
+    with look:
+        page_elements.link("results", "Open", fruit=found.fruit.key)
     button(undo, "Undo", "undo", _undo, one)
-    if st.session_state.get("fruit") == found.fruit.key:
-        with look:
-            page_elements.link("results", "Open in 'Results'")
     if found.fruit.verdict is not None:
         st.caption(f"Checked: {found.fruit.verdict}.")
     if fault := st.session_state.pop("map_fault", None):

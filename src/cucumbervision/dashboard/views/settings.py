@@ -9,9 +9,10 @@ import streamlit as st
 from cucumbervision.agronomy.profiles import profiles
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.settings import EXPOSURE_US, PRESETS
 from cucumbervision.dashboard.words import plain
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.measurement.result import LengthDefinition, Selector
 
 _FINDERS = {
     "auto": "The masks that come with a capture, else the networks",
@@ -20,13 +21,18 @@ _FINDERS = {
 }
 
 
+_INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
+
+
 def page() -> None:
     """Draw the page."""
     crop, measuring = st.columns(2, gap="large")
     with crop:
         _crop()
+        _camera()
     with measuring:
         _measuring()
+        _how()
     _models()
     st.caption(f"Store: {plain(resources.store().name)}")
 
@@ -84,6 +90,7 @@ def _measuring() -> None:
         format_func=_FINDERS.__getitem__,
     )
     exact = st.toggle("Same lengths on every computer (slower)", now.full_precision)
+    limit_mb = st.number_input("Upload at most [MB]", 1, 1_000_000, now.upload_limit_mb, 100)
     calibration = st.text_input(
         "Calibration file of this site",
         now.calibration,
@@ -99,7 +106,66 @@ def _measuring() -> None:
         else:
             st.success(f"Calibration {plain(site.tag)}", icon=":material/verified:")
     resources.change_settings(
-        length=length, fruit_from=finder, full_precision=exact, calibration=calibration
+        length=length,
+        fruit_from=finder,
+        full_precision=exact,
+        calibration=calibration,
+        upload_limit_mb=limit_mb,
+    )
+
+
+_EXPOSURES = {None: "Camera default", "automatic": "Automatic", "fixed": "Manual"}
+_USUAL_US = 8000.0  # a bright house
+
+
+def _camera() -> None:
+    """Draw preset and exposure; the camera is opened again where they change."""
+    st.subheader("Camera")
+    now = resources.settings()
+    preset = st.selectbox(
+        "Depth preset",
+        PRESETS,
+        PRESETS.index(now.camera_preset),
+        format_func=lambda name: name.replace("-", " ") or "camera default",
+    )
+    known = None if now.exposure_us is None else "fixed" if now.exposure_us else "automatic"
+    chosen = st.selectbox(
+        "Exposure of the colour camera",
+        list(_EXPOSURES),
+        list(_EXPOSURES).index(known),
+        format_func=_EXPOSURES.__getitem__,
+    )
+    exposure_us = None if chosen is None else 0.0
+    if chosen == "fixed":
+        usual = now.exposure_us or _USUAL_US
+        exposure_us = st.number_input("Microseconds", *EXPOSURE_US, usual, 500.0, "%.0f")
+    resources.change_settings(camera_preset=preset, exposure_us=exposure_us)
+    resources.camera().configure(resources.settings().camera)
+
+
+def _how() -> None:
+    now = resources.settings()
+    resources.change_settings(
+        burst=st.slider("Frames per capture", 1, 15, now.burst),
+        confidence=st.slider("Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05),
+        input_sizes=tuple(
+            st.multiselect(
+                "Network input size, pixels (long side)",
+                sorted({*_INPUT_SIZES_PX, *now.input_sizes}),
+                now.input_sizes,
+                placeholder="Default",
+                max_selections=2,
+                help="Larger sizes find smaller fruit but are slower. Two sizes are merged.",
+            )
+        ),
+        selector=st.segmented_control(
+            "Choice of method",
+            list(Selector),
+            format_func={Selector.BEST: "Best", Selector.PAPER: "As in the paper"}.__getitem__,
+            default=now.selector,
+            required=True,
+        )
+        or now.selector,
     )
 
 

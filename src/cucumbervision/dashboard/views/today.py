@@ -97,8 +97,9 @@ def _ready(one: RoundView, today: Today) -> None:
     shown = [("Ready today", ready), *((name_of_class(n), k) for n, k in sorted(names.items()))]
     if too_long:
         shown.append(("Too long", too_long))
-    for column, (label, value) in zip(st.columns(len(shown)), shown, strict=True):
-        column.metric(label, value)
+    with st.container(horizontal=True):
+        for label, value in shown:
+            st.metric(label, value, width="content")
     classes = sorted(names) + ([TOO_LONG] if too_long else [])
     lines = []
     for row, own in today.by_class().items():

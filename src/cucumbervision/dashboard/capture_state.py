@@ -1,0 +1,204 @@
+"""What the capture page shows, as JSON: rounds, the next place, the last stop with its fruit."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from cucumbervision.about import source_offer
+from cucumbervision.agronomy.grades import grade
+from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.fruit_view import stop_layers
+from cucumbervision.dashboard.words import (
+    added_words,
+    grade_name,
+    length_words,
+    round_name,
+    stop_name,
+)
+from cucumbervision.errors import CucumberVisionError, StoreError
+from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.rounds.stop_records import stored_capture
+from cucumbervision.rounds.walking import next_place, sides_of
+from cucumbervision.store.views import DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision.dashboard.jobs import Job
+    from cucumbervision.dashboard.shutter import Pressed
+    from cucumbervision.store.repository import Store
+    from cucumbervision.store.views import RoundView, StopView
+
+_UNDO_S = 60.0  # how long a stop that is being measured is waited for
+
+
+def walk(round_key: str, source: str) -> dict[str, Any]:
+    """Return a walk as it stands.
+
+    Parameters
+    ----------
+    round_key : str
+        The round that is open; the newest where there is none of that key.
+    source : str
+        'camera' or 'replay'; by what the server was started with where it is neither.
+    """
+    every = resources.rounds()
+    if source not in ("camera", "replay"):
+        source = "replay" if resources.replay_named() else "camera"
+    one = next((x for x in every if x.key == round_key), every[0] if every else None)
+    shown = _preview_of(source)
+    home = DEMONSTRATION if shown is not None and shown.simulated else one.key if one else ""
+    stops = resources.store().stops(home) if any(x.key == home for x in every) else []
+    waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
+    place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
+    aside = resources.waiting().set_aside()
+    return {
+        "now_s": time.time(),
+        "rounds": [{"key": x.key, "name": round_name(x)} for x in every],
+        "round": one.key if one else "",
+        "home": home,
+        "source": source,
+        "place": {
+            "row": place.row,
+            "side": place.side,
+            "position_m": place.position_m,
+            "step_m": place.step_m,
+            "back": place.back,
+        },
+        "from": last and {"key": last.key, **_place(last)},
+        "sides": sides_of(stops),
+        "source_code": source_offer(),
+        "waiting": len(waiting),
+        "aside": f"{len(aside)} photos failed three times and were not measured; they are kept "
+        f"beside the store in {aside[0].folder.parent.name}."
+        if aside
+        else "",
+        "last": _last_stop(one, last) if one and last else None,
+    }
+
+
+def _preview_of(source: str) -> Any:
+    try:
+        return resources.feed(source).preview().capture
+    except CucumberVisionError:
+        return None
+
+
+def _last_stop(one: RoundView, last: StopView) -> dict[str, Any]:
+    """Return the stop that was measured last: its pictures, with the outlines of its fruit."""
+    store, units = resources.store(), resources.settings().units
+    record, profile = store.stop(last.key), resources.profile_of(one)[1]
+    views = [
+        view
+        for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
+        if view.verdict is not Verdict.REJECTED
+    ]
+    grades = {view.key: grade_name(grade(view.record, profile)) for view in views}
+    captures = []
+    for taken in record.captures:
+        own = [view for view in views if view.capture == taken.name]
+        captures.append(
+            {
+                "name": taken.name,
+                "picture": f"/api/picture/{last.key}/{quote(taken.name)}",
+                "size": [taken.width_px, taken.height_px],
+                "layers": stop_layers(taken, own, grades, units),
+                "fruit": [
+                    {
+                        "key": view.key,
+                        "number": view.record.number,
+                        "length": length_words(view.record, units),
+                        "class": grades[view.key],
+                    }
+                    for view in own
+                ],
+            }
+        )
+    fault = record.failures[0]["message"] if record.failures else ""
+    return {
+        "key": last.key,
+        "round": last.round_key,
+        "name": stop_name(last),
+        "fault": fault,
+        "captures": captures,
+    }
+
+
+def outcome(pressed: Pressed | str | None) -> dict[str, Any]:
+    """Return what became of a press, once it is on the disk or known not to be.
+
+    Parameters
+    ----------
+    pressed : Pressed, str or None
+        As `Shutter.press` returned it; a text says why it was refused.
+    """
+    if pressed is None:  # kept before this program was started
+        return {"state": "saved", "words": "Saved"}
+    if isinstance(pressed, str):
+        return {"state": "refused", "words": pressed}
+    try:
+        kept = pressed.kept.result()
+    except Exception:  # `error` has its words
+        return {"state": "refused", "words": pressed.error}
+    words = f"{stop_name(kept.stop)}: saved"
+    if pressed.moved is not None:
+        words += f". Another stop is already at {pressed.stop.position_m:.2f} m"
+    return {"state": "saved", "words": words, "stop": kept.key, "place": _place(kept.stop)}
+
+
+def _place(stop: Stop | StopView) -> dict[str, Any]:
+    return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
+
+
+def take_back(store: Store, key: str) -> str:
+    """Delete a stop, measured or not, and return what was done, for people.
+
+    Raises
+    ------
+    StoreError
+        If it is not there, or its measuring does not end.
+    """
+    waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
+    if waiting is not None and not waiting.tries:
+        resources.waiting().done(waiting)
+        return f"{stop_name(waiting.stop)}: deleted"
+    until = time.monotonic() + _UNDO_S
+    while resources.waiting().holds(key):  # it is being measured
+        if time.monotonic() > until:
+            raise StoreError("this stop is still being measured", remedy="try again")
+        time.sleep(0.05)
+    stop = store.stop(key)
+    store.delete_stop(key)
+    resources.merge(stop.round_key)
+    return "The last stop was deleted. 'Undo' on the row map brings it back"
+
+
+def add_fruit(
+    store: Store,
+    stop_key: str,
+    name: str,
+    point: tuple[float, float] | None,
+    box: tuple[float, float, float, float] | None,
+) -> dict[str, Any]:
+    """Outline and measure the fruit at a point or in a box; return it with words for people.
+
+    Raises
+    ------
+    InstancesError
+        If there is none, or it is there already.
+    """
+    record = store.stop(stop_key)
+    taken = next((one for one in record.captures if one.name == name), None)
+    if taken is None or (point is None and box is None):
+        raise StoreError("this picture is not there any more", remedy="reload the page")
+    capture = stored_capture(store.images, taken, record)
+    options, measurer = resources.settings().options, resources.measurer()
+
+    def work(_: Job) -> str:
+        mask = measurer.mask_of(capture, point, box)
+        return measurer.add(store, record, capture, mask, options)
+
+    job = resources.worker().submit("Outlining the fruit", work)  # its networks serve one at a time
+    job.wait()
+    return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}

@@ -1,0 +1,362 @@
+// The capture page: the live picture, the button, the presses, the last stop and its fruit.
+import { Presses, post } from "./presses.js";
+import drawPicture from "./picture.js";
+
+const $ = (id) => document.getElementById(id);
+const address = new URLSearchParams(location.search);
+const AGAIN_MS = 1000, CLOCK_S = 0.5;
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, jobs: [] };
+
+function show(node, words) {
+  node.textContent = words;
+  node.hidden = !words;
+}
+
+// ---- The time of a press, by the server's clock: a clock here that somebody sets counts for nothing.
+const clock = { offset_s: Infinity, round_s: Infinity, date_s: 0 };
+const now_s = () => (performance.timeOrigin + performance.now()) / 1000;
+
+function hearClock(server_s, begun_s) {
+  const ended_s = now_s(), drift_s = Date.now() / 1000 - ended_s;
+  // A tablet that slept: its steady clock stood still.
+  if (Math.abs(drift_s - clock.date_s) > CLOCK_S) clock.round_s = Infinity;
+  clock.date_s = drift_s;
+  if (ended_s - begun_s > clock.round_s) return;
+  clock.round_s = ended_s - begun_s;
+  clock.offset_s = (begun_s + ended_s) / 2 - server_s;
+  localStorage.setItem("offset", String(clock.offset_s));
+}
+const serverTime_s = () => now_s() - (Number.isFinite(clock.offset_s) ? clock.offset_s : Number(localStorage.getItem("offset")) || 0);
+
+// ---- What the server knows of the walk.
+let reading = false, again = false;
+async function readWalk() {
+  if (reading) { again = true; return; }
+  reading = true;
+  const asked = new URLSearchParams({ round: own.round, source: own.source }).toString();
+  try {
+    const begun_s = now_s();
+    const answer = await fetch(`/api/walk?${asked}`, { signal: AbortSignal.timeout(20000) });
+    if (!answer.ok) throw new Error();
+    const walk = await answer.json();
+    hearClock(walk.now_s, begun_s);
+    // Another round or source was chosen meanwhile: `again` asks for that.
+    if (asked !== new URLSearchParams({ round: own.round, source: own.source }).toString()) return;
+    localStorage.setItem("walk", JSON.stringify({ ...walk, last: null }));
+    showWalk(walk);
+  } catch {
+    if (!own.walk && localStorage.getItem("walk")) showWalk(JSON.parse(localStorage.getItem("walk")));
+  } finally {
+    reading = false;
+    if (again) { again = false; readWalk(); }
+  }
+}
+
+function showWalk(walk) {
+  const moved = `${walk.round} ${walk.source}` !== own.watched;
+  Object.assign(own, { walk, round: walk.round, source: walk.source });
+  if (moved) {
+    own.watched = `${walk.round} ${walk.source}`;
+    history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
+    for (const link of document.querySelectorAll("nav a[data-page]")) link.href = `/${link.dataset.page}?round=${own.round}`;
+    watchNews();
+    watchPreview();
+  }
+  $("round").replaceChildren(...walk.rounds.map((one) => new Option(one.name, one.key, false, one.key === walk.round)));
+  for (const name of ["camera", "replay"]) $(name).setAttribute("aria-pressed", String(own.source === name));
+  if (own.home !== walk.home) {
+    own.home = walk.home;
+    own.mine = null;
+    const kept = JSON.parse(localStorage.getItem(`place-${walk.home}`) || "null");
+    usePlace(kept && Date.now() - kept.at < 12 * 3600e3 && walk.place.row === kept.place.row ? kept.place : walk.place);
+  } else if (own.mine && walk.from?.key === own.mine.key && ["row", "side", "position_m"].some((name) => walk.from[name] !== own.mine[name])) {
+    // Its place was corrected: the walk goes on from there.
+    own.mine = walk.from;
+    usePlace(walk.place);
+  }
+  if (walk.home !== walk.round) show($("told"), "These pictures are computer-made. Photos of them go into the round 'Demonstration', never into yours.");
+  else if (walk.aside) show($("told"), walk.aside);
+  else show($("told"), "");
+  if (walk.source_code.startsWith("http")) $("source").href = walk.source_code;
+  else $("owed").textContent = walk.source_code;
+  $("take").disabled = !walk.round;
+  drawLast(walk.last);
+}
+
+// ---- The place of the next stop.
+function usePlace(place) {
+  own.place = { ...place };
+  const sides = [...new Set([...(own.walk?.sides || []), place.side])];
+  $("side").replaceChildren(...sides.map((side) => new Option(side[0]?.toUpperCase() + side.slice(1), side, false, side === place.side)));
+  $("row").value = place.row;
+  $("position").value = place.position_m.toFixed(2);
+  $("step").value = place.step_m.toFixed(2);
+  $("way").value = place.back ? "back" : "onward";
+  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place, at: Date.now() }));
+}
+
+function readPlace() {
+  const number = (id, known) => { const value = $(id).valueAsNumber; return Number.isFinite(value) ? Math.min(Math.max(value, 0), 10000) : known; };
+  own.place = { row: $("row").value.trim(), side: $("side").value, position_m: number("position", own.place.position_m), step_m: number("step", own.place.step_m), back: $("way").value === "back" };
+  localStorage.setItem(`place-${own.home}`, JSON.stringify({ place: own.place, at: Date.now() }));
+}
+
+// Positions end at 0: from there a walk goes on upwards only when somebody says so.
+function onward(place) {
+  const at_m = place.position_m + (place.back ? -place.step_m : place.step_m);
+  return { ...place, position_m: Math.max(Math.round(100 * at_m) / 100, 0) };
+}
+
+// ---- The button.
+const presses = new Presses(drawPresses, (one) => {
+  own.mine = one.place && { key: one.stop, ...one.place };
+  if (one.place && one.place.position_m !== one.sent.position_m && !presses.waiting.length) usePlace(onward({ ...own.place, ...one.place }));
+});
+let sound = null;
+
+function click() {
+  try {
+    sound = sound || new AudioContext();
+    sound.resume();
+    const length = Math.round(0.06 * sound.sampleRate);
+    const buffer = sound.createBuffer(1, length, sound.sampleRate), data = buffer.getChannelData(0);
+    for (let k = 0; k < length; k += 1) data[k] = (Math.random() * 2 - 1) * Math.exp(-12 * k / length);
+    const source = sound.createBufferSource();
+    source.buffer = buffer;
+    source.connect(sound.destination);
+    source.start();
+  } catch { /* A browser without sound still takes pictures. */ }
+}
+
+function flash() {
+  const cover = document.createElement("div");
+  cover.style.cssText = "position:fixed;inset:0;background:#fff;pointer-events:none;z-index:999999";
+  document.body.appendChild(cover);
+  cover.animate([{ opacity: 0.85 }, { opacity: 0 }], { duration: 260, easing: "ease-out" }).onfinish = () => cover.remove();
+}
+
+function press() {
+  if ($("take").disabled || !own.place) return;
+  const at_s = serverTime_s();
+  readPlace();
+  const { row, side, position_m } = own.place;
+  presses.press({ at_s, round: own.round, source: own.source, row, side, position_m });
+  usePlace(onward(own.place));
+  click();
+  flash();
+}
+
+// At the touch, not when the finger leaves; a press of a key comes as a click without a pointer.
+$("take").onpointerdown = (event) => { if (event.isPrimary && event.button === 0) press(); };
+$("take").onclick = (event) => { if (event.detail === 0) press(); };
+document.onkeydown = (event) => {
+  if (event.key !== "Enter" && event.key !== " ") return;
+  if (event.target === $("take") && event.repeat) { event.preventDefault(); return; }
+  if (event.repeat || event.target.closest?.("a, button, input, select, dialog")) return;
+  event.preventDefault();
+  press();
+};
+
+function drawPresses() {
+  const time = (one) => new Date(1000 * one.at_s).toLocaleTimeString([], { hour12: false });
+  const marks = { waiting: "…", saved: "✓", refused: "✗" };
+  $("presses").replaceChildren(...presses.list.slice(-8).reverse().map((one) => {
+    const line = document.createElement("li"), words = document.createElement("span");
+    line.className = one.state;
+    words.textContent = `${marks[one.state]} ${time(one)} ${one.state === "waiting" ? "waiting" : one.words}`;
+    line.append(words);
+    if (one.state === "refused") {
+      const done = document.createElement("button");
+      done.type = "button";
+      done.textContent = "OK";
+      done.setAttribute("aria-label", `OK: the press of ${time(one)} gave no stop`);
+      done.onclick = () => presses.dismiss(one);
+      line.append(done);
+    }
+    return line;
+  }));
+  drawWork();
+}
+
+function drawWork() {
+  const kept = presses.waiting.length;
+  const many = (number, one, more) => `${number} ${number === 1 ? one : more}`;
+  $("count").textContent = kept ? `${kept} waiting on this device` : own.waiting ? `${own.waiting} being measured` : "press as fast as you walk";
+  const [job] = own.jobs;
+  $("work").textContent = job ? `${job.title}${job.total ? `: ${job.done} of ${job.total}` : " …"}` : "";
+  show($("lost"), own.connected ? "" : `Connection to the camera computer lost; ${kept ? `${many(kept, "press is", "presses are")} kept on this device` : "trying again"}.`);
+}
+
+// ---- News and pictures.
+function socket(path, binary, heard, state) {
+  let line = null, ended = false, timer = 0;
+  const open = () => {
+    line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`);
+    line.binaryType = "arraybuffer";
+    line.onopen = () => state?.(true);
+    line.onmessage = async (event) => {
+      await heard(binary ? event.data : JSON.parse(event.data));
+      if (line.readyState === WebSocket.OPEN) line.send("next");
+    };
+    line.onclose = () => { if (!ended) { state?.(false); timer = setTimeout(open, AGAIN_MS); } };
+  };
+  open();
+  return () => { ended = true; clearTimeout(timer); line.close(); };
+}
+
+let endNews = null, endPreview = null;
+function watchNews() {
+  endNews?.();
+  endNews = socket(`/api/news?round=${own.round}`, false, (news) => {
+    const changed = own.version !== news.version || own.waiting !== news.waiting;
+    Object.assign(own, { version: news.version, waiting: news.waiting, jobs: news.jobs });
+    drawWork();
+    if (changed) readWalk();
+  }, (connected) => {
+    own.connected = connected;
+    drawWork();
+    if (connected) { readWalk(); presses.send(); }
+  });
+}
+
+const urls = {};
+function picture(id, bytes) {
+  URL.revokeObjectURL(urls[id]);
+  urls[id] = URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" }));
+  $(id).src = urls[id];
+  return $(id).decode().catch(() => {});
+}
+
+async function showPreview(bytes) {
+  const length = new DataView(bytes).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
+  const absent = header.state === "absent";
+  if (absent && own.source === "camera" && !address.get("source")) {
+    choose("replay");
+    $("quality").textContent = "No camera was found, so the replay is shown.";
+    return;
+  }
+  $("absent").hidden = !absent;
+  $("retry").hidden = own.source !== "camera";
+  $("why").textContent = `${own.source === "camera" ? "No camera was found." : "The replay cannot be shown."} ${header.message}`;
+  if (!header.color_bytes) {
+    if (!absent) $("quality").textContent = "Opening …";
+    return;
+  }
+  const at = 4 + length + header.color_bytes;
+  await Promise.all([picture("color", bytes.slice(4 + length, at)), picture("depth", bytes.slice(at))]);
+  const state = { live: "Live", playing: "Recording", replay: "Replay", opening: "Opening" }[header.state] || "";
+  const seen = header.quality ? `Depth seen: ${header.quality.seen} · ${header.quality.distance} · ${header.quality.advice}` : "Loading the next picture …";
+  $("quality").textContent = `${seen} · ${state}${header.simulated ? ", computer-made" : ""}. Depth: ${header.depth}.`;
+  if (own.simulated !== header.simulated) { own.simulated = header.simulated; readWalk(); }
+}
+
+function watchPreview() {
+  endPreview?.();
+  own.simulated = null;
+  endPreview = socket(`/api/preview?source=${own.source}`, true, showPreview);
+}
+
+function choose(source) {
+  own.source = source;
+  readWalk();
+}
+for (const name of ["camera", "replay"]) $(name).onclick = () => { address.set("source", name); choose(name); };
+$("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {}); watchPreview(); };
+
+// ---- Rounds and fields.
+$("round").onchange = () => { own.round = $("round").value; own.home = ""; readWalk(); };
+$("begin").onclick = () => $("new").showModal();
+$("new").onclose = async () => {
+  if ($("new").returnValue !== "begin") return;
+  try {
+    const begun = await post("/api/rounds", { name: $("name").value, house: $("house").value });
+    Object.assign(own, { round: begun.round, home: "" });
+    readWalk();
+  } catch (fault) { show($("told"), `The round was not started: ${fault.message}`); }
+};
+for (const id of ["row", "side", "position", "step", "way"]) $(id).onchange = readPlace;
+
+// ---- The last stop.
+let template = null;
+async function pictureNode(capture, stop) {
+  template = template || Promise.all(["picture.css", "picture.html"].map((name) => fetch(`/capture/${name}`).then((found) => found.text())));
+  const [css, html] = await template, node = document.createElement("div"), root = node.attachShadow({ mode: "open" });
+  root.innerHTML = `<style>${css}</style>${html}`;
+  const [width, height] = capture.size;
+  const data = { images: { Colour: capture.picture }, width, height, layers: capture.layers, bar: null, tools: ["point", "box"], rulerText: "", title: "The fruit of the last stop", focus: null, zooms: true };
+  const add = async (kind, value) => {
+    show($("fault"), "Drawing the outline …");
+    try {
+      const answer = await post("/api/fruit", { stop: stop.key, capture: capture.name, [kind]: value }, 120000);
+      show($("fault"), answer.words);
+    } catch (fault) { show($("fault"), fault.message); }
+    readWalk();
+  };
+  drawPicture({ data, parentElement: root, setTriggerValue: add });
+  return node;
+}
+
+function fruitTable(capture) {
+  const table = document.createElement("table");
+  const line = (cells, kind) => {
+    const row = document.createElement("tr");
+    for (const cell of cells) {
+      const node = document.createElement(kind);
+      if (kind === "th") node.scope = "col";
+      node.append(cell);
+      row.append(node);
+    }
+    return row;
+  };
+  const open = (one) => Object.assign(document.createElement("a"), { href: `/results?round=${own.home}&fruit=${one.key}`, textContent: `Fruit ${one.number}` });
+  table.append(line(["Fruit", "Length", "Class"], "th"), ...capture.fruit.map((one) => line([open(one), one.length, one.class], "td")));
+  return table;
+}
+
+let drawn = "";
+async function drawLast(last) {
+  const text = JSON.stringify(last);
+  if (text === drawn) return;
+  drawn = text;
+  show($("fault"), last?.fault ? `Saved, but not measured: ${last.fault}` : "");
+  $("where").textContent = last ? `${last.name}: saved` : "No stops yet: each photo's result is shown here";
+  $("open").hidden = $("undo").hidden = !last;
+  if (!last) { $("pictures").replaceChildren(); return; }
+  $("open").href = `/map?round=${last.round}&stop=${last.key}`;
+  const parts = [];
+  for (const capture of last.captures) {
+    parts.push(await pictureNode(capture, last));
+    parts.push(capture.fruit.length ? fruitTable(capture) : Object.assign(document.createElement("p"), { textContent: "No fruit was found in this photo. Tap a fruit to add it." }));
+  }
+  if (text === drawn) $("pictures").replaceChildren(...parts);
+}
+
+// What was pressed last goes first, measured or not.
+$("undo").onclick = async () => {
+  const pressed = presses.list.filter((one) => one.state === "saved" && one.stop && !one.undone).at(-1);
+  $("undo").disabled = true;
+  try {
+    const answer = await post("/api/undo", { stop: pressed?.stop || own.walk.last.key }, 90000);
+    if (pressed) Object.assign(pressed, { undone: true, words: answer.words });
+    own.home = "";
+    localStorage.removeItem(`place-${own.walk.home}`);
+  } catch (fault) { show($("fault"), fault.message); }
+  $("undo").disabled = false;
+  drawPresses();
+  readWalk();
+};
+
+// ---- The page itself.
+navigator.serviceWorker?.register("/capture/capture-offline.js", { scope: "/capture" }).catch(() => {});
+const stayAwake = () => { if (document.visibilityState === "visible") navigator.wakeLock?.request("screen").catch(() => {}); };
+document.addEventListener("visibilitychange", () => { stayAwake(); if (document.visibilityState === "visible") readWalk(); });
+stayAwake();
+presses.open();
+readWalk();
+$("take").focus({ preventScroll: true });
+drawWork();
+own.connected = true;
+drawWork();
+// What does not answer at the start is said as well.
+setTimeout(() => { if (!own.walk) { own.connected = false; drawWork(); readWalk(); watchNews(); } }, 3000);

@@ -1,0 +1,67 @@
+// The server's news on every page: the work and its time left, a lost connection. A page whose round changed is drawn anew.
+const AGAIN_MS = 1000, SETTLE_MS = 400, LOST_MS = 1500;
+const own = { line: null, round: null, version: "", asked: "", news: null, lost: false, root: null, trigger: null, begun: new Map() };
+
+function left(job) {
+  const now = performance.now(), name = `${job.title}-${job.total}`;
+  if (!own.begun.has(name)) own.begun.set(name, { at: now, done: job.done });
+  const from = own.begun.get(name), done = job.done - from.done;
+  if (done < 1 || !job.total) return "";
+  const s = ((now - from.at) / 1000 / done) * (job.total - job.done);
+  return s < 5 ? "" : s < 90 ? `, about ${Math.round(s)} s left` : `, about ${Math.round(s / 60)} min left`;
+}
+
+function draw() {
+  const lost = own.root.querySelector(".lost"), work = own.root.querySelector(".work"), [job] = own.news?.jobs || [];
+  lost.hidden = !own.lost;
+  lost.textContent = own.lost ? "Connection to the camera computer lost; trying again." : "";
+  work.hidden = !job || own.lost;
+  if (!job) { own.begun.clear(); return; }
+  work.firstChild.textContent = job.total ? `${job.title}: ${job.done} of ${job.total}${left(job)}` : `${job.title} …`;
+  const bar = work.querySelector("progress");
+  bar.setAttribute("aria-label", job.title);
+  if (job.total) Object.assign(bar, { max: job.total, value: job.done });
+  else bar.removeAttribute("value");
+}
+
+function heard() {
+  draw();
+  const { version } = own.news;
+  if (version === own.version || version === own.asked) return;
+  // The page's own change is drawn by then.
+  setTimeout(() => {
+    if (own.news.version !== version || version === own.version) return;
+    own.asked = version;
+    own.trigger("changed", version);
+  }, SETTLE_MS);
+}
+
+function listen() {
+  own.line?.close();
+  const line = own.line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/news?round=${own.round}`);
+  let late = 0;
+  line.onopen = () => { own.lost = false; draw(); };
+  line.onmessage = (event) => {
+    if (own.line !== line) return;
+    own.news = JSON.parse(event.data);
+    line.send("next");
+    heard();
+  };
+  line.onclose = () => {
+    if (own.line !== line) return;
+    late = setTimeout(() => { own.lost = own.line?.readyState !== WebSocket.OPEN; draw(); }, LOST_MS);
+    setTimeout(listen, AGAIN_MS);
+  };
+}
+
+export default function (component) {
+  const { data, parentElement: root, setTriggerValue } = component;
+  if (data.go) { location.replace(data.go); return; }
+  if (data.ticket) document.cookie = `cucumbervision_viewer=${data.ticket}; Path=/; SameSite=Strict`;
+  Object.assign(own, { root, trigger: setTriggerValue, version: data.version });
+  if (own.round !== data.round) {
+    own.round = data.round;
+    listen();
+  }
+  draw();
+}

@@ -1,0 +1,70 @@
+// Files go to the server part by part: after a lost connection or a reload, sending goes on where it ended.
+const PART = 4 * 2 ** 20, AGAIN_MS = 1000, PATIENCE_MS = 60000;
+const state = new WeakMap();
+const mb = (bytes) => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
+
+async function post(path, body) {
+  const answer = await fetch(path, { method: "POST", body, signal: AbortSignal.timeout(PATIENCE_MS) });
+  const found = await answer.json().catch(() => ({}));
+  if (!answer.ok) throw Object.assign(new Error(found.error || "Not admitted: reload the page."), { final: answer.status < 500 });
+  return found;
+}
+
+async function send(files, about, tell) {
+  const listed = files.map((file) => ({ name: file.name, size: file.size, changed: file.lastModified }));
+  const all = files.reduce((sum, file) => sum + file.size, 0);
+  for (;;) {
+    try {
+      const { upload, received } = await post("/api/uploads", JSON.stringify({ ...about, files: listed }));
+      for (let number = 0; number < files.length; number += 1) {
+        do {
+          const from = received[number], part = files[number].slice(from, from + PART);
+          ({ received: received[number] } = await post(`/api/uploads/${upload}/${number}?offset=${from}`, part));
+          const sent = received.reduce((sum, bytes) => sum + bytes, 0);
+          tell(`Sending: ${mb(sent)} of ${mb(all)}`, sent / Math.max(all, 1));
+        } while (received[number] < files[number].size);
+      }
+      tell("All files are there; they are measured now. You may leave this page.", null);
+      return;
+    } catch (fault) {
+      if (fault.final) { tell(fault.message, null); return; }
+      tell("Connection to the camera computer lost; sending goes on when it is back.", null);
+      await new Promise((resolve) => { setTimeout(resolve, AGAIN_MS); });
+    }
+  }
+}
+
+export default function (component) {
+  const { data, parentElement: root } = component;
+  const own = state.get(root) || { files: [], busy: false };
+  state.set(root, own);
+  own.data = data;
+  const [drop, input, says, bar, button] = [".drop", "input", ".says", "progress", "button"].map((name) => root.querySelector(name));
+  input.accept = data.accept;
+  const tell = (words, share) => {
+    says.textContent = words;
+    bar.hidden = share === null;
+    if (share !== null) bar.value = share;
+  };
+  const chosen = (files) => {
+    own.files = [...files];
+    const all = own.files.reduce((sum, file) => sum + file.size, 0), most = data.limit_mb * 1e6;
+    button.disabled = own.busy || !own.files.length || all > most;
+    if (!own.files.length) tell(`At most ${mb(most)} at once.`, null);
+    else if (all > most) tell(`${mb(all)} are more than the ${mb(most)} that are taken at once. 'Settings' has the limit.`, null);
+    else tell(`${own.files.length === 1 ? "1 file" : `${own.files.length} files`}, ${mb(all)}.`, null);
+  };
+  input.onchange = () => chosen(input.files);
+  drop.ondragover = (event) => { event.preventDefault(); drop.classList.add("over"); };
+  drop.ondragleave = () => drop.classList.remove("over");
+  drop.ondrop = (event) => { event.preventDefault(); drop.classList.remove("over"); chosen(event.dataTransfer.files); };
+  button.onclick = async () => {
+    own.busy = button.disabled = true;
+    const { round, place, camera } = own.data;
+    await send(own.files, { round, place, camera }, tell);
+    own.busy = false;
+    own.files = [];
+    input.value = "";
+  };
+  if (!own.files.length && !own.busy && !says.textContent) chosen([]);
+}

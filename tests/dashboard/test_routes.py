@@ -1,0 +1,322 @@
+from __future__ import annotations
+
+import json
+import random
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("streamlit")
+pytest.importorskip("httpx2")
+
+from starlette.applications import Starlette
+from starlette.testclient import TestClient
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.quality import depth_quality
+from cucumbervision.dashboard import resources
+from cucumbervision.dashboard.camera_feed import CameraFeed, Preview
+from cucumbervision.dashboard.routes import Shown, routes
+from cucumbervision.rounds.demonstration import DEMONSTRATION
+from cucumbervision.store.records import RoundRecord, key_of
+from cucumbervision.store.repository import Store
+
+WALK = key_of("walk")
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+@pytest.fixture
+def asked(house: Path) -> Iterator[TestClient]:
+    with TestClient(Starlette(routes=list(routes()))) as client:
+        yield client
+
+
+def sent(number: str, at_s: float, position_m: float = 9.0, **other: Any) -> dict[str, Any]:
+    place = {"row": "1", "side": "left", "position_m": position_m}
+    return {"number": number, "at_s": at_s, "round": WALK, "source": "replay", **place, **other}
+
+
+def press(asked: TestClient, *presses: dict[str, Any]) -> list[dict[str, Any]]:
+    answer = asked.post("/api/press", json={"presses": presses})
+    assert answer.status_code == 200, answer.text
+    return list(answer.json()["presses"])
+
+
+def wait_for_jobs() -> None:
+    while jobs := resources.worker().unfinished():
+        assert jobs[0].wait(600)
+
+
+def test_a_press_sent_again_is_the_same_stop_and_is_measured(
+    asked: TestClient, store: Store
+) -> None:
+    resources.change_settings(fruit_from="dataset")
+    resources.feed("replay").preview()
+    first = sent("a", time.time() + 0.01)
+    (saved,) = press(asked, first)
+    assert saved["state"] == "saved"
+    assert saved["words"] == "Stop 1: row 1, left, 9.00 m: saved"
+    again = press(asked, first, first, sent("b", time.time()))
+    assert [one["state"] for one in again] == ["saved"] * 3
+    assert again[0] == again[1] == saved
+    # The place is taken meanwhile: one step on from there, and that is said.
+    assert again[2]["place"]["position_m"] == 9.4
+    assert "already at 9.00 m" in again[2]["words"]
+    wait_for_jobs()
+    # Computer-made captures never go into a grower's round.
+    assert [stop.position_m for stop in store.stops(DEMONSTRATION)] == [9.0, 9.4]
+    walk = asked.get("/api/walk", params={"round": WALK, "source": "replay"}).json()
+    assert (walk["round"], walk["home"]) == (WALK, DEMONSTRATION)
+    assert walk["place"]["position_m"] == 9.8
+    assert walk["last"]["name"] == "Stop 2: row 1, left, 9.40 m"
+    (capture,) = walk["last"]["captures"]
+    assert all(one["length"].endswith(" cm") for one in capture["fruit"])
+    picture = asked.get(capture["picture"])
+    assert picture.headers["content-type"] == "image/jpeg"
+    assert picture.content[:2] == b"\xff\xd8"
+
+
+def test_a_press_is_refused_where_its_picture_or_its_round_is_gone(
+    asked: TestClient,
+) -> None:
+    old, lost = press(asked, sent("a", time.time() - 60), sent("b", 0.0, round=key_of("gone")))
+    assert old["state"] == lost["state"] == "refused"
+    assert "no picture of that moment" in old["words"]
+    assert lost["words"] == "the round was deleted"
+    assert resources.waiting().captures() == []
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        json.dumps({"presses": [{"number": "a"}]}),
+        json.dumps({"presses": [sent("../../a", 0.0)]}),
+        json.dumps({"presses": [sent("a", 0.0, position_m=-1)]}),
+        json.dumps({"presses": [sent("a", 0.0, source="/etc")]}),
+        json.dumps({"presses": [sent("a", 0.0)] * 51}),
+    ],
+)
+def test_a_damaged_request_is_told_in_a_line(asked: TestClient, content: str) -> None:
+    answer = asked.post("/api/press", content=content)
+    assert (answer.status_code, answer.json()) == (
+        400,
+        {"error": "the request is damaged; reload the page"},
+    )
+
+
+def test_the_last_stop_is_taken_back_measured_or_not(
+    asked: TestClient, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resources, "wake", lambda: None)  # nothing is measured
+    resources.feed("replay").preview()
+    (saved,) = press(asked, sent("a", time.time() + 0.01))
+    answer = asked.post("/api/undo", json={"stop": saved["stop"]}).json()
+    assert answer == {"words": "Stop 1: row 1, left, 9.00 m: deleted"}
+    assert resources.waiting().captures() == []
+    last = store.stops(WALK)[-1]
+    assert "was deleted" in asked.post("/api/undo", json={"stop": last.key}).json()["words"]
+    wait_for_jobs()
+    assert store.stop_is_deleted(last.key)
+    gone = asked.post("/api/undo", json={"stop": key_of("no stop")})
+    assert gone.status_code == 409
+    assert "\n" not in gone.json()["error"]
+
+
+def test_a_round_is_begun(asked: TestClient, store: Store) -> None:
+    begun = asked.post("/api/rounds", json={"name": " Evening ", "house": "2"}).json()["round"]
+    one = next(one for one in store.rounds() if one.key == begun)
+    assert (one.record.name, one.record.house) == ("Evening", "2")
+    assert one.record.profile == "long-cucumber"
+    walk = asked.get("/api/walk", params={"round": begun, "source": "camera"}).json()
+    assert (walk["round"], walk["last"], walk["place"]["row"]) == (begun, None, "1")
+
+
+def test_an_upload_is_kept_in_parts_and_measured_when_it_is_whole(asked: TestClient) -> None:
+    resources.change_settings(upload_limit_mb=1)
+    files = [{"name": "odd.png", "size": 13, "changed": 1.5}]
+    begun = asked.post("/api/uploads", json={"round": WALK, "files": files}).json()
+    assert begun["received"] == [0]
+    place = f"/api/uploads/{begun['upload']}/0"
+    assert asked.post(f"{place}?offset=0", content=b"MZ no").json() == {"received": 5}
+    assert asked.post("/api/uploads", json={"round": WALK, "files": files}).json() == {
+        **begun,
+        "received": [5],
+    }
+    assert asked.post(f"{place}?offset=5", content=b" picture").json() == {"received": 13}
+    wait_for_jobs()
+    (upload,) = resources.uploads().all(WALK)
+    assert upload.done
+    assert [(one.name, one.saved) for one in upload.outcomes] == [("odd.png", False)]
+    files[0]["size"] = 1_000_001
+    refused = asked.post("/api/uploads", json={"round": WALK, "files": files})
+    assert refused.status_code == 409
+    assert "more than the 1 MB" in refused.json()["error"]
+    for path in ("/api/uploads/..%2F..%2Fhouse/0?offset=0", f"{place}?offset=-1"):
+        assert asked.post(path, content=b"x").status_code in (400, 404)
+
+
+def test_a_missed_fruit_is_no_second_one_and_none_where_none_is(
+    asked: TestClient, store: Store
+) -> None:
+    view = store.detections(WALK)[0]
+    box = view.record
+    middle = [(box.box_x1_px + box.box_x2_px) / 2, (box.box_y1_px + box.box_y2_px) / 2]
+    fruit = {"stop": view.stop_key, "capture": view.capture}
+    there = asked.post("/api/fruit", json={**fruit, "point": middle})
+    assert there.status_code == 409
+    assert "there already" in there.json()["error"]
+    for part in ({"capture": "other", "point": middle}, {}):
+        gone = asked.post("/api/fruit", json={**fruit, **part})
+        assert "not there any more" in gone.json()["error"]
+    assert len(store.detections(WALK)) == 8
+
+
+def test_news_tell_of_a_change_in_the_round_once(asked: TestClient, store: Store) -> None:
+    with asked.websocket_connect(f"/api/news?round={WALK}") as line:
+        first = line.receive_json()
+        assert (first["waiting"], first["jobs"]) == (0, [])
+        line.send_text("next")
+        store.pick([store.detections(WALK)[0].key])
+        second = line.receive_json()
+        assert second["version"] != first["version"]
+
+
+def test_a_preview_is_sent_when_it_changes_and_not_before_it_was_shown(
+    asked: TestClient,
+) -> None:
+    with asked.websocket_connect("/api/preview?source=replay") as line:
+        while (header := read(line.receive_bytes())[0])["state"] != "replay":
+            line.send_text("next")
+        assert header["simulated"]
+        assert header["quality"]["seen"] == "100 %"
+        line.send_text("next")
+        press(asked, sent("a", time.time()))
+        name = header["name"]
+        while header["name"] == name:
+            header, color, depth = read(line.receive_bytes())
+            line.send_text("next")
+        assert color[:2] == depth[:2] == b"\xff\xd8"
+    wait_for_jobs()
+
+
+def read(message: bytes) -> tuple[dict[str, Any], bytes, bytes]:
+    """A message of the preview: header, colour, depth."""
+    (length,) = struct.unpack("<I", message[:4])
+    header = json.loads(message[4 : 4 + length])
+    at = 4 + length + header.get("color_bytes", 0)
+    return header, message[4 + length : at], message[at:]
+
+
+def test_a_picture_that_shows_nothing_new_is_not_sent() -> None:
+    rng, camera = np.random.default_rng(3), Intrinsics(320, 180, 230.0, 230.0, 160.0, 90.0)
+    color = rng.integers(0, 256, (180, 320, 3)).astype(np.uint8)
+
+    def preview(picture: Any, number: int) -> Preview:
+        depth_m = np.full((180, 320), 0.5, np.float32)
+        capture = Capture(picture, depth_m, camera, "a")
+        return Preview("live", capture, depth_quality(capture), number)
+
+    shown = Shown()
+    assert shown.changes(preview(color, 1))
+    assert not shown.changes(preview(color, 2))
+    noise = rng.integers(-2, 3, color.shape)
+    assert not shown.changes(preview((color + noise).clip(0, 255).astype(np.uint8), 3))
+    moved = preview(np.roll(color, 40, axis=1), 4)
+    assert shown.changes(moved)
+    assert not shown.changes(replace(moved, number=5))
+    assert shown.changes(Preview("absent", message="no camera"))
+    assert not shown.changes(Preview("absent", message="no camera"))
+
+
+@pytest.mark.parametrize("name", ["../routes.py", "%2e%2e%2froutes.py", "none.js", ""])
+def test_only_the_page_s_own_files_are_given(asked: TestClient, name: str) -> None:
+    assert asked.get(f"/capture/{name}", follow_redirects=False).status_code in (307, 404)
+
+
+def test_the_capture_page_and_streamlit_s_first_page_name_what_they_need(
+    asked: TestClient,
+) -> None:
+    page = asked.get("/capture").text
+    for part in ("capture.js", "capture.css", "capture.webmanifest", "icon.svg"):
+        assert f"/capture/{part}" in page
+        assert asked.get(f"/capture/{part}").status_code == 200
+    worker = asked.get("/capture/capture-offline.js")
+    assert worker.headers["service-worker-allowed"] == "/capture"
+    # Without it the browser looks for the server below the page's address, which fails.
+    assert "BACKEND_BASE_URL: location.origin" in asked.get("/results").text
+
+
+def test_each_of_1000_presses_is_one_stop_with_its_own_picture(
+    asked: TestClient,
+    store: Store,
+    make_recording: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Pressed by four hands at once; some are told late, twice, or in a lot after a gap."""
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(make_recording(tmp_path / "walk.db3", 200)))
+    monkeypatch.setattr(resources, "wake", lambda: None)  # what is kept is looked at here
+    resources.change_settings(burst=1)
+    feed, taken, hold = resources.feed("replay"), list[tuple[float, float]](), CameraFeed._hold
+
+    def noted(own: CameraFeed, capture: Capture, now: float) -> None:
+        taken.append((now, block_m(capture)))
+        hold(own, capture, now)
+
+    monkeypatch.setattr(CameraFeed, "_hold", noted)
+    while feed.preview().state != "playing":
+        time.sleep(0.01)
+    time.sleep(1.0)
+    rounds = [RoundRecord(key_of("hand", hand), f"hand {hand}") for hand in range(4)]
+    for hand in rounds:
+        store.save_round(hand)
+    pressed: dict[str, float] = {}
+    lock = threading.Lock()
+
+    def walk(hand: int) -> None:
+        rng, gap = random.Random(hand), list[dict[str, Any]]()
+        for number in range(250):
+            name, at_s = f"{hand}-{number}", time.time()
+            one = sent(name, at_s, float(number), round=rounds[hand].key)
+            with lock:
+                pressed[key_of("press", rounds[hand].key, name)] = at_s
+            gap.append(one)
+            # The connection is gone for up to 2 s now and then.
+            if rng.random() < 0.1 or at_s - gap[0]["at_s"] > 2.0 or number == 249:
+                again = rng.sample(gap, len(gap) // 2)
+                answers = press(asked, *gap) + press(asked, *again)
+                assert {answer["state"] for answer in answers} == {"saved"}
+                gap.clear()
+            time.sleep(0.02 + 0.03 * rng.random())
+
+    with ThreadPoolExecutor(4) as hands:
+        list(hands.map(walk, range(4)))
+    kept = resources.waiting().captures()
+    assert isinstance(feed, CameraFeed)
+    feed.close()
+    assert len(pressed) == 1000
+    assert sorted(one.key for one in kept) == sorted(pressed)
+    times, blocks = np.array(taken).T
+    for one in kept:
+        at_s = pressed[one.key]
+        shown = np.isclose(blocks, block_m(one.load()), atol=2e-4)
+        # Frames older than 1.5 s are held four a second.
+        assert np.abs(times[shown] - at_s).min() < 0.3
+
+
+def block_m(capture: Capture) -> float:
+    """How far the recording's block is: 1 mm farther in each frame."""
+    return float(capture.depth_m[90, 150])

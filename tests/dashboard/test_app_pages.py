@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import time
 import zipfile
 from collections.abc import Callable
@@ -96,6 +97,7 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
         key = store.detections(WALK)[0].key
     test = app("results", fruit=key)
     assert not test.exception
+    assert re.fullmatch(r"Likely between [\d.]+ cm and [\d.]+ cm", test.metric[0].delta)
 
     def press(label: str) -> None:
         next(button for button in test.button if button.label == label).click().run()
@@ -120,7 +122,7 @@ def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:
     with open_store(house) as store:
         first, *_ = views = store.detections(WALK)
     test = app("results", fruit=first.key)
-    label = "Accept all other fruit in this picture"
+    label = "Accept the rest of this picture"
     next(button for button in test.button if button.label == label).click().run()
     assert not test.exception
     with open_store(house) as store:
@@ -423,6 +425,8 @@ def test_inches_are_shown_where_chosen(house: Path) -> None:
     control = next(c for c in test.segmented_control if c.label == "Lengths in")
     control.set_value("in").run()
     assert resources.settings().unit == "in"
+    limits = test.dataframe[0].value
+    assert list(limits["From"]) == ["9.84 in", "7.87 in"]  # 25 and 20 cm
     shown = {metric.label: metric.value for metric in app("results").metric}
     assert shown["Mean length"].endswith(" in")
 

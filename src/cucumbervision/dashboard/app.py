@@ -51,9 +51,9 @@ _STYLE = """<style>
 @media (max-width: 640px) {
   .block-container { padding-left: 0.6rem; padding-right: 0.6rem; }
   .st-key-nav a { padding: 0 6px; }
-  .st-key-rounds > div > [data-testid="stHorizontalBlock"] { gap: 6px; flex-wrap: nowrap; }
-  .st-key-rounds [data-testid="stColumn"] { min-width: 0; }
-  .st-key-rounds [data-testid="stPopoverButton"] { padding: 0 6px; } }
+  .st-key-rounds [data-testid="stHorizontalBlock"] { gap: 8px; }
+  .st-key-rounds [data-testid="stColumn"] { min-width: 0; flex: 1 1 0; }
+  .st-key-rounds [data-testid="stColumn"]:first-child { min-width: 100%; } }
 @media (max-width: 1000px) {
   .st-key-halves > div > [data-testid="stHorizontalBlock"] { flex-wrap: wrap; }
   .st-key-halves > div > [data-testid="stHorizontalBlock"] > [data-testid="stColumn"] {

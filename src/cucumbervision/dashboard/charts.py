@@ -24,6 +24,9 @@ disable_debug_mode()
 _MARKS = {"seen": "circle", "picked": "cross", "simulated": "diamond"}  # on the map
 
 
+_MARK_PX2 = 460  # a circle of 24 pixels, which a thumb hits
+
+
 _MANY = 40  # fruit from which narrow bars say more than they scatter
 
 
@@ -166,7 +169,7 @@ def map_chart(
     ]
     chart: alt.Chart = (
         alt.Chart(_data(lines))
-        .mark_point(filled=True, size=160, strokeWidth=2.5)
+        .mark_point(filled=True, size=_MARK_PX2, strokeWidth=2.5)
         .encode(
             fillOpacity=alt.condition("datum.views > 1", alt.value(0.85), alt.value(0.25)),
             x=alt.X("along:Q", title="Along the row [m]", scale=_scale(shown, "along")),

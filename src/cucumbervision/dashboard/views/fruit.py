@@ -99,7 +99,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     st.metric(
         f"Length ({record.length.kind if record.length else 'not measured'})",
         units.text(record.length_m),
-        interval and f"90 %: {interval}",
+        interval and f"Likely between {interval.replace(' to ', ' and ')}",
         delta_color="off",
         delta_arrow="off",
     )
@@ -111,8 +111,10 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         "Thickest": None if not record.diameter_max_m else f"{1000 * record.diameter_max_m:.0f} mm",
         "Weight, about": None if not found.mass_g else f"{found.mass_g:.0f} g",
         "Distance": units.text(record.distance_m),
-        "Mask by": record.mask_source and MaskSource(record.mask_source).words,
-        "Occluded": None if record.hidden_share is None else f"{100 * record.hidden_share:.0f} %",
+        "Outline by": record.mask_source and MaskSource(record.mask_source).words,
+        "Hidden by leaves": None
+        if record.hidden_share is None
+        else f"{100 * record.hidden_share:.0f} %",
     }
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
     if words := remarks(record, units):
@@ -263,7 +265,7 @@ def _accept_others(detail: DetectionDetail) -> None:
             store.set_verdict(others, Verdict.ACCEPTED)
 
     st.button(
-        "Accept all other fruit in this picture",
+        "Accept the rest of this picture",
         icon=":material/done_all:",
         width="stretch",
         on_click=accept,

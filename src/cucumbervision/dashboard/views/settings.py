@@ -57,9 +57,14 @@ def _crop() -> None:
     )
     resources.change_settings(profile=name, unit=unit)
     profile = entries[name].profile
+    units = resources.settings().units
     if profile is not None:
         lines = [
-            {"Class": c.name, "From": f"{c.min_cm:g} cm", "Below": f"{c.max_cm:g} cm"}
+            {
+                "Class": c.name,
+                "From": units.text(c.min_cm / 100),
+                "Below": units.text(c.max_cm / 100),
+            }
             for c in profile.classes
         ]
         st.dataframe(lines, hide_index=True)
@@ -146,7 +151,7 @@ def _camera() -> None:
 def _how() -> None:
     now = resources.settings()
     resources.change_settings(
-        burst=st.slider("Frames per capture", 1, 15, now.burst),
+        burst=st.slider("Frames per photo", 1, 15, now.burst),
         confidence=st.slider("Minimum confidence of a detection", 0.05, 0.95, now.confidence, 0.05),
         input_sizes=tuple(
             st.multiselect(

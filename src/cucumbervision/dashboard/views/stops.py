@@ -58,7 +58,13 @@ def change_stop(stop: StopView, sides: Sequence[str]) -> None:
     at = every.index(stop.side) if stop.side else None
     side.selectbox("Side", every, at, key=f"stop_side_{given}", accept_new_options=True)
     position.number_input(
-        "At [m]", None, None, stop.position_m, 0.1, "%.2f", key=f"stop_at_{given}"
+        "At [m]",
+        min(0.0, stop.position_m or 0.0),
+        None,
+        stop.position_m,
+        0.1,
+        "%.2f",
+        key=f"stop_at_{given}",
     )
     number.number_input("Number", None, None, stop.step, 1, key=f"stop_step_{given}")
     note.text_input("Name", stop.note, key=f"stop_note_{given}")
